@@ -1,0 +1,50 @@
+# wcsim: two commands matter, `make demo` and `make test`. Every target sets .venv up first when it is missing or stale.
+#
+# On a machine without an NVIDIA card, take PyTorch's CPU build (200 MB instead of several GB):
+#   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
+
+TORCH_INDEX ?=
+PYTHON ?= python3.11
+BIN := .venv/bin
+STAMP := .venv/.installed
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: setup demo test lint look bench proof clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
+	  { echo "wcsim needs Python 3.11 with venv; on Debian or Ubuntu: sudo apt install python3.11 python3.11-venv (or make PYTHON=/path/to/python3.11)" >&2; exit 2; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "installing into .venv (some minutes the first time) ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $$($(BIN)/python tools/dev_requirements.py)
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
+	@touch $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/wcsim demo
+
+look: $(STAMP)
+	@mkdir -p look
+	$(BIN)/wcsim snapshot helsinki --seed 4 --out look/helsinki.png
+	$(BIN)/wcsim video helsinki --seed 4 --out look/helsinki.webm
+
+lint: $(STAMP)
+	$(BIN)/ruff check wcsim tests examples tools
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+test: $(STAMP) lint
+	$(BIN)/pytest -n 2 --dist loadfile -m 'not proof'
+
+proof: $(STAMP)
+	$(BIN)/pytest -n 2 --dist loadfile -m proof
+
+bench: $(STAMP)
+	$(BIN)/wcsim bench tick
+	$(BIN)/wcsim bench camera
+
+clean:
+	rm -rf .venv build dist look

@@ -1,0 +1,49 @@
+"""A chain whose values can be computed by hand, seen through wcsim's observation."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+
+from wcsim.supervisor.actions import action_set
+
+LENGTH, SIDE = 5, 8
+CLASSES = (8, 11, 21, 23, 24)  # one class fills the image of each state
+
+
+class Chain(gym.Env):
+    """Stick forward (y > 0) goes on and earns 1 at the end; anything else ends the episode with 0.3 at once."""
+
+    def __init__(self, limit=50):
+        self.actions = action_set("square81")
+        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
+        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
+        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.action_space = gym.spaces.Discrete(len(self.actions))
+        self.limit = limit
+
+    def _observe(self):
+        image = np.full((1, SIDE, SIDE), CLASSES[min(self.state, LENGTH - 1)], np.uint8)
+        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
+        return {"seg": image, "depth": np.zeros_like(image), **vectors}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = int(self.np_random.integers(LENGTH))
+        return self._observe(), {}
+
+    def step(self, action):
+        onward = self.actions.points[int(action)][1] > 0
+        self.state += int(onward)
+        at_end = self.state >= LENGTH
+        reward = 1.0 if at_end else (0.0 if onward else 0.3)
+        return self._observe(), reward, at_end or not onward, False, {}
+
+
+def chain_values(gamma):
+    """Value of going on in each state, (LENGTH,); giving up is worth 0.3 everywhere."""
+    values = np.zeros(LENGTH + 1)
+    for state in reversed(range(LENGTH)):
+        onward = 1.0 if state == LENGTH - 1 else gamma * max(values[state + 1], 0.3)
+        values[state] = onward
+    return values[:LENGTH]

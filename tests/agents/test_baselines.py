@@ -1,0 +1,138 @@
+import math
+
+import numpy as np
+import pytest
+
+from tests.agents.toy import ToyStreet, camera_rays, toy_camera
+from wcsim.agents.baselines import NAMES, baseline
+from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
+from wcsim.agents.evaluate import evaluate
+from wcsim.config import CameraConfig, ChairConfig, RunConfig
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import encode_depth
+
+CAMERA = CameraConfig(width_px=80, height_px=60)
+WATCH = CorridorWatch(CAMERA, ChairConfig())
+FORWARD = (0.0, 1.0)
+
+
+def looking_at(surface, pitch_rad=0.0, camera=CAMERA):
+    """Observation of `surface(x, y, z) -> solid`, by marching along each ray in 1 cm steps."""
+    rays, eye = viewing_rays(camera), np.array(camera.p_BC_m)
+    depth = np.full(len(rays), camera.range_m)
+    open_rays = np.ones(len(rays), bool)
+    for t in np.arange(0.1, 12.0, 0.01):
+        p = eye + rays * t
+        hit = open_rays & surface(*p.T)
+        depth[hit], open_rays = t, open_rays & ~hit
+    imu = np.array([0, 0, 0.25, 0, pitch_rad / (math.pi / 2)], np.float32)
+    code = encode_depth(depth.astype(np.float32).reshape(camera.height_px, camera.width_px), camera.range_m)
+    return {"depth": code[None], "imu": imu, "seg": np.zeros_like(code[None]), "joystick": np.zeros(2, np.float32)}
+
+
+def ground(x, y, z):
+    return z <= 0.0
+
+
+def box(x0, x1, y0, y1, z0, z1):
+    return lambda x, y, z: ground(x, y, z) | ((x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > z0) & (z < z1))
+
+
+@pytest.mark.parametrize(
+    ("name", "surface", "blocked"),
+    [
+        ("level ground", ground, False),
+        ("a wall near", box(2.0, 3.0, -3, 3, 0, 3), True),
+        ("a wall far", box(6.0, 7.0, -3, 3, 0, 3), False),
+        ("a post in the way", box(1.6, 1.8, -0.1, 0.1, 0, 1.0), True),
+        ("a post beside the way", box(1.6, 1.8, 0.7, 0.9, 0, 1.0), False),
+        ("a branch above", box(1.4, 2.0, -1, 1, 1.7, 1.9), False),
+        ("a low thing that casters climb", box(1.6, 1.8, -0.5, 0.5, 0, 0.06), False),
+        ("a bench", box(1.6, 2.0, -1, 1, 0.4, 0.5), True),
+        ("a ramp up 1:12", lambda x, y, z: z <= np.clip((x - 1.0) / 12, 0, 0.15), False),
+        ("a ramp down 1:12", lambda x, y, z: z <= -np.clip((x - 1.0) / 12, 0, 0.15), False),
+        ("steps down", lambda x, y, z: z <= np.where(x < 1.5, 0.0, -0.6), True),
+        ("a platform's edge", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -20.0), True),
+        ("an edge beside the way", lambda x, y, z: z <= np.where(y < 0.7, 0.0, -20.0), False),
+    ],
+)
+def test_what_blocks_the_way(name, surface, blocked):
+    assert WATCH.blocked(looking_at(surface), *FORWARD) == blocked, name
+
+
+def test_a_slope_under_the_chair_is_level_for_it():
+    slope = math.radians(5)  # the body frame tilts with the chair, so the ground stays at z = 0 in it
+    assert not WATCH.blocked(looking_at(ground, pitch_rad=slope), *FORWARD)
+    # On the crest of the slope the ground ahead is level in the world and falls away in the body frame.
+    crest = lambda x, y, z: z <= np.where(x < 0.8, 0.0, -(x - 0.8) * math.tan(slope))  # noqa: E731
+    assert not WATCH.blocked(looking_at(crest, pitch_rad=slope), *FORWARD)
+
+
+def test_slower_means_a_shorter_look_ahead():
+    view = looking_at(box(2.0, 3.0, -3, 3, 0, 3))
+    assert WATCH.blocked(view, 0.0, 1.0)
+    assert not WATCH.blocked(view, 0.0, 0.25)
+
+
+def test_the_corridor_bends_with_the_joystick():
+    left = looking_at(box(1.1, 1.4, 0.75, 1.1, 0, 1.2))
+    assert WATCH.blocked(left, -0.6, 0.8)
+    assert not WATCH.blocked(left, 0.0, 0.8)
+    assert not WATCH.blocked(left, 0.6, 0.8)
+
+
+def test_corridor_is_mirror_symmetric():
+    g = np.random.default_rng(0)
+    points = np.c_[g.uniform(-1, 5, 500), g.uniform(-3, 3, 500), np.zeros(500)]
+    mirrored = points * [1, -1, 1]
+    for turn in (0.0, 0.3, 1.5):
+        assert np.array_equal(in_corridor(points, 1.0, turn, 2.5), in_corridor(mirrored, 1.0, -turn, 2.5))
+
+
+def test_two_derivations_of_the_viewing_rays_agree():
+    assert np.allclose(viewing_rays(toy_camera()), camera_rays(toy_camera()))
+    turned = viewing_rays(CameraConfig(width_px=80, height_px=60, yaw_deg=90.0, pitch_deg=0.0))
+    assert np.allclose(turned.mean(axis=0), [0, 1, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_baseline_drives(name):
+    config = RunConfig(cameras=(toy_camera(),))
+    policy = baseline(name, config, seed=3)
+    assert policy.name == name
+    observation, _ = ToyStreet(toy_camera()).reset(seed=0)
+    assert 0 <= policy.act(observation) < 81
+    policy.reset()
+
+
+def test_baselines_in_the_toy_street_rank_as_they_must():
+    camera = toy_camera(48, 64)
+    config = RunConfig(cameras=(camera,), chair=ChairConfig(v_max_mps=1.6))
+    rows = {
+        name: evaluate(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 6, 200, seed=11)
+        for name in NAMES
+    }
+    assert rows["follow"].kpi1_within == pytest.approx(1.0)
+    assert rows["follow"].crashes >= 5
+    assert rows["stop"].crashes <= 1
+    assert rows["stop"].speed_mps > 0.2
+    assert rows["stop"].kpi1_mean < rows["zero"].kpi1_mean
+    assert rows["zero"].km == pytest.approx(0.0, abs=1e-6)
+    assert rows["random"].kpi1_mean > 1.0
+
+
+def test_random_is_seeded_and_stop_keeps_turning():
+    config = RunConfig(cameras=(CAMERA,))
+    randoms = [baseline("random", config, seed=s) for s in (1, 1, 2)]
+    drives = [[policy.act({}) for _ in range(9)] for policy in randoms]
+    assert drives[0] == drives[1] != drives[2]
+    view = {**looking_at(box(1.5, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.5, 0.8], np.float32)}
+    points = action_set("square81").points
+    assert tuple(points[baseline("stop", config).act(view)]) == (0.5, 0.0)
+    assert tuple(points[baseline("stop", config).act({**view, "joystick": np.array([0.5, -0.8])})]) == (0.5, -0.75)
+
+
+def test_an_unknown_baseline_is_refused():
+    with pytest.raises(PolicyError, match="follow"):
+        baseline("oracle", RunConfig())

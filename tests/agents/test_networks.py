@@ -1,0 +1,178 @@
+import shutil
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3 import DQN
+from torch import nn
+
+from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents import registry
+from wcsim.agents.networks import GROUPS, WCSIM_GROUPS, ObservationEncoder, group_table
+from wcsim.agents.policy import FollowPrior, NetSpec, QNet
+from wcsim.config import RewardConfig
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.rewards import joystick_terms
+from wcsim.types import ClassId
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_network.py"
+
+
+def space(height, width):
+    image = gym.spaces.Box(0, 255, (1, height, width), np.uint8)
+    vectors = {key: gym.spaces.Box(-1, 1, (n,), np.float32) for key, n in (("imu", 5), ("joystick", 2))}
+    return gym.spaces.Dict(seg=image, depth=image, **vectors)
+
+
+def batch(height, width, joysticks):
+    g = np.random.default_rng(0)
+    images = g.integers(0, 34, (2, len(joysticks), 1, height, width), dtype=np.uint8)
+    return {
+        "seg": torch.from_numpy(images[0]),
+        "depth": torch.from_numpy(images[1]),
+        "imu": torch.zeros(len(joysticks), 5),
+        "joystick": torch.as_tensor(np.asarray(joysticks), dtype=torch.float32),
+    }
+
+
+def q_net(height=60, width=80, **spec):
+    torch.manual_seed(0)
+    return QNet(space(height, width), gym.spaces.Discrete(81), NetSpec(**spec))
+
+
+@pytest.mark.parametrize("network", ["small", "impala"])
+@pytest.mark.parametrize("size", [(60, 80), (240, 320), (24, 32), (33, 47)])
+def test_any_image_size_gives_a_value_for_each_action(network, size):
+    net = q_net(*size, network=network)
+    assert net(batch(*size, [(0, 0), (1, 0)])).shape == (2, 81)
+
+
+def test_small_has_about_a_fifth_of_a_million_parameters():
+    assert 150_000 < sum(p.numel() for p in q_net().parameters()) < 250_000
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=8))
+def test_a_fresh_residual_network_follows_the_user(sticks):
+    points = action_set("square81").points
+    chosen = q_net(24, 32)(batch(24, 32, sticks)).argmax(dim=1).numpy()
+    distance = np.linalg.norm(points[chosen] - np.asarray(sticks), axis=1)
+    assert np.all(distance <= 0.1768 + 0.02)
+
+
+def test_a_fresh_plain_network_does_not():
+    sticks = [(x, y) for x in (-1, -0.5, 0, 0.5, 1) for y in (-1, 0, 1)]
+    chosen = q_net(24, 32, head="plain")(batch(24, 32, sticks)).argmax(dim=1)
+    assert len(set(chosen.tolist())) < len(sticks)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-1, 1), st.floats(-1, 1))
+def test_the_known_part_is_the_rewards_joystick_part(x, y):
+    net = q_net(24, 32, prior=FollowPrior(reward_scale=0.05))
+    actions, config = action_set("square81"), RewardConfig()
+    stick = np.array([x, y], dtype=np.float32)
+    expected = [0.05 * sum(joystick_terms(actions.distance(a, stick), config)) for a in range(81)]
+    got = net.follow_reward(torch.from_numpy(stick)[None])[0].numpy()
+    on_the_edge = np.abs(actions.distances(stick[None])[0] - 0.1768) < 1e-4  # float32 may fall on either side of it
+    assert np.allclose(got[~on_the_edge], np.asarray(expected)[~on_the_edge], atol=1e-6)
+
+
+def test_each_class_is_in_one_group_and_the_planes_say_so():
+    ids = [i for group in GROUPS for i in group]
+    assert len(ids) == len(set(ids))
+    assert set(ids) >= {int(c) for c in ClassId} - {int(ClassId.VOID)}
+    assert group_table("wcsim").shape == (len(GROUPS) + len(WCSIM_GROUPS), 256)
+    encoder = ObservationEncoder(space(24, 32))
+    one = batch(24, 32, [(0, 0)])
+    one["seg"][:] = int(ClassId.PERSON)
+    one["depth"][:] = 51
+    planes = encoder.image(one)[0]
+    lit = [k for k in range(len(planes) - 1) if bool((planes[k] == 1).all())]
+    assert lit == [next(k for k, group in enumerate(GROUPS) if ClassId.PERSON in group)]
+    assert torch.allclose(planes[-1], torch.tensor(0.2))
+
+
+def test_the_networks_sees_its_vector_and_its_images():
+    net, base = q_net(24, 32, head="plain"), batch(24, 32, [(0.2, 0.3)])
+    before = net(base)
+    for key in base:
+        changed = {**base, key: base[key] + 1 if base[key].dtype == torch.uint8 else base[key] + 0.5}
+        assert not torch.allclose(before, net(changed)), key
+
+
+def test_other_observations_are_refused():
+    floats = gym.spaces.Dict(
+        segmentation=gym.spaces.Box(0, 1, (3, 24, 32), np.float32), depth=gym.spaces.Box(0, 1, (1, 24, 32), np.float32),
+        imu=gym.spaces.Box(-1, 1, (5,), np.float32), joystick=gym.spaces.Box(-1, 1, (2,), np.float32),
+    )
+    with pytest.raises(PolicyError, match="seg, depth"):
+        ObservationEncoder(floats)
+
+
+def test_sb3s_own_dqn_takes_the_encoder():
+    kwargs = {"features_extractor_class": ObservationEncoder, "normalize_images": False}
+    env = ToyStreet(toy_camera())
+    model = DQN("MultiInputPolicy", env, policy_kwargs=kwargs, buffer_size=60, learning_starts=20, seed=0, device="cpu")
+    model.learn(40)
+    assert model._n_updates > 0
+
+
+# --- the registry ---
+
+
+def test_the_example_is_one_short_file_and_works(tmp_path, monkeypatch):
+    assert len(EXAMPLE.read_text().splitlines()) <= 15
+    shutil.copy(EXAMPLE, tmp_path / "my_net_a.py")
+    monkeypatch.chdir(tmp_path)
+    net = q_net(network="my_net_a:OwnNet")
+    assert net(batch(60, 80, [(0, 0)])).shape == (1, 81)
+    sys.modules.pop("my_net_a")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("huge", "expected one of"), ("no_such_module_q:Net", "not found"), ("math:Net", "no class"),
+     (":Net", "not module:Class"), ("broken_net_b:Net", "failed to import")],
+)  # fmt: skip
+def test_wrong_names_are_explained(name, says, tmp_path, monkeypatch):
+    (tmp_path / "broken_net_b.py").write_text("import torch\n1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PolicyError, match=says):
+        registry.find_network(name)
+
+
+class Flat(nn.Module):
+    def __init__(self, image_shape, vector_size):
+        super().__init__()
+
+    def forward(self, image, vector):
+        return image.sum()
+
+
+class NoArguments(nn.Module):
+    def __init__(self):
+        super().__init__()
+
+
+@pytest.mark.parametrize(("network", "says"), [(Flat, "expected a tensor"), (NoArguments, "could not be built")])
+def test_networks_that_break_the_contract_are_explained(network, says, monkeypatch):
+    monkeypatch.setitem(registry.NETWORKS, "wrong", network)
+    with pytest.raises(PolicyError, match=says):
+        q_net(network="wrong")
+
+
+def test_a_name_is_registered_once(monkeypatch):
+    monkeypatch.setattr(registry, "NETWORKS", dict(registry.NETWORKS))
+    registry.register("mine", Flat)
+    registry.register("mine", Flat)
+    with pytest.raises(PolicyError):
+        registry.register("mine", NoArguments)
+    with pytest.raises(PolicyError):
+        registry.register("mine:Net", Flat)

@@ -1,0 +1,62 @@
+"""The package as a whole: layers, names, start-up time, files no longer than they may be."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import wcsim
+
+ROOT = Path(__file__).parents[2]
+SOURCES = sorted((ROOT / "wcsim").rglob("*.py"))
+FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
+
+
+def python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_public_names_are_those_that_are_meant():
+    public = {name for name in vars(wcsim) if not name.startswith("_")}
+    assert set(wcsim.__all__) <= public | {"__version__"}
+    assert wcsim.ENV_ID == "wcsim/Street-v1"
+
+
+def test_importing_the_package_loads_no_simulator_and_no_torch():
+    heavy = ("torch", "libsumo", "pybullet", "numba")
+    loaded = python(f"import sys, wcsim; print([m for m in {heavy} if m in sys.modules])")
+    assert loaded == "[]"
+
+
+def test_a_world_process_never_loads_torch():
+    assert python("import sys, wcsim.server.world_process; print('torch' in sys.modules)") == "False"
+
+
+def test_help_comes_quickly():
+    best = 9.0
+    for _ in range(3):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "wcsim", "--help"], capture_output=True, check=True)
+        best = min(best, time.perf_counter() - start)
+    assert best < 0.5
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_and_functions_stay_short(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= 400
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert (node.end_lineno or 0) - node.lineno < 60, node.name
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_executes_foreign_data(path):
+    code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))
+    assert not FORBIDDEN_CALLS.search(re.sub(r"\.eval\(\)", "", code))

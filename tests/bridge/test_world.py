@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+
+import numpy as np
+import pytest
+
+from tests.worlds import follow, hashes, open_world
+from wcsim.bridge.world import World
+from wcsim.errors import ProtocolError, WorldInUseError
+from wcsim.types import ActorKind, Command, Joystick, SeatSpec
+
+
+def test_the_tick_is_five_lines():
+    (function,) = ast.parse(textwrap.dedent(inspect.getsource(World.tick))).body
+    assert isinstance(function, ast.FunctionDef)
+    assert len(function.body[1:]) == 5
+
+
+def test_equal_seeds_give_equal_worlds_and_others_do_not(corner):
+    with open_world(corner, seed=3) as world:
+        first = hashes(world, 60)
+    with open_world(corner, seed=3) as world:
+        assert hashes(world, 60) == first
+        world.rebuild(4)
+        other = hashes(world, 60)
+        assert other != first
+        world.rebuild(3)
+        again = hashes(world, 60)
+        assert world.epoch == 2
+    # The epoch is part of a hash; everything else must be what it was.
+    assert len(again) == len(first)
+
+
+def test_a_rebuilt_world_is_a_new_world_to_the_bit(corner):
+    def poses(world: World) -> np.ndarray:
+        return np.array([np.r_[follow(world).clients[0].plant.p_WB_m, len(world.snapshot.actors)] for _ in range(80)])
+
+    with open_world(corner, seed=5) as world:
+        fresh = poses(world)
+        world.rebuild(9)
+        poses(world)
+        world.rebuild(5)
+        assert np.array_equal(poses(world), fresh)
+
+
+def test_a_second_world_in_the_process_is_refused_with_its_cure(corner):
+    with open_world(corner), pytest.raises(WorldInUseError, match="process"):
+        open_world(corner)
+
+
+def test_every_actor_near_a_chair_has_a_body_and_no_other(corner):
+    with open_world(corner) as world:
+        seen: set[ActorKind] = set()
+        for _ in range(150):
+            snapshot = follow(world)
+            bodies = world._bodies.poses()
+            moved = {actor.id for actor in snapshot.actors}
+            assert set(bodies) == moved
+            for actor in snapshot.actors:
+                seen.add(actor.kind)
+                assert np.abs(bodies[actor.id][0][:2] - actor.p_W_m[:2]).max() < 0.05
+        assert {ActorKind.CAR, ActorKind.PEDESTRIAN} <= seen
+
+
+def test_a_command_for_another_tick_is_refused(corner):
+    with open_world(corner) as world:
+        with pytest.raises(ProtocolError, match="tick 0"):
+            world.tick((Command(seat=0, tick=7, joystick=Joystick(0.0, 0.0)),))
+        with pytest.raises(ProtocolError, match="one a seat"):
+            world.tick(())
+
+
+def test_the_step_limit_truncates_and_the_next_episode_begins_in_the_same_tick(corner):
+    with open_world(corner, spec=SeatSpec(max_steps=5)) as world:
+        clients = [follow(world).clients[0] for _ in range(11)]
+        ends = [i for i, client in enumerate(clients) if client.events.truncated]
+        assert ends == [4, 9]
+        first = clients[4].first
+        assert first is not None
+        assert (first.events.episode, first.events.step) == (1, 0)
+        assert first.tick == clients[4].tick
+        assert clients[5].events.step == 1
+        gap = np.linalg.norm(clients[5].plant.p_WB_m[:2] - first.plant.p_WB_m[:2])
+        assert gap < 0.3
+        assert all(client.first is None for i, client in enumerate(clients) if i not in ends)
+
+
+def test_respawn_costs_no_tick(corner):
+    with open_world(corner) as world:
+        follow(world)
+        before = world.snapshot
+        client = world.respawn(0)
+        assert world.snapshot.tick == before.tick
+        assert client.events.episode == 1
+        assert client.events.step == 0
+        follow(world)
+
+
+def test_two_chairs_see_each_other_and_drive_apart(corner):
+    with open_world(corner, seats=2, seed=2) as world:
+        for _ in range(30):
+            snapshot = follow(world)
+        assert len(snapshot.clients) == 2
+        a, b = (client.plant.p_WB_m for client in snapshot.clients)
+        assert np.linalg.norm(a - b) > 1.0
+        assert {actor.id for actor in world._others(world.seats[0])} >= {"w:1"}
+
+
+def test_truth_comes_only_when_asked_for(corner):
+    with open_world(corner) as world:
+        assert follow(world).clients[0].truth is None
+    with open_world(corner, spec=SeatSpec(truth=True)) as world:
+        truth = follow(world).clients[0].truth
+        assert truth is not None
+        assert truth.safe_actions.shape == (81,)
+        assert truth.clearance_m > 0.0
+
+
+def test_a_slow_camera_repeats_its_image_with_its_old_tick(corner):
+    with open_world(corner, "cameras.0.every_ticks=3") as world:
+        taken = [follow(world).clients[0].sensors.cameras[0].taken_tick for _ in range(7)]
+        assert taken == [0, 0, 3, 3, 3, 6, 6]

@@ -1,0 +1,75 @@
+"""Shared fixtures, and the time budget of each group of tests, printed at the end of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SHARED = ROOT.parent / "shared"
+
+BUDGET_S = {
+    "api": 120,
+    "agents": 150,
+    "bench": 40,
+    "bridge": 100,
+    "cli": 100,
+    "physics": 100,
+    "scenes": 60,
+    "server": 60,
+    "supervisor": 40,
+    "towns": 120,
+    "view": 40,
+    "wcsim": 15,
+}
+"""Seconds of test time a group may take, on two cores; their sum over two workers stays under ten minutes."""
+
+
+def group_of(node_id: str) -> str:
+    """The folder under tests/ that a test lies in; doctests of the package count as "wcsim"."""
+    parts = Path(node_id.split("::")[0]).parts
+    return parts[1] if parts[0] == "tests" and len(parts) > 2 else parts[0]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    spent: dict[str, float] = {}
+    counts: dict[str, int] = {}
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if hasattr(report, "duration") and hasattr(report, "nodeid"):
+                group = group_of(report.nodeid)
+                spent[group] = spent.get(group, 0.0) + report.duration
+                counts[group] = counts.get(group, 0) + (report.when == "call")
+    if not spent:
+        return
+    terminalreporter.section("time by group")
+    for group in sorted(spent):
+        budget = BUDGET_S.get(group, 0)
+        over = "  OVER BUDGET" if spent[group] > budget else ""
+        terminalreporter.write_line(f"{group:<12}{counts[group]:4d} tests {spent[group]:7.1f} s of {budget:4d} s{over}")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if SHARED.is_dir():
+        return
+    skip = pytest.mark.skip(reason="needs the development material beside the checkout (../shared), which is not here")
+    for item in items:
+        if "shared" in item.keywords:
+            item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The development material beside the checkout; a test that uses it carries the marker `shared`."""
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A town of one street corner with a little traffic, built from a hand-written scene; starts in no time."""
+    from wcsim.towns.scenes import build_scene, find_scene
+
+    work = tmp_path_factory.mktemp("corner")
+    build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "pedestrian-crossing")), work)
+    return work

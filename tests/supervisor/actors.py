@@ -1,0 +1,38 @@
+"""Actors and users for the tests of this package."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tests.supervisor.kinematics import SUBSTEPS, TICK_S
+from wcsim.seeding import generator
+from wcsim.supervisor.profiles import profile
+from wcsim.supervisor.user import SimulatedUser
+from wcsim.types import ActorKind, ActorState, Street
+
+SIZES = {
+    ActorKind.PEDESTRIAN: (0.5, 0.5, 1.7),
+    ActorKind.BICYCLE: (1.8, 0.65, 1.7),
+    ActorKind.CAR: (4.5, 1.8, 1.5),
+    ActorKind.WHEELCHAIR: (1.1, 0.62, 1.25),
+}
+
+
+def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0, name: str = "a") -> ActorState:
+    return ActorState(
+        id=name,
+        kind=kind,
+        p_W_m=np.array([x, y, 0.0]),
+        yaw_rad=yaw,
+        pitch_rad=0.0,
+        v_W_mps=v * np.array([math.cos(yaw), math.sin(yaw), 0.0]),
+        size_lwh_m=SIZES[kind],
+    )
+
+
+def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:
+    exact = replace(profile(name), **changes)
+    return SimulatedUser(exact, generator(seed, "user"), 1.67, 1.5, TICK_S / SUBSTEPS, street)

@@ -1,0 +1,76 @@
+"""From a snapshot to what a step returns."""
+
+import numpy as np
+import pytest
+
+from tests.supervisor.kinematics import plant
+from tests.supervisor.test_observation import sensors
+from wcsim.config import EnvConfig, RunConfig
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.judge import judge, observation_of
+from wcsim.types import ClientSnapshot, Events, Joystick
+
+ACTIONS = action_set("square81")
+CONFIG = RunConfig()
+FORWARD = Joystick(0.0, 1.0)
+
+
+def snapshot(crashed=False, truncated=False, user=FORWARD) -> ClientSnapshot:
+    return ClientSnapshot(
+        seat=0,
+        tick=3,
+        plant=plant(0.0, 0.0, 0.0),
+        sensors=sensors(32, 24),
+        user=user,
+        contacts=(),
+        events=Events(
+            episode=0,
+            step=5,
+            crashed=crashed,
+            crash_reason="collision" if crashed else "",
+            truncated=truncated,
+            arrived=False,
+            gave_up=False,
+        ),
+    )
+
+
+def test_the_action_is_compared_with_the_stick_it_answered():
+    asked = Joystick(0.1, 0.9)
+    followed = ACTIONS.nearest((asked.x, asked.y))
+    got = judge(snapshot(user=Joystick(-1.0, 0.0)), followed, asked, ACTIONS.points, CONFIG)
+    assert got.reward.total == 1.0
+    np.testing.assert_array_equal(got.observation["joystick"], np.float32([-1.0, 0.0]))
+
+
+def test_the_penalty_grows_with_the_distance():
+    stop = ACTIONS.nearest((0.0, 0.0))
+    got = judge(snapshot(), stop, Joystick(0.0, 1.0), ACTIONS.points, CONFIG)
+    assert got.reward.total == pytest.approx(-2 * (1.0 - 0.1768) / (2 - 0.1768))
+    corner = ACTIONS.nearest((-1.0, -1.0))
+    far = judge(snapshot(), corner, Joystick(0.7071, 0.7071), ACTIONS.points, CONFIG)
+    assert far.reward.joystick == -2.0 and not far.terminated
+
+
+@pytest.mark.parametrize(
+    ("crashed", "truncated", "expected"),
+    [
+        (False, False, (False, False)),
+        (True, False, (True, False)),
+        (False, True, (False, True)),
+        (True, True, (True, False)),
+    ],
+)
+def test_how_an_episode_ends(crashed, truncated, expected):
+    got = judge(snapshot(crashed, truncated), 0, Joystick(0.0, 0.0), ACTIONS.points, CONFIG)
+    assert (got.terminated, got.truncated) == expected
+    assert got.reward.crash == (-100.0 if crashed else 0.0)
+
+
+def test_the_configuration_chooses_form_classes_and_camera():
+    config = CONFIG.model_copy(update={"env": EnvConfig(observation="table3", classes="wcsim")})
+    assert observation_of(snapshot(), config)["segmentation"].shape == (3, 24, 32)
+    assert observation_of(snapshot(), CONFIG, camera="front")["seg"].shape == (1, 24, 32)
+    with pytest.raises(ConfigError, match="front"):
+        observation_of(snapshot(), CONFIG, camera="rear")

@@ -1,0 +1,134 @@
+"""Both forms of the observation: spaces, depth codes, folding, ownership, speed."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.errors import ConfigError
+from wcsim.supervisor.observation import decode_depth, encode_depth, imu_vector, observation_space, observe
+from wcsim.supervisor.palette import COLOURS, palette
+from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, SensorFrame
+
+RANGE_M = 40.0
+
+
+def imu(accel=(0.0, 0.0, 9.81), roll=0.05, pitch=-0.2) -> ImuFrame:
+    return ImuFrame(
+        accel_mean_mps2=np.array(accel, float),
+        accel_peak_mps2=np.zeros(3),
+        gyro_radps=np.zeros(3),
+        roll_rad=roll,
+        pitch_rad=pitch,
+        yaw_rad=0.0,
+    )
+
+
+def sensors(width=320, height=240) -> SensorFrame:
+    rng = np.random.default_rng(0)
+    depth = np.exp(rng.uniform(math.log(0.1), math.log(RANGE_M), (height, width))).astype(np.float32)
+    classes = rng.choice(np.array([int(c) for c in ClassId], np.uint8), (height, width))
+    frame = CameraFrame(name="front", taken_tick=3, depth_m=depth, class_id=classes)
+    return SensorFrame(tick=3, cameras=(frame,), imu=imu())
+
+
+def seen(form, frame, fold=True, camera="front"):
+    return observe(form, frame, Joystick(-0.25, 0.75), camera=camera, range_m=RANGE_M, fold=fold)
+
+
+@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("fold", [True, False])
+def test_observation_is_in_its_space(form, fold):
+    got = seen(form, sensors(80, 60), fold)
+    space = observation_space(form, 80, 60)
+    assert space.contains(got)
+    assert set(got) == set(space.spaces)
+    assert all(array.flags.c_contiguous and array.flags.writeable for array in got.values())
+    np.testing.assert_allclose(got["joystick"], [-0.25, 0.75])
+
+
+@pytest.mark.parametrize("form", ["compact", "table3"])
+def test_arrays_are_the_callers_own(form):
+    frame = sensors(40, 30)
+    before = {key: array.copy() for key, array in seen(form, frame).items()}
+    kept = seen(form, frame)
+    frame.cameras[0].depth_m[:] = 1.0
+    frame.cameras[0].class_id[:] = ClassId.SKY
+    for key, array in kept.items():
+        np.testing.assert_array_equal(array, before[key])
+
+
+def test_read_only_views_of_a_buffer_are_accepted():
+    frame = sensors(40, 30)
+    frame.cameras[0].depth_m.flags.writeable = False
+    frame.cameras[0].class_id.flags.writeable = False
+    assert seen("compact", frame, fold=False)["seg"].flags.writeable
+
+
+@given(st.floats(0.1, RANGE_M), st.sampled_from([10.0, 40.0]))
+def test_depth_survives_within_its_error(depth, range_m):
+    depth = min(depth, range_m)
+    code = encode_depth(np.full((1, 1), depth, np.float32), range_m)
+    assert abs(float(decode_depth(code, range_m)[0, 0]) / depth - 1.0) <= 0.013
+
+
+def test_depth_codes_are_monotone_and_every_code_comes_back():
+    depth = np.geomspace(0.05, 60.0, 20_000, dtype=np.float32)[None]
+    assert (np.diff(encode_depth(depth, RANGE_M).astype(int)) >= 0).all()
+    codes = np.arange(256, dtype=np.uint8)[None]
+    np.testing.assert_array_equal(encode_depth(decode_depth(codes, RANGE_M), RANGE_M), codes)
+
+
+def test_depth_beyond_its_ends():
+    odd = np.array([[0.0, -1.0, 0.05, 0.1, RANGE_M, 99.0, np.inf, np.nan, -np.inf]], np.float32)
+    np.testing.assert_array_equal(encode_depth(odd, RANGE_M), [[0, 0, 0, 0, 255, 255, 255, 255, 0]])
+
+
+def test_both_forms_show_the_same_picture():
+    frame = sensors(80, 60)
+    compact, table3 = seen("compact", frame), seen("table3", frame)
+    colours = palette()[compact["seg"][0]]
+    np.testing.assert_allclose(table3["segmentation"], np.moveaxis(colours, -1, 0) / 255.0, atol=1e-6)
+    metres = decode_depth(compact["depth"], RANGE_M)
+    np.testing.assert_allclose(metres, table3["depth"] * RANGE_M, rtol=0.013)
+
+
+def test_folding_leaves_only_classes_of_cityscapes():
+    frame = sensors(80, 60)
+    assert {34, 35, 36} <= set(np.unique(seen("compact", frame, fold=False)["seg"]).tolist())
+    folded = seen("compact", frame)["seg"][0]
+    assert not {34, 35, 36} & set(np.unique(folded).tolist())
+    assert (folded[frame.cameras[0].class_id == ClassId.CROSSWALK] == ClassId.ROAD).all()
+    assert (folded[frame.cameras[0].class_id == ClassId.KERB] == ClassId.SIDEWALK).all()
+
+
+def test_imu_is_scaled_and_held():
+    np.testing.assert_allclose(
+        imu_vector(imu((4.0, -400.0, 9.81), math.pi / 2, -math.pi / 4)), [0.1, -1.0, 0.24525, 0.5, -0.5], atol=1e-6
+    )
+
+
+def test_unknown_camera_and_form_are_named():
+    with pytest.raises(ConfigError, match=r"rear.*front"):
+        seen("compact", sensors(8, 8), camera="rear")
+    with pytest.raises(ConfigError, match="table3"):
+        observation_space("table4", 8, 8)
+
+
+def test_every_class_has_a_colour():
+    assert set(COLOURS) == set(ClassId)
+
+
+@pytest.mark.parametrize(("form", "limit_ms"), [("compact", 0.25), ("table3", 1.5)])
+def test_observation_is_quick(form, limit_ms):
+    frame = sensors()
+    seen(form, frame)
+    best = math.inf
+    for _ in range(50):
+        start = time.perf_counter()
+        seen(form, frame)
+        best = min(best, time.perf_counter() - start)
+    assert best * 1e3 < limit_ms

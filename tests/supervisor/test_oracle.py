@@ -1,0 +1,191 @@
+"""The oracle: walls, kerbs, moving people, and no danger where there is none."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from tests.samples import straight_route, strip_street
+from tests.supervisor.actors import actor, make_user
+from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
+from wcsim.config import ChairConfig
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.oracle import Oracle, shaped
+from wcsim.types import ActorKind, Joystick
+
+STREET = strip_street()
+ACTIONS = action_set("square81")
+ORACLE = Oracle(STREET.grid, ChairConfig(), ACTIONS.points)
+FORWARD = Joystick(0.0, 0.8)
+STOP = Joystick(0.0, 0.0)
+UP, DOWN = math.pi / 2, -math.pi / 2
+
+
+def danger(x, y, yaw, v=0.0, stick=FORWARD, actors=()) -> bool:
+    return ORACLE.danger(plant(x, y, yaw, v), stick, actors)
+
+
+def drive(chair: Chair, stick: Joystick, ticks: int) -> None:
+    for _ in range(24 * ticks):
+        chair.drive(stick, TICK_S / 24)
+
+
+@pytest.mark.parametrize("speed", [0.4, 0.8, 1.25, 1.67])
+def test_a_wall_is_seen_in_time_to_brake_and_not_much_sooner(speed):
+    stick = Joystick(0.0, 0.08 + 0.92 * speed / 1.67)
+    chair = Chair(x=60.0, y=4.5, yaw=UP, v=speed)  # the house begins at y = 9
+    while not ORACLE.danger(chair.plant(), stick, ()):
+        drive(chair, stick, 1)
+    gap_m = 9.0 - (chair.y + 0.8)
+    drive(chair, stick, 2)  # an agent needs a tick to see it and one to act
+    drive(chair, STOP, 30)
+    assert chair.v == 0.0
+    assert 9.0 - (chair.y + 0.8) > 0.0
+    assert gap_m < speed * 0.5 + speed**2 / 3.0 + speed * 0.19 + 0.25
+
+
+def test_safe_actions_in_front_of_a_wall():
+    safe = ORACLE.safe_actions(plant(60.0, 7.4, UP, 0.5), ())
+    assert not safe[ACTIONS.nearest((0.0, 1.0))]
+    assert safe[ACTIONS.nearest((0.0, 0.0))]
+    assert safe[ACTIONS.nearest((0.0, -0.5))]
+    assert safe.shape == (81,) and safe.dtype == np.bool_
+
+
+def test_a_thin_pole_is_solid():
+    assert danger(22.8, 6.7, 0.0, 1.3)
+    assert not danger(22.8, 5.9, 0.0, 1.3)
+    assert danger(25.6, 6.7, 0.0, 0.0, Joystick(0.0, -1.0))  # behind
+
+
+@pytest.mark.parametrize(
+    ("y", "yaw", "v", "expected"),
+    [
+        (6.3, DOWN, 0.5, False),
+        (5.3, DOWN, 1.3, True),  # off the kerb
+        (2.6, UP, 1.0, True),  # into it
+        (1.0, UP, 0.5, False),
+        (4.6, 0.0, 1.3, False),  # along it, on the pavement's own slope of 1:12
+        (4.6, -0.35, 1.3, True),  # drifts off it
+        (5.5, 0.0, 1.67, False),
+    ],
+)
+def test_kerbs(y, yaw, v, expected):
+    assert danger(15.0, y, yaw, v) == expected
+
+
+def test_standing_at_the_kerb_is_no_danger():
+    assert not danger(15.0, 4.7, DOWN, 0.0, STOP)
+
+
+def test_ramps_and_crossing_are_free():
+    for x in np.arange(30.0, 50.0, 0.5):
+        assert not danger(float(x), 5.0, 0.0, 1.3), x
+    for y in np.arange(6.0, -6.5, -0.25):
+        assert not danger(40.0, float(y), DOWN, 1.3), y
+
+
+def test_moving_others():
+    def cyclist(x, y=5.5, yaw=math.pi, v=5.0):
+        return (actor(ActorKind.BICYCLE, x, y, yaw, v),)
+
+    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(13.0))
+    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(25.0))
+    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(13.0, yaw=0.0))  # drives away
+    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(7.0, 1.5, UP, 4.0))  # from the side
+    assert not danger(5.0, 5.5, 0.0, 0.0, STOP, cyclist(8.0, 1.5, UP, 4.0))  # passes before a standing chair
+    safe = ORACLE.safe_actions(plant(5.0, 5.5, 0.0, 1.0), cyclist(7.3, 2.3, UP, 3.0))
+    assert safe[ACTIONS.nearest((0.0, 0.0))] and not safe[ACTIONS.nearest((0.0, 1.0))]
+
+
+def test_following_a_walker_is_no_danger_and_a_standing_one_is():
+    assert not danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 6.7, 5.5, 0.0, 1.3),))
+    assert danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 6.7, 5.5),))
+
+
+def test_passing_somebody_at_arms_length_is_free():
+    beside = 5.5 + 0.31 + 0.25 + 0.12
+    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, (actor(ActorKind.PEDESTRIAN, 7.0, beside),))
+    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, (actor(ActorKind.PEDESTRIAN, 7.0, beside - 0.1),))
+
+
+def test_an_actor_on_a_bridge_is_elsewhere():
+    above = actor(ActorKind.CAR, 7.0, 5.5)
+    above.p_W_m[2] = 6.0
+    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, (above,))
+
+
+def test_who_touches_already_may_leave():
+    near = plant(60.0, 9.0 - 0.8 - 0.02, UP)  # the footplate 2 cm from the wall
+    safe = ORACLE.safe_actions(near, ())
+    assert safe[ACTIONS.nearest((0.0, -0.5))] and not safe[ACTIONS.nearest((0.0, 1.0))]
+
+
+def test_clearance():
+    assert ORACLE.clearance(plant(60.0, 7.2, UP), ()) == pytest.approx(1.0, abs=0.1)
+    person = actor(ActorKind.PEDESTRIAN, 5.0 + 0.8 + 0.25 + 0.7, 5.5)
+    assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (person,)) == pytest.approx(0.7)
+    corner = actor(ActorKind.PEDESTRIAN, 5.8 + 0.25 + 0.3, 5.81 + 0.25 + 0.4)
+    assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (corner,)) == pytest.approx(0.5)
+    assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (actor(ActorKind.CAR, 6.0, 5.5),)) == 0.0
+    assert ORACLE.clearance(plant(-15.0, 5.5, 0.0), ()) > 20.0
+
+
+def test_one_call_says_the_same_as_three():
+    state, others = plant(21.0, 6.4, 0.1, 1.3), (actor(ActorKind.PEDESTRIAN, 24.0, 5.4, math.pi, 1.2),)
+    once = ORACLE.assess(state, FORWARD, others)
+    assert once.danger == ORACLE.danger(state, FORWARD, others)
+    np.testing.assert_array_equal(once.safe_actions, ORACLE.safe_actions(state, others))
+    assert once.clearance_m == ORACLE.clearance(state, others)
+    assert (np.isfinite(once.first_s) == ~once.safe_actions).all()
+
+
+@pytest.mark.parametrize("name", ["competent", "tremor", "inattentive"])
+def test_driving_along_an_empty_pavement_is_free(name):
+    user = make_user(name, street=STREET)
+    sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
+    free = []
+    while not user.arrived and sim.time_s < 60.0:
+        sim.tick()
+        free.append(not ORACLE.danger(sim.chair.plant(), user.joystick, ()))
+    assert np.mean(free) >= 0.98
+
+
+def test_crossing_a_road_on_its_ramps_is_free():
+    user = make_user()
+    sim = Sim(user, polyline((30, 5.5), (40, 5.5), (40, -5.5), (50, -5.5)), Chair(x=30.0, y=5.5))
+    free = []
+    while not user.arrived and sim.time_s < 60.0:
+        sim.tick()
+        free.append(not ORACLE.danger(sim.chair.plant(), user.joystick, ()))
+    assert user.arrived and np.mean(free) >= 0.95
+
+
+def test_mirrored_streets_give_mirrored_answers():
+    """On the open crossing the answer for (x, y) and (-x, y) is the same."""
+    person = (actor(ActorKind.PEDESTRIAN, 40.0, -1.0),)
+    safe = ORACLE.safe_actions(plant(40.0, 1.5, DOWN, 1.0), person)
+    np.testing.assert_array_equal(safe, safe[ACTIONS.mirror])
+
+
+def test_shaping_is_the_drives():
+    chair = ChairConfig(deadband=0.1, shape_exponent=2.0)
+    got = shaped(np.array([[0.0, 0.05], [0.0, 0.55], [3.0, 4.0], [1.0, -1.0]]), chair)
+    np.testing.assert_allclose(got, [[0, 0], [0, 0.25], [0.6, 0.8], [math.sqrt(0.5), -math.sqrt(0.5)]], atol=1e-12)
+
+
+def test_the_oracle_is_quick():
+    rng = np.random.default_rng(0)
+    people = [
+        actor(ActorKind.PEDESTRIAN, *rng.uniform((0, 2), (10, 9)), float(rng.uniform(-3, 3)), 1.2, str(i))
+        for i in range(20)
+    ]
+    state = plant(23.0, 6.2, 0.2, 1.3)
+    ORACLE.assess(state, FORWARD, people)
+    best = math.inf
+    for _ in range(30):
+        start = time.perf_counter()
+        ORACLE.assess(state, FORWARD, people)
+        best = min(best, time.perf_counter() - start)
+    assert best * 1e3 < 1.5

@@ -1,0 +1,175 @@
+"""Tables 1 and 2: every row, both ends of every window."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.config import RewardConfig
+from wcsim.errors import ConfigError
+from wcsim.supervisor.rewards import (
+    accel_term,
+    crash_reason,
+    crash_term,
+    intensity,
+    joystick_distance,
+    joystick_terms,
+    reward,
+    tilt_term,
+)
+from wcsim.types import Contact, Events, ImuFrame
+
+C = RewardConfig()
+finite = st.floats(-1e6, 1e6)
+
+
+def imu(peak=(0.0, 0.0, 0.0), roll_deg=0.0, pitch_deg=0.0) -> ImuFrame:
+    return ImuFrame(
+        accel_mean_mps2=np.array([0.0, 0.0, 9.81]),
+        accel_peak_mps2=np.array(peak, float),
+        gyro_radps=np.zeros(3),
+        roll_rad=math.radians(roll_deg),
+        pitch_rad=math.radians(pitch_deg),
+        yaw_rad=0.0,
+    )
+
+
+def events(crashed=False) -> Events:
+    return Events(
+        episode=0,
+        step=1,
+        crashed=crashed,
+        crash_reason="tilt" if crashed else "",
+        truncated=False,
+        arrived=False,
+        gave_up=False,
+    )
+
+
+def contact(kind, part, impulse=1.0) -> Contact:
+    return Contact(kind=kind, part=part, impulse_Ns=impulse, cause="own")
+
+
+@pytest.mark.parametrize(
+    ("distance", "base", "joystick"),
+    [
+        (0.0, 1.0, 0.0),
+        (0.1768, 1.0, 0.0),
+        (math.hypot(0.125, 0.125), 1.0, 0.0),
+        (float(np.hypot(np.float32(0.125), np.float32(0.125))), 1.0, 0.0),
+        (0.177, 0.0, -2.0 * 0.0002 / 1.8232),
+        (0.25, 0.0, -2.0 * 0.0732 / 1.8232),
+        (1.0884, 0.0, -1.0),
+        (2.0, 0.0, -2.0),
+        (2.41, 0.0, -2.0),
+    ],
+)
+def test_joystick_rows(distance, base, joystick):
+    got = joystick_terms(distance, C)
+    assert got == (base, pytest.approx(joystick, abs=1e-9))
+
+
+@pytest.mark.parametrize(
+    ("peak", "penalty"),
+    [
+        ((20, 20, 20), 0),
+        ((30, 0, 0), -1),
+        ((0, -30, 0), -1),
+        ((0, 0, 40), -2),
+        ((40, -40, 40), -6),
+        ((99, 0, 0), -2),
+        ((9, 9, 19.9), 0),
+    ],
+)
+def test_acceleration_rows(peak, penalty):
+    assert accel_term(np.array(peak, float), C) == pytest.approx(penalty)
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "penalty"),
+    [(5, 20, 0), (12.5, 0, -1), (-12.5, 0, -1), (20, 0, -2), (0, 25, -1), (0, -30, -2), (20, 30, -4), (4.9, 19.9, 0)],
+)
+def test_tilt_rows(roll, pitch, penalty):
+    assert tilt_term(math.radians(roll), math.radians(pitch), C) == pytest.approx(penalty, abs=1e-12)
+
+
+def test_a_crash_costs_100_once_and_the_terms_add_up():
+    terms = reward(1.0884, imu(peak=(50, 50, 50), roll_deg=50, pitch_deg=50), events(crashed=True), C)
+    assert terms.crash == -100.0
+    assert terms.total == pytest.approx(0.0 - 1.0 - 6.0 - 4.0 - 100.0)
+    assert crash_term(False, C) == 0.0
+    assert reward(0.1, imu(), events(), C).total == 1.0
+
+
+@given(finite, finite)
+def test_intensity_is_bounded_and_monotone(a, b):
+    low, high = sorted((intensity(a, 20.0, 40.0), intensity(b, 20.0, 40.0)))
+    assert 0.0 <= low <= high <= 1.0
+    assert (intensity(a, 20.0, 40.0) <= intensity(b, 20.0, 40.0)) or a > b
+
+
+@given(st.floats(0.0, 2.0), st.floats(0.0, 2.0))
+def test_reward_never_grows_with_distance(a, b):
+    near, far = sorted((a, b))
+    assert sum(joystick_terms(near, C)) >= sum(joystick_terms(far, C)) >= -2.0
+
+
+@given(st.lists(st.floats(-200, 200), min_size=3, max_size=3), st.floats(-180, 180), st.floats(-90, 90), st.booleans())
+def test_reward_is_bounded_and_even_in_its_signs(peak, roll, pitch, crashed):
+    got = reward(0.5, imu(peak, roll, pitch), events(crashed), C).total
+    assert -2 * 6 - 100 <= got <= 1.0
+    mirrored = reward(0.5, imu([-p for p in peak], -roll, -pitch), events(crashed), C).total
+    assert got == pytest.approx(mirrored)
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
+def test_joystick_distance_ends_at_the_window(a, b, c, d):
+    got = joystick_distance(np.array([a, b]), np.array([c, d]), C)
+    assert got == pytest.approx(min(2.0, math.hypot(a - c, b - d)))
+    assert 0.0 <= got <= 2.0
+
+
+def test_empty_window_is_refused():
+    with pytest.raises(ConfigError, match="low < high"):
+        accel_term(np.ones(3), RewardConfig(accel_window_mps2=(40.0, 20.0)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "part", "impulse", "expected"),
+    [
+        ("ground", "wheel", 500.0, ""),
+        ("kerb", "caster", 500.0, ""),
+        ("kerb", "antitip", 500.0, ""),
+        ("ground", "footplate", 19.9, ""),
+        ("kerb", "body", 20.0, ""),
+        ("ground", "footplate", 20.1, "collision"),
+        ("kerb", "body", 21.0, "collision"),
+        ("building", "wheel", 0.01, "collision"),
+        ("static", "caster", 0.01, "collision"),
+        ("pedestrian", "footplate", 0.0, "collision"),
+        ("car", "body", 3.0, "collision"),
+        ("wheelchair", "antitip", 3.0, "collision"),
+    ],
+)
+def test_which_contacts_crash(kind, part, impulse, expected):
+    assert crash_reason(imu(), [contact(kind, part, impulse)], C) == expected
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [
+        (imu(), ""),
+        (imu(peak=(40, 40, 40)), ""),
+        (imu(peak=(0, -40.1, 0)), "acceleration"),
+        (imu(roll_deg=19.99), ""),
+        (imu(roll_deg=-20.1), "tilt"),
+        (imu(pitch_deg=29.9), ""),
+        (imu(pitch_deg=-30.1), "tilt"),
+        (imu(peak=(41, 0, 0), roll_deg=90), "acceleration"),
+    ],
+)
+def test_crashes_by_sensor(frame, expected):
+    assert crash_reason(frame, [contact("ground", "wheel")], C) == expected
+    assert crash_reason(frame, [contact("bus", "body")], C) == "collision"

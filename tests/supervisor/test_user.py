@@ -1,0 +1,265 @@
+"""The user in a small kinematic world: keeps its line, goes around, waits, gives up, and is the same twice."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.samples import straight_route, strip_street
+from tests.supervisor.actors import actor, make_user
+from tests.supervisor.kinematics import TICK_S, Chair, Sim, lateral, polyline
+from tests.supervisor.test_crossing import lit, over_the_road
+from wcsim.config import ChairConfig
+from wcsim.errors import ConfigError
+from wcsim.seeding import generator
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.profiles import profile, profile_names, sample
+from wcsim.supervisor.user import SimulatedUser
+from wcsim.types import ActorKind, Joystick, SignalState
+
+STREET = strip_street()
+ORACLE = Oracle(STREET.grid, ChairConfig(), action_set("square81").points)
+CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
+PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
+
+
+def on_pavement(user, quantised=False, x=0.3) -> Sim:
+    return Sim(user, straight_route(), Chair(x=x, y=5.5), quantised)
+
+
+def nearest(sim: Sim, seconds: float, actors) -> float:
+    """Run with actors that are a function of time; the least distance to them."""
+    least = math.inf
+    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+        sim.actors = actors(sim.time_s)
+        sim.tick()
+        least = min(least, ORACLE.clearance(sim.chair.plant(), actors(sim.time_s)))
+    return least
+
+
+# --- the line ---
+
+
+@pytest.mark.parametrize("quantised", [False, True])
+def test_the_competent_user_keeps_its_line_around_corners(quantised):
+    for seed in range(3):
+        rng = generator(seed, "user")
+        user = SimulatedUser(sample(profile("competent"), rng), rng, 1.67, 1.5, TICK_S / 24)
+        sim = Sim(user, CORNERS, Chair(), quantised)
+        off = lateral(sim.run(90.0).array(), CORNERS)
+        assert user.arrived
+        assert math.sqrt((off**2).mean()) < 0.15
+        assert off.max() < 0.42
+
+
+def test_a_straight_is_driven_straight_at_the_wanted_speed():
+    sim = on_pavement(make_user())
+    track = sim.run(40.0)
+    cruising = slice(60, 350)
+    assert np.mean(track.speed[cruising]) == pytest.approx(0.8 * 1.67, abs=0.06)
+    assert np.abs(np.array(track.xy)[cruising, 1] - 5.5).max() < 0.1
+    # No swinging: what is left of the turn rate is the hand's wander, and it does not come back as a rhythm.
+    assert np.std(track.yaw_rate[cruising]) < 0.06
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_profile_gets_around_the_corners(name):
+    arrived = 0
+    for seed in range(3):
+        sim = Sim(make_user(name, seed), CORNERS, Chair(), quantised=True)
+        track = sim.run(140.0)
+        arrived += sim.user.arrived
+        assert max(math.hypot(j.x, j.y) for j in track.sticks) <= 1.0 + 1e-9
+        if name != "inattentive":  # who looks away in a corner may leave the street: that is what the agent is for
+            assert math.sqrt((lateral(track.array(), CORNERS) ** 2).mean()) < 0.5
+    assert arrived >= (2 if name == "inattentive" else 3)
+
+
+def test_profiles_differ_as_they_should():
+    def jitter(name):
+        sticks = np.array([(j.x, j.y) for j in on_pavement(make_user(name)).run(25.0).sticks[80:]])
+        return np.hypot(*np.diff(sticks, axis=0).T).mean()
+
+    calm, tremor, ataxic = jitter("competent"), jitter("tremor"), jitter("ataxic")
+    assert tremor > 5 * calm and ataxic > 2 * calm
+
+    def speed(name):
+        return np.mean(on_pavement(make_user(name)).run(25.0).speed[80:])
+
+    assert speed("slow") < 0.85 * speed("competent")
+
+
+@pytest.mark.parametrize(("y", "yaw"), [(5.5, math.pi), (5.5, math.pi / 2), (6.8, 0.0), (4.6, -0.8)])
+def test_a_user_pushed_away_or_turned_around_comes_back(y, yaw):
+    sim = Sim(make_user(), straight_route(), Chair(x=5.0, y=y, yaw=yaw))
+    track = sim.run(25.0)
+    assert abs(sim.chair.y - 5.5) < 0.1 and sim.chair.x > 25.0
+    assert min(sim.track.xy, key=lambda p: p[1])[1] > 4.4
+    assert len(track.xy) > 100
+
+
+# --- what was noticed ---
+
+
+@pytest.mark.parametrize("beside_m", [0.0, 0.15, -0.4])
+@pytest.mark.parametrize("quantised", [False, True])
+def test_goes_around_a_post_it_saw(beside_m, quantised):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0), quantised, x=5.0)
+    sim.obstacles = np.array([[15.0, 5.5 + beside_m, 0.15]])
+    post = replace(actor(PERSON, 15.0, 5.5 + beside_m), size_lwh_m=(0.3, 0.3, 1.0))
+    least = math.inf
+    while sim.time_s < 25.0:
+        sim.tick()
+        least = min(least, ORACLE.clearance(sim.chair.plant(), (post,)))
+    assert least > 0.08
+    assert sim.chair.x > 20.0
+    assert abs(sim.chair.y - 5.5) < 0.1
+
+
+def test_runs_into_a_post_it_missed():
+    sim = on_pavement(make_user(street=STREET, see_share=0.0), x=8.0)
+    sim.obstacles = np.array([[15.0, 5.5, 0.15]])
+    sim.run(8.0)
+    assert sim.chair.x > 15.0
+
+
+def test_stops_before_a_post_when_there_is_no_room_and_gives_up():
+    sim = on_pavement(make_user(see_share=1.0), x=5.0)
+    sim.obstacles = np.array([[15.0, 5.5, 0.3]])
+    sim.run(60.0)
+    assert sim.user.gave_up and not sim.user.arrived
+    nose_m = sim.chair.x + 0.8
+    assert 13.8 < nose_m < 14.7
+    assert sim.user.intent == Joystick(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "actors",
+    [
+        pytest.param(lambda t: (actor(PERSON, 25 - 1.3 * t, 5.5, math.pi, 1.3),), id="comes towards"),
+        pytest.param(lambda t: (actor(PERSON, 6 + 0.6 * t, 5.6, 0.0, 0.6),), id="is slower"),
+        pytest.param(lambda t: (actor(PERSON, 12, 1.5 + 0.5 * t, math.pi / 2, 0.5),), id="walks across"),
+        pytest.param(lambda t: (actor(ActorKind.WHEELCHAIR, 12, 5.3),), id="wheelchair stands"),
+    ],
+)
+def test_passes_people(actors):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0))
+    assert nearest(sim, 25.0, actors) > 0.1
+    assert sim.chair.x > 20.0
+
+
+@pytest.mark.parametrize(
+    "actors",
+    [
+        pytest.param([actor(PERSON, 12, y, name=str(y)) for y in (4.8, 5.5, 6.2, 6.9)], id="people"),
+        pytest.param([actor(CAR, 15, 5.6)], id="car"),
+    ],
+)
+def test_stops_for_a_closed_pavement_and_gives_up(actors):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0))
+    assert nearest(sim, 60.0, lambda _: tuple(actors)) > 0.1
+    assert sim.user.gave_up
+    assert sim.time_s < 35.0
+
+
+# --- the road ---
+
+
+def cross(signals, cars=lambda t: (), seconds=70.0, **changes):
+    """Walk the crossing of the strip; (time, y of the chair's middle) each tick."""
+    street = lit(STREET)
+    sim = Sim(make_user(street=street, see_share=1.0, **changes), over_the_road(), Chair(x=32.0, y=5.5))
+    log = []
+    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+        sim.actors, sim.signals = cars(sim.time_s), signals(sim.time_s)
+        sim.tick()
+        log.append((sim.time_s, sim.track.xy[-1][1]))
+    return sim, np.array(log)
+
+
+def light(green_from_s):
+    return lambda t: (SignalState(tls_id="t", colours="GrrG" if t < green_from_s else "rGGr"),)
+
+
+def test_waits_at_red_and_goes_at_green():
+    sim, log = cross(light(30.0), law_share=1.0)
+    waiting = log[log[:, 0] < 30.0, 1]
+    assert waiting.min() - 0.57 > 4.0  # the footplate stays on the pavement
+    assert waiting[-1] < 5.2  # and the user is at the kerb
+    assert sim.user.arrived and not sim.user.gave_up
+    straight_over, _ = cross(light(0.0), law_share=1.0)
+    assert straight_over.user.arrived and straight_over.time_s < 35.0
+
+
+def test_who_does_not_care_crosses_at_red():
+    _, log = cross(light(1e9), law_share=0.0, seconds=25.0)
+    assert log[-1, 1] < 0.0
+
+
+def test_patience_at_a_red_light_is_long_but_ends():
+    sim, _ = cross(light(1e9), law_share=1.0, seconds=250.0)
+    assert sim.user.gave_up
+    assert 90.0 < sim.time_s < 200.0
+
+
+@pytest.mark.parametrize("from_m", [-10.0, -30.0, -45.0])
+def test_lets_a_car_pass_that_would_come_too_near(from_m):
+    dark = (SignalState(tls_id="t", colours="oooo"),)
+
+    def cars(t):
+        return (actor(CAR, from_m + 6.0 * t, -2.0, 0.0, 6.0),)
+
+    def meeting(law_share):
+        """Least distance in time between car and chair on the car's lane."""
+        sim, log = cross(lambda _: dark, cars, law_share=law_share)
+        assert sim.user.arrived
+        in_lane_s = log[np.abs(log[:, 1] + 2.0) < 0.57 + 0.9, 0]
+        return np.abs(in_lane_s - (40.0 - from_m) / 6.0).min()
+
+    assert meeting(1.0) > 2.0
+    if from_m == -45.0:
+        assert meeting(0.0) < 1.0
+
+
+# --- the episode ---
+
+
+def test_gives_up_when_held_and_takes_the_next_destination():
+    sim = on_pavement(make_user())
+    for _ in range(50):
+        sim.tick()
+    sim.frozen, sim.chair.v = True, 0.0
+    sim.run(100.0)
+    assert sim.user.gave_up
+    assert sim.time_s == pytest.approx(5.0 + 15.0, abs=1.0)
+    for _ in range(15):
+        sim.tick()
+    assert math.hypot(sim.user.joystick.x, sim.user.joystick.y) < 0.15
+    sim.frozen = False
+    sim.user.follow(sim.route)
+    assert not sim.user.gave_up and sim.user.route_progress_m == 0.0
+    sim.run(120.0)
+    assert sim.user.arrived
+    assert sim.user.route_progress_m == pytest.approx(80.0, abs=0.6)
+
+
+def test_the_same_seed_is_the_same_user():
+    def sticks(seed):
+        sim = on_pavement(make_user("ataxic", seed))
+        return [(j.x, j.y) for j in sim.run(15.0).sticks]
+
+    assert sticks(4) == sticks(4) != sticks(5)
+
+
+def test_before_its_first_route_the_user_does_nothing():
+    user = make_user()
+    assert user.hand(0.004) == user.hand(0.004) or math.hypot(user.joystick.x, user.joystick.y) < 0.05
+    assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
+
+
+@pytest.mark.parametrize("step_s", [0.0, 0.1])
+def test_an_impossible_step_is_refused(step_s):
+    with pytest.raises(ConfigError, match="step_s"):
+        SimulatedUser(profile("slow"), generator(0), 1.67, 1.5, step_s)

@@ -1,0 +1,41 @@
+"""Streets that the tests of this package share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wcsim.towns.scenes import build_scene, find_scene
+from wcsim.towns.street import build_street
+from wcsim.towns.town import Town, find_town
+from wcsim.types import Street
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture(scope="session")
+def corner_town(tmp_path_factory: pytest.TempPathFactory) -> Town:
+    """A hand-written crossroads with pavements and four zebra crossings."""
+    return build_scene(find_scene("pedestrian-crossing"), tmp_path_factory.mktemp("corner"))[0]
+
+
+@pytest.fixture(scope="session")
+def corner(corner_town: Town) -> Street:
+    return build_street(corner_town)
+
+
+@pytest.fixture(scope="session")
+def manhattan_town() -> Town:
+    return find_town(str(REPOSITORY / "scenarios" / "sumo" / "manhattan"))
+
+
+@pytest.fixture(scope="session")
+def manhattan(manhattan_town: Town) -> Street:
+    return build_street(manhattan_town)

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import gzip
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.tools import Limits, run_tool
+from wcsim.towns.town import Town
+
+LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="9" shape="0,0 9,0"/></edge>'
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "not well-formed"),
+        ("<net/>", "no edge with lanes"),
+        ("<routes/>", "root element is <routes>"),
+        (f"<net>{LANE}</net>", "no junction"),
+        (f'<net>{LANE.replace("9,0", "nan,0")}<junction id="x"/></net>', "expected numbers"),
+        (f'<net>{LANE.replace("9,0", "1e999,0")}<junction id="x"/></net>', "expected numbers"),
+        ('<!DOCTYPE net [<!ENTITY a "b">]><net/>', "document type"),
+        (f'<net>{LANE}<junction id="x" type="priority"/></net>', "SUMO cannot open"),
+    ],
+)
+def test_bad_nets_are_refused_in_at_most_two_lines(text: str, reason: str, tmp_path: Path) -> None:
+    net = tmp_path / "bad.net.xml"
+    net.write_text(text, encoding="utf-8")
+    with pytest.raises(TownError, match=reason) as caught:
+        validate_net(net)
+    assert str(caught.value).count("\n") <= 1
+
+
+def test_truncated_archive_is_refused(corner_town: Town, tmp_path: Path) -> None:
+    net = tmp_path / "cut.net.xml.gz"
+    net.write_bytes(corner_town.net.read_bytes()[:-200])
+    with pytest.raises(TownError, match="cannot be read"):
+        validate_net(net)
+
+
+def test_net_that_kills_sumo_is_refused_not_cached(corner_town: Town, tmp_path: Path, own_cache: Path) -> None:
+    text = gzip.decompress(corner_town.net.read_bytes()).decode()
+    net = tmp_path / "deadly.net.xml"
+    net.write_text(re.sub(r"<connection [^>]*/>", "", text), encoding="utf-8")
+    for _ in range(2):
+        with pytest.raises(TownError, match="was ended by SIGSEGV"):
+            validate_net(net)
+    assert not list(own_cache.rglob("*.ok"))
+
+
+def test_good_net_costs_nothing_the_second_time(manhattan_town: Town) -> None:
+    validate_net(manhattan_town.net)
+    start_s = time.perf_counter()
+    validate_net(manhattan_town.net)
+    assert time.perf_counter() - start_s < 0.1
+
+
+def test_tools_are_ended_at_their_limits(manhattan_town: Town, tmp_path: Path) -> None:
+    arguments = ["-c", str(manhattan_town.sumocfg), "--end", "100000"]
+    with pytest.raises(SumoError, match="took longer"):
+        run_tool("sumo", arguments, tmp_path, Limits(wall_s=0.5))
+    assert run_tool("sumo", arguments, tmp_path, Limits(cpu_s=1)).died
+    assert run_tool("sumo", ["--no-such-option"], tmp_path).reason().startswith("sumo failed with code 1")

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import time
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from wcsim.towns import cache, street
+from wcsim.towns.check import check_town, demand_classes, mesh_faults, walkable_share
+from wcsim.towns.netread import read_net
+from wcsim.towns.street import load_street
+from wcsim.towns.town import Town, find_town
+from wcsim.types import ClassId, Street, WayKind
+
+WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK)
+
+
+def _cells(world: Street, xy_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    col, row = np.floor((xy_m - np.array(world.grid.origin_W_m)) / world.grid.cell_m).astype(int).T
+    return row, col
+
+
+def _walked(world: Street) -> np.ndarray:
+    """Points every 0.2 m along all ways."""
+    lines = shapely.linestrings
+    parts = [shapely.segmentize(lines(edge.points_W_m), 0.2) for edge in world.walk.edges]
+    return np.concatenate([shapely.get_coordinates(part) for part in parts])
+
+
+def test_chunks_own_their_vertices(manhattan: Street) -> None:
+    mesh = manhattan.mesh
+    assert mesh.chunk_faces[-1] == len(mesh.faces) and mesh.chunk_vertices[-1] == len(mesh.vertices_W_m)
+    for c in range(len(mesh.chunk_faces) - 1):
+        faces = mesh.faces[mesh.chunk_faces[c] : mesh.chunk_faces[c + 1]]
+        assert faces.min() >= mesh.chunk_vertices[c] and faces.max() < mesh.chunk_vertices[c + 1]
+    assert mesh.vertices_W_m.dtype == np.float32 and mesh.faces.dtype == np.int32 and mesh.face_class.dtype == np.uint8
+    assert np.isfinite(mesh.vertices_W_m).all()
+    assert len(mesh.faces) < 60_000
+
+
+@pytest.mark.parametrize("name", ["corner", "manhattan"])
+def test_grid_agrees_with_mesh(name: str, request: pytest.FixtureRequest) -> None:
+    assert mesh_faults(request.getfixturevalue(name), rays=3000) <= 1  # a ray may run along an edge
+
+
+def test_nothing_solid_stands_on_road_or_crossing(manhattan: Street) -> None:
+    grid = manhattan.grid
+    road = np.isin(grid.ground_class, (ClassId.ROAD, ClassId.CROSSWALK))
+    assert (grid.clearance_dm[road] == 0).mean() < 1e-4  # a footprint that ends at the edge covers part of a cell
+
+
+@pytest.mark.parametrize("name", ["corner", "manhattan"])
+def test_ways_stay_on_walkable_ground_clear_of_walls_and_kerbs(name: str, request: pytest.FixtureRequest) -> None:
+    world = request.getfixturevalue(name)
+    xy_m = _walked(world)
+    row, col = _cells(world, xy_m)
+    assert np.isin(world.grid.ground_class[row, col], WALKABLE).all()
+    assert world.grid.clearance_dm[row, col].min() >= 3  # 0.45 m, less what whole cells and decimetres take off
+    mesh = world.mesh
+    kerbs = mesh.vertices_W_m[mesh.faces[mesh.face_class == ClassId.KERB]].astype(float)
+    full = kerbs[kerbs[:, :, 2].max(axis=1) > 0.11]
+    lines = shapely.union_all(shapely.linestrings(full[:, :2, :2]))
+    assert shapely.distance(lines, shapely.points(xy_m)).min() > 0.30
+
+
+def test_ways_are_one_network_with_crossings_and_signals(manhattan: Street) -> None:
+    kinds = {edge.kind for edge in manhattan.walk.edges}
+    assert kinds == {WayKind.SIDEWALK, WayKind.WALKINGAREA, WayKind.CROSSING}
+    lit = [edge for edge in manhattan.walk.edges if edge.tls_id]
+    assert lit and all(edge.kind is WayKind.CROSSING and edge.tls_links for edge in lit)
+    for edge in manhattan.walk.edges:
+        assert np.allclose(edge.points_W_m[0], manhattan.walk.nodes_W_m[edge.start])
+        assert np.allclose(edge.points_W_m[-1], manhattan.walk.nodes_W_m[edge.end])
+
+
+def test_cached_street_is_the_same_and_fast(
+    corner_town: Town, manhattan_town: Town, manhattan: Street, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = cache.street_key(manhattan_town)
+    cache.cached_street(key, lambda: manhattan)
+    monkeypatch.setattr(street, "build_street", lambda town: pytest.fail("built although it is in the cache"))
+    start_s = time.perf_counter()
+    found = load_street(manhattan_town)
+    assert time.perf_counter() - start_s < 0.5
+    for part in ("mesh", "grid"):
+        for field in fields(getattr(manhattan, part)):
+            ours, theirs = (getattr(getattr(item, part), field.name) for item in (manhattan, found))
+            assert np.array_equal(ours, theirs), field.name
+            assert not isinstance(ours, np.ndarray) or ours.dtype == theirs.dtype
+    assert np.array_equal(found.walk.nodes_W_m, manhattan.walk.nodes_W_m)
+    for ours, theirs in zip(manhattan.walk.edges, found.walk.edges, strict=True):
+        assert np.array_equal(ours.points_W_m, theirs.points_W_m)
+        assert (ours.sumo_id, ours.kind, ours.start, ours.end, ours.width_m, ours.tls_id, ours.tls_links) == (
+            theirs.sumo_id, theirs.kind, theirs.start, theirs.end, theirs.width_m, theirs.tls_id, theirs.tls_links
+        )  # fmt: skip
+    assert cache.street_key(corner_town) != key
+
+
+def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Path) -> None:
+    load_street(corner_town)
+    (kept,) = own_cache.rglob("street-*.npz")
+    kept.write_bytes(b"PK\x03\x04 rubbish")
+    assert len(load_street(corner_town).mesh.faces) > 0
+    kept.unlink()
+    own_cache.joinpath("wcsim").rmdir()
+    own_cache.joinpath("wcsim").write_text("not a folder", encoding="utf-8")
+    assert len(load_street(corner_town).mesh.faces) > 0
+
+
+def test_helsinki_hangs_together() -> None:
+    town = find_town("helsinki")
+    assert walkable_share(read_net(town.net, town.file.origin_m), town.file.chair_ways) >= 0.95
+    wanted = {"passenger", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "tram"}
+    assert set(demand_classes(town)) == wanted
+
+
+def test_check_reports_a_town_and_its_cures(corner_town: Town, tmp_path: Path) -> None:
+    report = check_town(corner_town)
+    assert (report.crossings, report.walkingareas >= 4, report.unroutable, report.cures) == (4, True, 0, ())
+    assert report.walkable_largest_share == pytest.approx(1.0)
+    assert report.classes == ("passenger", "pedestrian")

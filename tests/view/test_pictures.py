@@ -1,0 +1,117 @@
+"""Pictures, maps and videos for people."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.physics.render_oracle import actor
+from tests.samples import straight_route, strip_street
+from wcsim.errors import ConfigError
+from wcsim.physics.renderer.instances import ChairPose
+from wcsim.supervisor.palette import COLOURS
+from wcsim.types import ActorKind, ClassId
+from wcsim.view.map import ROUTE_RGB, MapView
+from wcsim.view.pictures import captioned, class_colours, depth_colours, triptych, write_png
+from wcsim.view.video import VideoWriter, side_by_side
+
+
+def test_every_class_has_a_colour_of_its_own():
+    named = set(COLOURS)
+    assert named == set(ClassId) - {ClassId.VOID}
+    assert len(set(COLOURS.values())) >= len(COLOURS) - 1  # static things are black in Cityscapes, as void is
+    ids = np.array([[ClassId.ROAD, ClassId.SKY], [ClassId.VOID, 200]], np.uint8)
+    assert class_colours(ids).tolist() == [[[128, 64, 128], [70, 130, 180]], [[0, 0, 0], [0, 0, 0]]]
+
+
+def test_depth_goes_from_red_to_blue_and_ends_in_black():
+    colours = depth_colours(np.array([[0.4, 4.0, 30.0, 40.0]], np.float32), range_m=40.0)[0].astype(int)
+    assert colours[0, 0] > colours[0, 2] and colours[2, 2] > colours[2, 0]
+    assert colours[3].tolist() == [0, 0, 0]
+
+
+def test_a_triptych_shows_three_panels_of_one_size():
+    rgb = np.full((60, 80, 3), 90, np.uint8)
+    classes, depth = np.full((60, 80), ClassId.ROAD, np.uint8), np.full((60, 80), 3.0, np.float32)
+    image = triptych(rgb, classes, depth, 40.0)
+    assert image.shape == (60, 240, 3) and image.dtype == np.uint8
+    assert image[50, 70].tolist() == [90, 90, 90]
+    assert image[50, 150].tolist() == [128, 64, 128]
+    assert (rgb == 90).all()  # captions are written on a copy
+    assert triptych(None, classes, depth).shape == (60, 240, 3)
+    with pytest.raises(ConfigError, match="one size"):
+        triptych(rgb[:50], classes, depth)
+
+
+def test_a_caption_can_be_seen():
+    plain = np.full((60, 200, 3), 128, np.uint8)
+    image = captioned(plain, "camera")
+    assert image[:25].std() > 10 and (image[30:] == 128).all()
+
+
+def test_png_is_written_whole_and_read_back(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3), dtype=np.uint8)
+    path = tmp_path / "a.png"
+    write_png(path, image)
+    assert np.array_equal(cv2.imread(str(path))[..., ::-1], image)
+    assert [item.name for item in tmp_path.iterdir()] == ["a.png"]
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_png(tmp_path / "nowhere" / "a.png", image)
+
+
+def test_a_video_plays_back_what_was_written(tmp_path):
+    path = tmp_path / "a.webm"
+    with VideoWriter(path, 10.0, (65, 48)) as video:  # an odd width is padded
+        for level in range(0, 200, 10):
+            video.write(np.full((48, 65, 3), (level, 0, 0), np.uint8))
+        assert not path.exists()
+    assert path.read_bytes()[:4] == b"\x1aE\xdf\xa3"  # EBML, the start of every WebM file
+    capture = cv2.VideoCapture(str(path))
+    levels = []
+    while True:
+        ok, frame = capture.read()
+        if not ok:
+            break
+        levels.append(float(frame[..., 2].mean()))
+    capture.release()
+    assert len(levels) == 20 and levels[-1] - levels[0] > 150
+    assert [item.name for item in tmp_path.iterdir()] == ["a.webm"]
+
+
+def test_a_failed_video_leaves_nothing_behind(tmp_path):
+    with pytest.raises(RuntimeError), VideoWriter(tmp_path / "a.webm", 10.0, (64, 48)) as video:
+        video.write(np.zeros((48, 64, 3), np.uint8))
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_says_what_it_cannot_do(tmp_path):
+    with pytest.raises(ConfigError, match=r"\.webm"):
+        VideoWriter(tmp_path / "a.mp4", 10.0, (64, 48))
+    with pytest.raises(ConfigError, match="folder"):
+        VideoWriter(tmp_path / "nowhere" / "a.webm", 10.0, (64, 48))
+    with VideoWriter(tmp_path / "b.webm", 10.0, (64, 48)) as video, pytest.raises(ConfigError, match="expected"):
+        video.write(np.zeros((64, 48, 3), np.uint8))
+    with pytest.raises(ConfigError, match="closed"):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+
+
+def test_images_are_joined_at_one_height():
+    joined = side_by_side(np.zeros((40, 50, 3), np.uint8), np.full((80, 80, 3), 255, np.uint8))
+    assert joined.shape == (40, 90, 3) and joined[:, 50:].min() == 255
+
+
+def test_the_map_is_true_to_scale_with_north_up():
+    view = MapView(strip_street().mesh, size_px=400, span_m=40.0)  # 10 pixels a metre
+    car = actor(ActorKind.CAR, 10.0, -2.0, 0.0, 0.0, size=(6.0, 2.0, 1.5))
+    chair = ChairPose(seat=0, p_WB_m=np.array([4.0, 5.5, 0.12]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]))
+    centre = np.array([10.0, 0.0, 0.0])
+    empty = view.draw(centre, ()).astype(int)
+    changed = np.abs(view.draw(centre, (car,)).astype(int) - empty).sum(axis=2) > 30
+    rows, columns = np.nonzero(changed)
+    assert (columns.min() + columns.max()) / 2 == pytest.approx(199.5, abs=2)  # x = 10 is the middle
+    assert (rows.min() + rows.max()) / 2 == pytest.approx(219.5, abs=2)  # y = -2 is 20 pixels below it
+    assert np.ptp(columns) == pytest.approx(60, abs=3) and np.ptp(rows) == pytest.approx(20, abs=3)
+    full = view.draw(centre, (car,), [chair], straight_route())
+    assert (np.abs(full[145, 300].astype(int) - ROUTE_RGB) < 40).all()  # the route runs along y = 5.5
+    box = full[142:149, 137:149].astype(int)
+    assert ((box[..., 0] > 200) & (box[..., 1] > 180) & (box[..., 2] < 120)).any()  # the chair is yellow

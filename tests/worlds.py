@@ -1,0 +1,36 @@
+"""Small worlds for tests: tiny cameras, no warm-up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, load_run_config
+from wcsim.towns.town import find_town
+from wcsim.types import Command, SeatSpec, Snapshot
+
+QUICK = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
+
+
+def quick_config(*overrides: str) -> RunConfig:
+    """Preset quick with the smallest useful cameras and no warm-up."""
+    return load_run_config("quick", (*QUICK, *overrides))
+
+
+def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec: SeatSpec | None = None) -> World:
+    """A world in a town's folder."""
+    return World(find_town(str(town)), quick_config(*overrides), (spec or SeatSpec(),) * seats, seed)
+
+
+def follow(world: World) -> Snapshot:
+    """One tick in which everybody gets what their user asks for."""
+    commands = tuple(
+        Command(seat=client.seat, tick=world.snapshot.tick, joystick=(client.first or client).user)
+        for client in world.snapshot.clients
+    )
+    return world.tick(commands)
+
+
+def hashes(world: World, ticks: int) -> list[str]:
+    """State hashes of the coming ticks."""
+    return [follow(world).state_hash for _ in range(ticks)]

@@ -1,0 +1,1 @@
+"""Gymnasium environment, networks, learning, baselines, train and test."""

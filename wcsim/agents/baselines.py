@@ -1,0 +1,106 @@
+"""Policies that learn nothing, to compare networks with: follow, random, zero, stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim import seeding
+from wcsim.agents.corridor import CorridorWatch
+from wcsim.agents.protocol import JOYSTICK_KEY, Observation, Policy
+from wcsim.config import RunConfig
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import ActionSet, action_set
+
+NAMES = ("follow", "random", "zero", "stop")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Follow:
+    """The action nearest to the user's joystick."""
+
+    actions: ActionSet
+    name: str = "follow"
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def act(self, observation: Observation) -> int:
+        """The user's wish."""
+        return self.actions.nearest(observation[JOYSTICK_KEY])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Zero:
+    """The stick at rest: the longest life and the worst obedience."""
+
+    actions: ActionSet
+    name: str = "zero"
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def act(self, observation: Observation) -> int:
+        """Always the middle."""
+        del observation
+        return self.actions.nearest((0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Random:
+    """Any action, drawn from a generator of its own."""
+
+    actions: ActionSet
+    rng: np.random.Generator
+    name: str = "random"
+
+    def reset(self) -> None:
+        """The generator goes on from episode to episode."""
+
+    def act(self, observation: Observation) -> int:
+        """A uniformly drawn action."""
+        del observation
+        return int(self.rng.integers(0, len(self.actions)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop:
+    """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
+
+    It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
+    backwards it follows blindly.
+    """
+
+    actions: ActionSet
+    watch: CorridorWatch
+    name: str = "stop"
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def act(self, observation: Observation) -> int:
+        """The user's wish, without its forward part when the way is blocked."""
+        x, y = (float(value) for value in observation[JOYSTICK_KEY])
+        if y > 0.0 and self.watch.blocked(observation, x, y):
+            return self.actions.nearest((x, 0.0))
+        return self.actions.nearest((x, y))
+
+
+def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
+    """The baseline of that name for a run's action set, camera and chair. Raises PolicyError for an unknown name."""
+    actions = action_set(config.env.actions)
+    if name == "follow":
+        return Follow(actions=actions)
+    if name == "random":
+        return Random(actions=actions, rng=seeding.generator(seed, "agent", "random"))
+    if name == "zero":
+        return Zero(actions=actions)
+    if name == "stop":
+        return Stop(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair))
+    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join(NAMES)}")
+
+
+def is_baseline(name: str) -> bool:
+    """Whether `baseline` knows this name."""
+    return name in NAMES

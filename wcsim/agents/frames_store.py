@@ -1,0 +1,86 @@
+"""Where replay keeps images: raw bytes when frames are small, one zstd blob a frame when they are large.
+
+Grouping several frames into a blob gains nothing (no temporal coding) and would cost random access.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from wcsim.types import U8
+
+PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
+LEVEL = 1
+CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
+
+I64 = npt.NDArray[np.int64]
+
+
+class FrameStore(Protocol):
+    """Frames by (row, seat); a frame is a flat uint8 array of `size` bytes."""
+
+    def write(self, row: int, seat: int, frame: U8) -> None:
+        """Keep a frame (size,) in place of what was there."""
+
+    def read(self, rows: I64, seats: I64) -> U8:
+        """Copies of frames, (K,) and (K,) -> (K, size)."""
+
+
+class RawFrames:
+    """Frames as they are."""
+
+    def __init__(self, rows: int, seats: int, size: int) -> None:
+        self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
+
+    def write(self, row: int, seat: int, frame: U8) -> None:
+        """Keep a frame (size,)."""
+        self._frames[row, seat] = frame
+
+    def read(self, rows: I64, seats: I64) -> U8:
+        """Copies of frames, (K, size)."""
+        return np.asarray(self._frames[rows, seats], dtype=np.uint8)
+
+
+class PackedFrames:
+    """Frames as zstd blobs, 3 to 19 kB for a 320x240 pair of images."""
+
+    def __init__(self, rows: int, seats: int, size: int) -> None:
+        self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
+        self._size = size
+
+    def write(self, row: int, seat: int, frame: U8) -> None:
+        """Keep a frame (size,)."""
+        self._blobs[row][seat] = zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes())
+
+    def read(self, rows: I64, seats: I64) -> U8:
+        """Copies of frames, (K, size); a place never written reads as zeros."""
+        out = np.zeros((len(rows), self._size), dtype=np.uint8)
+        unpack = zstandard.ZstdDecompressor()
+        for index, (row, seat) in enumerate(zip(rows, seats, strict=True)):
+            blob = self._blobs[row][seat]
+            if blob:
+                out[index] = np.frombuffer(unpack.decompress(blob, max_output_size=self._size), dtype=np.uint8)
+        return out
+
+
+def frame_store(rows: int, seats: int, size: int) -> FrameStore:
+    """The store that fits frames of `size` bytes."""
+    return RawFrames(rows, seats, size) if size <= PACK_ABOVE_BYTES else PackedFrames(rows, seats, size)
+
+
+def pack(frames: U8) -> list[bytes]:
+    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
+    packer = zstandard.ZstdCompressor(level=LEVEL)
+    return [packer.compress(frames[k : k + CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), CHUNK_FRAMES)]
+
+
+def unpack(blobs: list[bytes], size: int) -> U8:
+    """What `pack` packed, (K, size)."""
+    unpacker = zstandard.ZstdDecompressor()
+    limit = CHUNK_FRAMES * size
+    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
+    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)

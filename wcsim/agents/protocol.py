@@ -1,0 +1,26 @@
+"""What everything that can drive a wheelchair has in common; nothing here loads torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy.typing as npt
+
+Observation = Mapping[str, npt.NDArray[Any]]
+
+DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY = "depth", "seg", "imu", "joystick"
+
+
+class Policy(Protocol):
+    """Chooses an action for one wheelchair; `act` is called once a tick with one observation, not a batch."""
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+
+    def reset(self) -> None:
+        """Forget everything of the episode before."""
+
+    def act(self, observation: Observation) -> int:
+        """The action for this observation."""

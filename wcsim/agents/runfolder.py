@@ -1,0 +1,200 @@
+"""A run on disk.
+
+- manifest.json: versions, seed, town, hashes, git revision, command, status (running, done, interrupted)
+- config.json: the resolved configuration
+- metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
+- events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
+- checkpoints/: step-00005000/ ..., LATEST
+- policies/: phase1/, final/
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from wcsim.agents import files
+from wcsim.agents.policy_file import read_policy_file
+from wcsim.config import RunConfig, load_run_config, parse, with_overrides
+from wcsim.errors import ConfigError, PolicyError
+
+MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
+CHECKPOINTS, POLICIES = "checkpoints", "policies"
+STAGES = ("phase1", "final")
+PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
+Status = Literal["running", "done", "interrupted"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """What a run was made with."""
+
+    seed: int
+    town: str
+    town_sha256: str
+    config_sha256: str
+    command: tuple[str, ...]
+    versions: dict[str, str]
+    git_revision: str
+    status: Status = "running"
+    steps: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunFolder:
+    """An existing run; `manifest` is as it was read or written last."""
+
+    path: Path
+    config: RunConfig
+    manifest: Manifest
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where checkpoints are."""
+        return self.path / CHECKPOINTS
+
+    def policy(self, stage: str) -> Path:
+        """Where the policy of a stage ("phase1" or "final") is, whether it exists or not."""
+        return self.path / POLICIES / stage
+
+    def manifest_sha256(self) -> str:
+        """Digest of what the run was made with, the same before and after it ends."""
+        return files.sha256_text(json.dumps(asdict(replace(self.manifest, status="running", steps=0)), sort_keys=True))
+
+    def with_status(self, status: Status, steps: int) -> RunFolder:
+        """Write a new status into the manifest."""
+        manifest = replace(self.manifest, status=status, steps=steps)
+        files.write_json(self.path / MANIFEST, asdict(manifest))
+        return replace(self, manifest=manifest)
+
+    def event(self, kind: str, **values: str | int | float) -> None:
+        """Add a line to events.jsonl."""
+        with (self.path / EVENTS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"event": kind, **values}, allow_nan=False) + "\n")
+
+
+def make_manifest(config: RunConfig, seed: int, town: str, town_sha256: str, command: Sequence[str]) -> Manifest:
+    """A manifest for a run that starts now."""
+    return Manifest(
+        seed=seed,
+        town=town,
+        town_sha256=town_sha256,
+        config_sha256=config.digest(),
+        command=tuple(command),
+        versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
+        git_revision=git_revision(),
+    )
+
+
+def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
+    """Make a new run folder. Raises PolicyError when the folder exists and is not empty."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+    (path / CHECKPOINTS).mkdir(parents=True)
+    (path / POLICIES).mkdir()
+    files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    files.write_json(path / MANIFEST, asdict(manifest))
+    return RunFolder(path=path, config=config, manifest=manifest)
+
+
+def open_run(path: Path) -> RunFolder:
+    """Open an existing run. Raises PolicyError when the folder is not a run or a file in it is damaged."""
+    data, config = _read_json(path, MANIFEST), _read_json(path, CONFIG)
+    try:
+        fields = {**data, "command": tuple(data["command"])}
+        return RunFolder(path=path, config=parse(RunConfig, config, str(path / CONFIG)), manifest=Manifest(**fields))
+    except (TypeError, KeyError) as error:
+        raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+
+
+def policy_path(name: str) -> Path:
+    """The policy folder that `name` means: a policy folder itself, a run (its final policy), or `RUN:phase1`.
+
+    Raises PolicyError when there is no such policy.
+    """
+    path = Path(name)
+    if (path / "policy.json").is_file():
+        return path
+    head, colon, stage = name.rpartition(":")
+    if not colon:
+        head, stage = name, "final"
+    if stage not in STAGES:
+        raise PolicyError(f"policy {name!r}: unknown stage {stage!r}; expected RUN, RUN:{' or RUN:'.join(STAGES)}")
+    run = open_run(Path(head))
+    found = run.policy(stage)
+    if not (found / "policy.json").is_file():
+        have = ", ".join(s for s in STAGES if (run.policy(s) / "policy.json").is_file()) or "none"
+        raise PolicyError(
+            f"run {head} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
+            "continue it with --resume"
+        )
+    return found
+
+
+def run_of(name: str) -> Manifest | None:
+    """Manifest of the run that a policy comes from; None for a policy folder that was copied out of its run.
+
+    Raises PolicyError when there is no such policy.
+    """
+    run = _enclosing_run(policy_path(name))
+    return None if run is None else run.manifest
+
+
+def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunConfig:
+    """The configuration that fits a policy: its run's own, else the preset with the policy's camera and actions.
+
+    Raises PolicyError when there is no such policy, ConfigError for overrides that cannot be used.
+    """
+    path = policy_path(name)
+    run = _enclosing_run(path)
+    if run is not None:
+        return with_overrides(run.config, overrides)
+    file, config = read_policy_file(path), load_run_config(preset)
+    env = config.env.model_copy(update={"actions": file.net.actions, "classes": file.net.classes})
+    return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
+
+
+def _enclosing_run(policy: Path) -> RunFolder | None:
+    folder = policy.resolve().parent.parent
+    return open_run(folder) if (folder / MANIFEST).is_file() else None
+
+
+def git_revision() -> str:
+    """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
+    here = Path(__file__).resolve().parent
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"],
+            capture_output=True, text=True, timeout=10, check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _read_json(path: Path, name: str) -> dict[str, Any]:
+    file = path / name
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except OSError:
+        raise PolicyError(f"{path} is not a run: it has no {name}; expected a folder that `wcsim train` made") from None
+    except ValueError as error:
+        raise PolicyError(f"{file} is damaged: {error}; restore it or train again") from None
+    if not isinstance(data, dict):
+        raise PolicyError(f"{file} holds a {type(data).__name__}; expected a JSON object")
+    return data

@@ -1,0 +1,115 @@
+"""Tests of several policies in several towns with several user profiles, as rows, tables and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+from rich.table import Table
+
+from wcsim.agents import baselines
+from wcsim.agents.evaluate import EvalRow, evaluate
+from wcsim.agents.export import load_policy
+from wcsim.agents.protocol import Policy
+from wcsim.agents.runfolder import policy_path
+from wcsim.config import RunConfig
+from wcsim.errors import PolicyError
+
+MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
+Progress = Callable[[str], None]
+
+COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("kpi1_mean", "KPI 1", "{:.3f}"),
+    ("kpi1_within", "within", "{:.0%}"),
+    ("kpi1_free_mean", "KPI 1 free", "{:.3f}"),
+    ("free_share", "free", "{:.0%}"),
+    ("kpi2_mean_steps", "KPI 2 steps", "{:.0f}"),
+    ("crashes", "crashes", "{:d}"),
+    ("km", "km", "{:.2f}"),
+    ("crashes_per_km", "crashes/km", "{:.2f}"),
+    ("speed_mps", "m/s", "{:.2f}"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TestResult:
+    """All policies in one town with one user profile."""
+
+    __test__ = False  # it is not a test case of pytest
+
+    town: str
+    seed: int
+    profile: str
+    rows: tuple[EvalRow, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values: {"town", "seed", "profile", "rows"}."""
+        return {
+            "town": self.town,
+            "seed": self.seed,
+            "profile": self.profile,
+            "rows": [row.to_json() for row in self.rows],
+        }
+
+    def table(self) -> Table:
+        """The rows for a console."""
+        table = Table(title=f"{self.town}, {self.profile} user, seed {self.seed}")
+        table.add_column("policy")
+        for _, title, _ in COLUMNS:
+            table.add_column(title, justify="right")
+        for row in self.rows:
+            table.add_row(row.policy, *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
+        return table
+
+
+def run_test(
+    policies: Sequence[Policy],
+    make_env: MakeEnv,
+    *,
+    towns: Sequence[str],
+    profiles: Sequence[str],
+    episodes: int,
+    max_steps: int,
+    seed: int,
+    tick_s: float = 0.1,
+    progress: Progress | None = None,
+) -> list[TestResult]:
+    """Every policy in every town with every profile, each from the same seed; one environment a town and profile."""
+    results: list[TestResult] = []
+    for town in towns:
+        for profile in profiles:
+            env = make_env(town, profile)
+            try:
+                rows: list[EvalRow] = []
+                for policy in policies:
+                    rows.append(evaluate(policy, env, episodes, max_steps, seed, tick_s))
+                    if progress is not None:
+                        progress(f"{town}, {profile}: {policy.name}")
+            finally:
+                env.close()
+            results.append(TestResult(town=town, seed=seed, profile=profile, rows=tuple(rows)))
+    return results
+
+
+def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None = None) -> Policy:
+    """A policy by what a user calls it: a baseline's name, a run folder, `RUN:phase1`, or a policy folder.
+
+    Raises PolicyError when there is none; `network` as in `load_policy`.
+    """
+    if baselines.is_baseline(name):
+        return baselines.baseline(name, config, seed)
+    policy = load_policy(policy_path(name), network)
+    camera, file = config.cameras[0], policy.file
+    if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
+        raise PolicyError(
+            f"policy {name!r} wants {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
+            f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it on its own"
+        )
+    policy.name = name
+    return policy
+
+
+def _cell(value: float | int | None, text: str) -> str:
+    return "-" if value is None else text.format(value)

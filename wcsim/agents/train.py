@@ -1,0 +1,194 @@
+"""A training run from configuration to saved policies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from wcsim import seeding
+from wcsim.agents.build import build_model
+from wcsim.agents.callbacks import EpisodeMetrics, Every, StopRequest, StopWhenAsked, TrainProgress
+from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
+from wcsim.agents.export import save_policy
+from wcsim.agents.metrics import MetricsFile
+from wcsim.agents.phases import PhaseSwitch
+from wcsim.agents.runfolder import METRICS, RunFolder, create_run, make_manifest, open_run
+from wcsim.agents.seqdqn import SeqDQN
+from wcsim.config import RunConfig
+from wcsim.errors import InterruptedRunError, PolicyError
+
+MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
+Progress = Callable[[TrainProgress], None]
+PROGRESS_EVERY = 50  # steps
+Q_ALARM = 1.5  # times the largest value that the reward allows
+
+
+def train(
+    config: RunConfig,
+    make_env: MakeEnv,
+    out: Path,
+    seed: int,
+    progress: Progress | None = None,
+    *,
+    town: str = "",
+    town_sha256: str = "",
+    command: Sequence[str] = (),
+    resume: bool = False,
+) -> Path:
+    """Learn both phases and leave a run folder.
+
+    Args:
+        config: Everything about the run; with `resume` it must be the run's own.
+        make_env: Makes the environment; it is reset with `seed` first.
+        out: The run folder, new or empty, or an interrupted run with `resume`.
+        seed: Of networks, exploration, replay and the environment. Equal seeds on equal machines give equal weights.
+        progress: Called every 50 steps.
+        town: Name of the training town, for the manifest.
+        town_sha256: Its content hash.
+        command: The command that started the run.
+        resume: Go on from the newest sound checkpoint; the environment begins a new episode.
+
+    Returns:
+        The run folder, with policies/phase1 and policies/final.
+
+    Raises:
+        InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
+        PolicyError: The folder is not empty, or cannot be resumed.
+    """
+    run = _open(config, out, seed, town, town_sha256, command, resume)
+    with _torch_settings(config), StopRequest() as request:
+        env = DummyVecEnv([make_env])
+        try:
+            return _Session(run, build_model(config, env, seed), request, progress, resume).learn()
+        finally:
+            env.close()
+
+
+class _Session:
+    """One sitting of a run: a fresh start or a resume, until done or stopped."""
+
+    def __init__(
+        self, run: RunFolder, model: SeqDQN, request: StopRequest, progress: Progress | None, resume: bool
+    ) -> None:
+        self.run, self.model, self.progress, self.request = run, model, progress, request
+        self.learn_config = run.config.learn
+        extra = load_checkpoint(run.checkpoints, model) if resume else {}
+        if resume:
+            self._new_segment()
+        plan = model.plan
+        if plan is None:
+            raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
+        metrics = MetricsFile(run.path / METRICS, keep_to_step=model.num_timesteps if resume else None)
+        self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)))
+        self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
+        self.alarmed = bool(extra.get("q_alarm", False))
+        self.callbacks: list[BaseCallback] = [
+            self.episodes,
+            self.switch,
+            Every(self.learn_config.checkpoint_every, self._checkpoint),
+            Every(PROGRESS_EVERY, self._report),
+            StopWhenAsked(request),
+        ]
+
+    def learn(self) -> Path:
+        """Run to the end. Raises InterruptedRunError when it was stopped."""
+        total = self.learn_config.total_steps
+        try:
+            remaining = total - self.model.num_timesteps
+            if remaining > 0:
+                self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+        except KeyboardInterrupt:
+            if self.request.asked and not self.request.forced:
+                self._checkpoint()
+            self._finish("interrupted")
+            raise InterruptedRunError(
+                f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
+                "and can be continued with --resume"
+            ) from None
+        if not self.switch.done and self.learn_config.phase1_steps > 0:
+            self._switched()
+        self._checkpoint()
+        self._finish("done")
+        return self.run.path
+
+    def _switched(self) -> None:
+        self._save("phase1")
+        self.run.event("phase2", step=self.model.num_timesteps)
+
+    def _save(self, stage: str) -> None:
+        save_policy(self.run.policy(stage), self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+
+    def _finish(self, status: Literal["done", "interrupted"]) -> None:
+        """Final policy and manifest; there is no checkpoint of a step that was torn in two."""
+        self._save("final")
+        self._report()
+        self.run = self.run.with_status(status, self.model.num_timesteps)
+        self.run.event(status, step=self.model.num_timesteps)
+
+    def _checkpoint(self) -> None:
+        self._watch_values()
+        extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
+        save_checkpoint(self.run.checkpoints, self.model, extra)
+        self.run.event("checkpoint", step=self.model.num_timesteps)
+
+    def _watch_values(self) -> None:
+        """Values beyond all possible returns mean that learning has come apart; say so once."""
+        reward, learn = self.run.config.reward, self.learn_config
+        largest = learn.reward_scale * (reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma))
+        if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
+            self.alarmed = True
+            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=self.model.max_abs_q, largest=largest)
+
+    def _report(self) -> None:
+        if self.progress is not None:
+            step, total = self.model.num_timesteps, self.learn_config.total_steps
+            self.progress(
+                TrainProgress(
+                    step=step,
+                    total_steps=total,
+                    phase=int(self.model.phase),
+                    episodes=self.episodes.episodes,
+                    crashes=self.episodes.crashes,
+                    kpi1=self.episodes.kpi1,
+                )
+            )
+
+    def _new_segment(self) -> None:
+        """The world cannot be saved: a resumed run goes on in a new one, with a seed of its own."""
+        segment = seeding.derive(self.run.manifest.seed, "agent", "segment", self.model.num_timesteps)
+        if self.model.env is not None:
+            self.model.env.seed(segment)
+        self.run = self.run.with_status("running", self.model.num_timesteps)
+        self.run.event("resume", step=self.model.num_timesteps, seed=segment)
+
+
+def _open(
+    config: RunConfig, out: Path, seed: int, town: str, town_sha256: str, command: Sequence[str], resume: bool
+) -> RunFolder:
+    if not resume:
+        return create_run(out, config, make_manifest(config, seed, town, town_sha256, command))
+    run = open_run(out)
+    if run.config != config or run.manifest.seed != seed:
+        raise PolicyError(f"{out} was made with another configuration or seed; resume with its own")
+    return run
+
+
+@contextmanager
+def _torch_settings(config: RunConfig) -> Iterator[None]:
+    """Threads and determinism for the run, and what was set before after it."""
+    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(config.learn.threads)
+    torch.use_deterministic_algorithms(True, warn_only=config.learn.device != "cpu")
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.use_deterministic_algorithms(deterministic)

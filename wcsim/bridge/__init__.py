@@ -1,0 +1,1 @@
+"""One world: SUMO and PyBullet in step. Read `world.py` first."""

@@ -1,0 +1,25 @@
+"""`python -m wcsim.bridge.scene_process FOLDER TRACE`: runs one scene and writes its facts as a line of JSON."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from wcsim.bridge.scene import run_scene
+from wcsim.bridge.scene_facts import facts_line
+from wcsim.errors import WcsimError
+
+
+def main() -> int:
+    """Run the scene that the command line names."""
+    try:
+        facts = run_scene(Path(sys.argv[1]), Path(sys.argv[2]))
+    except WcsimError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    sys.stdout.write(facts_line(facts) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

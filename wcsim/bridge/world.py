@@ -1,0 +1,230 @@
+"""One world: SUMO moves the city, PyBullet the wheelchairs, and the five lines of `World.tick` keep them one.
+
+Time: tick n -> n + 1 is one SUMO step and `substeps` Bullet steps. SUMO plans against the chairs of tick n (it sees
+them one tick late); bodies, sensors and pictures all show tick n + 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import TracebackType
+
+import numpy as np
+
+from wcsim import seeding
+from wcsim.bridge import mirror
+from wcsim.bridge.seat import Seat
+from wcsim.bridge.stopwatch import Stopwatch
+from wcsim.bridge.street import ChairInStreet, StreetReaction
+from wcsim.bridge.sumo import SumoOptions, SumoSession
+from wcsim.bridge.trace import state_hash
+from wcsim.config import RunConfig
+from wcsim.errors import ProtocolError
+from wcsim.physics.bodies import BodyPool
+from wcsim.physics.camera import CameraRig
+from wcsim.physics.engine import Engine
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.street import load_street
+from wcsim.towns.town import Town
+from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot
+
+ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK)
+
+
+class World:
+    """A town with traffic and any number of wheelchairs in it."""
+
+    def __init__(self, town: Town, config: RunConfig, specs: tuple[SeatSpec, ...], seed: int) -> None:
+        """Load the town and warm its traffic up.
+
+        Raises TownError for a net that cannot be used, WorldInUseError while another world lives in this process.
+        """
+        validate_net(town.net)
+        self.town = town
+        self.config = config
+        self.street = load_street(town)
+        self.seats = tuple(Seat(i, spec, config, self.street) for i, spec in enumerate(specs))
+        self.stopwatch = Stopwatch()
+        self.epoch = -1
+        self._rig = CameraRig(self.street.mesh, config.cameras, len(specs))
+        self._engine: Engine | None = None
+        self.snapshot: Snapshot
+        self._sumo = SumoSession(self._options(seed))
+        self._begin(seed)
+
+    def tick(self, commands: Sequence[Command]) -> Snapshot:
+        """Carry the world from tick n to n + 1, with one command of tick n for every seat, in seat order."""
+        self._react()
+        self._step()
+        self._mirror()
+        self._drive(commands)
+        return self._sense()
+
+    def rebuild(self, seed: int) -> Snapshot:
+        """A new epoch: everything from its beginning, as a new world with this seed would be."""
+        self._sumo.rebuild(seeding.derive(seed, "sumo"))
+        self._begin(seed)
+        return self.snapshot
+
+    def respawn(self, seat: int) -> ClientSnapshot:
+        """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody."""
+        client = self._first(self.seats[seat])
+        self.snapshot = self._published(tuple(client if c.seat == seat else c for c in self.snapshot.clients))
+        return client
+
+    def close(self) -> None:
+        """End both simulators; a second call does nothing."""
+        self._sumo.close()
+        self._rig.close()
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    # --- the five lines ---
+
+    def _react(self) -> None:
+        with self.stopwatch.measure("react"):
+            for order in self._street.react(self._actors, tuple(self._in_street(seat) for seat in self.seats)):
+                self._sumo.command_speed(order.actor, order.speed_mps)
+
+    def _step(self) -> None:
+        with self.stopwatch.measure("sumo"):
+            self._sumo.step()
+
+    def _mirror(self) -> None:
+        with self.stopwatch.measure("mirror"):
+            before = {actor.id: actor for actor in self._actors}
+            self._read_street()
+            self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
+
+    def _drive(self, commands: Sequence[Command]) -> None:
+        if [(c.seat, c.tick) for c in commands] != [(seat.index, self._tick) for seat in self.seats]:
+            got = [(c.seat, c.tick) for c in commands]
+            raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
+        dt_s = self.config.world.tick_s / self.config.world.substeps
+        with self.stopwatch.measure("physics"):
+            for seat, command in zip(self.seats, commands, strict=True):
+                seat.chair.command(command.joystick)
+            for _ in range(self.config.world.substeps):
+                for seat in self.seats:
+                    seat.chair.before_step()
+                self._open_engine.step()
+                for seat in self.seats:
+                    seat.after_substep(dt_s)
+
+    def _sense(self) -> Snapshot:
+        self._tick += 1
+        for seat in self.seats:
+            seat.end_tick(self._tick)
+        clients = []
+        for seat in self.seats:
+            client = self._client(seat)
+            ended = client.events.crashed or client.events.truncated
+            clients.append(replace(client, first=self._first(seat)) if ended else client)
+        self.snapshot = self._published(tuple(clients))
+        return self.snapshot
+
+    # --- what they need ---
+
+    def _begin(self, seed: int) -> None:
+        """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
+        self.epoch += 1
+        self._tick = 0
+        self._actors: tuple[ActorState, ...] = ()
+        self._street = StreetReaction(self.config.world, seeding.derive(seed, "street"))
+        for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
+            self._sumo.step()
+        if self._engine is not None:
+            self._engine.close()
+        self._engine = Engine(self.config.world.tick_s / self.config.world.substeps)
+        self._engine.add_street(self.street.mesh)
+        self._bodies = BodyPool(self._engine)
+        for seat in self.seats:
+            seat.build(self._engine, seed)
+        clients = tuple(self._first(seat) for seat in self.seats)
+        self._read_street()
+        self.snapshot = self._published(clients)
+
+    def _first(self, seat: Seat) -> ClientSnapshot:
+        """Begin the seat's next episode and see it for the first time."""
+        seat.spawn(self._taken)
+        self._rig.reset(seat.index)
+        self._read_street()
+        seat.look(self._sumo.time_s(), self._others(seat), self._signals)
+        return self._seen(seat, first=True)
+
+    def _client(self, seat: Seat) -> ClientSnapshot:
+        """The seat after a tick; a user who arrived or gave up gets the next destination."""
+        with self.stopwatch.measure("user"):
+            seat.look(self._sumo.time_s(), self._others(seat), self._signals)
+        client = self._seen(seat, first=False)
+        if client.events.arrived or client.events.gave_up:
+            seat.next_destination()
+        return client
+
+    def _seen(self, seat: Seat, first: bool) -> ClientSnapshot:
+        with self.stopwatch.measure("render"):
+            sensors = seat.observe(self._tick, self._rig, self._actors, [other.pose() for other in self.seats])
+        with self.stopwatch.measure("truth"):
+            truth = seat.truth(self._others(seat))
+        return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
+
+    def _read_street(self) -> None:
+        """The actors near any chair, on the ground, and the signals, as SUMO has them now."""
+        here_W_m = np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
+        near = self._sumo.actors(here_W_m, self.config.world.mirror_radius_m)
+        self._actors = mirror.on_ground(near, self.street.grid)
+        self._signals: tuple[SignalState, ...] = self._sumo.signals()
+
+    def _others(self, seat: Seat) -> tuple[ActorState, ...]:
+        """Everything that moves around a seat, the other wheelchairs among it."""
+        return self._actors + tuple(other.as_actor() for other in self.seats if other is not seat)
+
+    def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
+        """What stands or moves near a place where somebody wants to start."""
+        chairs = tuple(seat.as_actor() for seat in self.seats if seat.spawned)
+        return self._sumo.actors(xy_W_m[None, :2], radius_m) + chairs
+
+    def _in_street(self, seat: Seat) -> ChairInStreet:
+        chair = seat.as_actor()
+        ground = self.street.grid.class_at(chair.p_W_m)
+        return ChairInStreet(p_W_m=chair.p_W_m[:2], v_W_mps=chair.v_W_mps[:2], on_road=int(ground) in ROADWAY)
+
+    def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:
+        bare = Snapshot(
+            epoch=self.epoch,
+            tick=self._tick,
+            time_s=self._sumo.time_s(),
+            actors=self._actors,
+            signals=self._signals,
+            clients=clients,
+        )
+        return replace(bare, state_hash=state_hash(bare))
+
+    def _options(self, seed: int) -> SumoOptions:
+        world = self.config.world
+        return SumoOptions(
+            sumocfg=self.town.sumocfg,
+            origin_m=self.town.file.origin_m,
+            step_s=world.tick_s,
+            seed=seeding.derive(seed, "sumo"),
+            demand_scale=world.demand_scale,
+            jam_teleport_s=world.jam_teleport_s,
+        )
+
+    def _warmup_s(self) -> float:
+        town_s = self.town.file.warmup_s
+        return self.config.world.warmup_s if town_s is None else town_s
+
+    @property
+    def _open_engine(self) -> Engine:
+        if self._engine is None:
+            raise ProtocolError("this world is closed; make a new one")
+        return self._engine

@@ -1,0 +1,1 @@
+"""The `wcsim` command, one file a subcommand."""

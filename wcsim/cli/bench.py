@@ -1,0 +1,157 @@
+"""`wcsim bench tick | camera`: measure this machine, as ratios of things timed in the same run."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.bridge.world import World
+from wcsim.cli.common import parse, words_of, write_json
+from wcsim.config import CameraConfig, RunConfig, load_run_config
+from wcsim.errors import ConfigError
+from wcsim.physics.camera import pinhole
+from wcsim.physics.renderer.compare import RendererComparison, compare_renderers
+from wcsim.physics.renderer.instances import instances_of
+from wcsim.physics.renderer.scatter import scatter
+from wcsim.physics.renderer.store import GeometryStore
+from wcsim.towns.street import load_street
+from wcsim.towns.town import find_town
+from wcsim.types import Command, SeatSpec, Snapshot
+
+NAMES = ("tick", "camera")
+
+
+@dataclass
+class TickOptions:
+    """Ticks per second of a world with its camera on, and where the time goes."""
+
+    town: str = "helsinki"
+    """Town to run."""
+    chairs: str = "1"
+    """Numbers of wheelchairs to measure, joined by commas."""
+    ticks: int = 400
+    """Ticks to measure for each."""
+    width: int = 320
+    """Camera width in pixels; the height is three quarters of it."""
+    seed: int = 0
+    """Seed of the world."""
+    json: Path | None = field(default=None)
+    """Write the result to this file."""
+
+
+@dataclass
+class CameraOptions:
+    """The rasteriser beside PyBullet's TinyRenderer on the same frames, interleaved, in CPU time."""
+
+    towns: str = "helsinki,monaco,manhattan"
+    """Towns to take camera poses from, joined by commas."""
+    poses: int = 4
+    """Camera poses in each town."""
+    actors: int = 60
+    """Actors around them."""
+    rounds: int = 2
+    """How often each picture is drawn."""
+    seed: int = 0
+    """Seed of the poses and the traffic."""
+    json: Path | None = field(default=None)
+    """Write the result to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Run one bench."""
+    if not words or words[0] not in NAMES:
+        if words and words[0] in ("-h", "--help"):
+            print(f"usage: wcsim bench {'|'.join(NAMES)} [options]")
+            return 0
+        raise ConfigError(f"wcsim bench needs a name, got {words[:1]}; expected one of: {', '.join(NAMES)}")
+    if words[0] == "tick":
+        return _tick(parse(TickOptions, words[1:], "bench tick"))
+    return _camera(parse(CameraOptions, words[1:], "bench camera"))
+
+
+def _tick(options: TickOptions) -> int:
+    result: dict[str, Any] = {}
+    for chairs in (int(word) for word in words_of(options.chairs)):
+        result[str(chairs)] = _measure(options, chairs)
+    table = Table("chairs", "ticks/s", "share of the time")
+    for number, row in result.items():
+        share = "  ".join(f"{name} {part:.0%}" for name, part in row["share"].items())
+        table.add_row(number, f"{row['ticks_per_s']:.0f}", share)
+    Console().print(table)
+    if options.json is not None:
+        write_json(options.json, result)
+    return 0
+
+
+def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
+    config = _sized(load_run_config("quick"), options.width)
+    with World(find_town(options.town), config, (SeatSpec(),) * chairs, options.seed) as world:
+        for _ in range(50):
+            _follow(world)
+        world.stopwatch.take()
+        spent_s, actors = [], []
+        for _ in range(options.ticks):
+            start = time.perf_counter()
+            snapshot = _follow(world)
+            spent_s.append(time.perf_counter() - start)
+            actors.append(len(snapshot.actors))
+        stages = world.stopwatch.take()
+    total_s = sum(spent_s)
+    share = {name: seconds / total_s for name, seconds in stages}
+    share["rest"] = max(0.0, 1.0 - sum(share.values()))
+    return {
+        "ticks_per_s": options.ticks / total_s,
+        "ms_median": float(np.median(spent_s)) * 1e3,
+        "actors_mirrored": float(np.mean(actors)),
+        "share": share,
+    }
+
+
+def _follow(world: World) -> Snapshot:
+    """One tick in which every chair does what its user asks for."""
+    commands = tuple(
+        Command(seat=client.seat, tick=world.snapshot.tick, joystick=(client.first or client).user)
+        for client in world.snapshot.clients
+    )
+    return world.tick(commands)
+
+
+def _sized(config: RunConfig, width: int) -> RunConfig:
+    camera = CameraConfig(**{**config.cameras[0].model_dump(), "width_px": width, "height_px": width * 3 // 4})
+    return config.model_copy(update={"cameras": (camera,)})
+
+
+def _camera(options: CameraOptions) -> int:
+    camera = CameraConfig()
+    rows = {name: _compare(name, camera, options) for name in words_of(options.towns)}
+    table = Table("town", "rasteriser ms", "with colours", "TinyRenderer ms", "ratio", "same class", "same depth")
+    for name, row in rows.items():
+        cells = (row.ms_median, row.rgb_ms_median, row.tiny_ms_median, row.ratio_vs_tiny)
+        table.add_row(
+            name, *(f"{cell:.2f}" for cell in cells), f"{row.class_agreement:.4%}", f"{row.depth_agreement:.4%}"
+        )
+    Console().print(table)
+    if options.json is not None:
+        write_json(
+            options.json,
+            {
+                "ratio_vs_tiny": float(np.median([row.ratio_vs_tiny for row in rows.values()])),
+                "ms_median": float(np.median([row.ms_median for row in rows.values()])),
+                "towns": {name: {**asdict(row), "ratio_vs_tiny": row.ratio_vs_tiny} for name, row in rows.items()},
+            },
+        )
+    return 0
+
+
+def _compare(name: str, camera: CameraConfig, options: CameraOptions) -> RendererComparison:
+    street = load_street(find_town(name))
+    scene = scatter(street, camera, options.poses, options.actors, options.seed)
+    return compare_renderers(
+        GeometryStore(street.mesh), pinhole(camera), scene.poses, instances_of(scene.actors), options.rounds
+    )

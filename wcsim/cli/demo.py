@@ -1,0 +1,78 @@
+"""`wcsim demo`: train in Helsinki, test in Monaco, take a picture; what `make demo` runs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+from rich.console import Console
+
+from wcsim.cli import test
+from wcsim.cli.common import Repeated, parse, write_json
+from wcsim.cli.train import checked_town, train_in
+from wcsim.config import load_run_config
+from wcsim.view.pictures import triptych, write_png
+from wcsim.view.stage import open_stage
+
+
+@dataclass
+class Options:
+    """Train preset quick in Helsinki, test it in Monaco, and take a picture there."""
+
+    train_town: str = "helsinki"
+    """Town to train in."""
+    test_town: str = "monaco"
+    """Town to test in."""
+    out: Path | None = field(default=None)
+    """Run folder; default runs/demo, runs/demo-2, ..."""
+    set: Repeated = ()
+    """section.key=value, laid over preset quick; may be given several times."""
+    episodes: int = 3
+    """Test episodes for each policy."""
+    max_steps: int = 600
+    """Steps after which a test episode ends well."""
+    seed: int = 1
+    """Seed of everything."""
+
+
+def run(words: list[str]) -> int:
+    """Do it all, and say where everything is."""
+    options = parse(Options, words, "demo")
+    console = Console()
+    started = time.monotonic()
+    out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
+    console.print(f"[bold]1/3[/] training in {options.train_town} (Ctrl-C ends it early and keeps what was learned)")
+    config = load_run_config("quick", options.set)
+    folder = train_in(
+        checked_town(options.train_town, False), config, out, options.seed, command=("wcsim", "demo", *words)
+    )
+    console.print(f"[bold]2/3[/] testing in {options.test_town}, which the network has never seen")
+    results = test.test_policies(
+        test.Options(
+            policies=(str(folder), f"{folder}:phase1"),
+            town=options.test_town,
+            episodes=options.episodes,
+            max_steps=options.max_steps,
+            seed=options.seed,
+        )
+    )
+    for result in results:
+        console.print(result.table())
+    write_json(folder / "test.json", test.as_json(results))
+    console.print(f"[bold]3/3[/] a picture from {options.test_town}")
+    picture = folder / f"{options.test_town}.png"
+    with open_stage(options.test_town, options.seed, 640) as stage:
+        shot = stage.busiest_moment(15.0)
+    write_png(picture, triptych(shot.rgb, shot.class_id, shot.depth_m))
+    console.print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}", highlight=False)
+    console.print(f"done in {time.monotonic() - started:.0f} s; SIMULATION ONLY, no statement about a real street")
+    return 0
+
+
+def free_folder(parent: Path, name: str) -> Path:
+    """The first of name, name-2, name-3, ... that does not exist yet."""
+    return next(
+        path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists()
+    )

@@ -1,0 +1,127 @@
+"""`wcsim doctor`: does everything that wcsim needs work on this machine?"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.cli.common import parse, write_json
+from wcsim.errors import WcsimError
+
+PACKAGES = (
+    *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "stable-baselines3", "gymnasium"),
+    *("numpy", "numba", "opencv-python-headless", "shapely"),
+)
+TICK_SECONDS = 5.0
+MIN_SHM_BYTES = 32 << 20
+
+
+@dataclass
+class Options:
+    """Check versions, SUMO, threads, shared memory, and run a town for five seconds."""
+
+    town: str = "helsinki"
+    """Town to run for the tick rate."""
+    seed: int = 0
+    """Seed of that run."""
+    json: Path | None = field(default=None)
+    """Write the findings to this file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the report."""
+
+    check: str
+    ok: bool
+    says: str
+
+
+def run(words: list[str]) -> int:
+    """Run the checks; exit code 2 when one fails."""
+    options = parse(Options, words, "doctor")
+    checks: tuple[Callable[[], Finding], ...] = (
+        _python,
+        _versions,
+        _sumo,
+        _threads,
+        _shared_memory,
+        lambda: _ticks(options.town, options.seed),
+    )
+    findings = [check() for check in checks]
+    table = Table("check", "", "found")
+    for item in findings:
+        table.add_row(item.check, "ok" if item.ok else "FAILS", item.says)
+    Console().print(table)
+    if options.json is not None:
+        write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
+    return 0 if all(item.ok for item in findings) else 2
+
+
+def _python() -> Finding:
+    right = sys.version_info[:2] == (3, 11) and sys.platform == "linux"
+    return Finding("python", right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux")
+
+
+def _versions() -> Finding:
+    found, missing = [], []
+    for name in PACKAGES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    says = ", ".join(found) + (f"; MISSING: {', '.join(missing)} (pip install)" if missing else "")
+    return Finding("packages", not missing, says)
+
+
+def _sumo() -> Finding:
+    from wcsim.towns.tools import run_tool
+
+    try:
+        done = run_tool("sumo", ["--version"], Path(tempfile.gettempdir()))
+    except WcsimError as error:
+        return Finding("sumo", False, str(error))
+    return Finding("sumo", done.returncode == 0, done.output.strip().splitlines()[0])
+
+
+def _threads() -> Finding:
+    cores = len(os.sched_getaffinity(0))
+    return Finding("threads", cores >= 1, f"{cores} cores usable" + ("" if cores >= 2 else "; two are better"))
+
+
+def _shared_memory() -> Finding:
+    folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())  # noqa: S108
+    free = shutil.disk_usage(folder).free
+    return Finding("shared memory", free >= MIN_SHM_BYTES, f"{free >> 20} MiB free in {folder}; needs 32 MiB")
+
+
+def _ticks(town: str, seed: int) -> Finding:
+    from wcsim.bridge.world import World
+    from wcsim.config import load_run_config
+    from wcsim.towns.town import find_town
+    from wcsim.types import Command, SeatSpec
+
+    try:
+        started = time.perf_counter()
+        with World(find_town(town), load_run_config("quick"), (SeatSpec(),), seed) as world:
+            ready = time.perf_counter()
+            ticks = 0
+            while time.perf_counter() < ready + TICK_SECONDS:
+                client = world.snapshot.clients[0]
+                client = client.first or client
+                world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=client.user),))
+                ticks += 1
+            rate = ticks / (time.perf_counter() - ready)
+            return Finding("tick rate", True, f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s")
+    except WcsimError as error:
+        return Finding("tick rate", False, str(error))

@@ -1,0 +1,81 @@
+"""The `wcsim` command: finds the subcommand's file, loads only that, and turns expected errors into two lines."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import dataclass
+
+from wcsim.errors import InterruptedRunError, WcsimError
+
+EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 0, 2, 130
+
+
+@dataclass(frozen=True, slots=True)
+class Subcommand:
+    """One line of the help, and the module (with a `run(arguments)`) that does the work."""
+
+    name: str
+    module: str
+    says: str
+
+
+SUBCOMMANDS = (
+    Subcommand("demo", "wcsim.cli.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"),
+    Subcommand("train", "wcsim.cli.train", "train a network in a town"),
+    Subcommand("test", "wcsim.cli.test", "test trained networks and baselines in towns they have never seen"),
+    Subcommand("town", "wcsim.cli.town", "import a town from OpenStreetMap, list towns, check one"),
+    Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
+    Subcommand("snapshot", "wcsim.cli.snapshot", "a picture from a chair's camera: colours, classes, depth"),
+    Subcommand("video", "wcsim.cli.video", "a video from a chair's camera beside a map"),
+    Subcommand("bench", "wcsim.cli.bench", "measure the tick and the cameras on this machine"),
+    Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code (0 done, 2 bad input, 130 interrupted)."""
+    words = sys.argv[1:] if arguments is None else arguments
+    chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
+    if chosen is None:
+        return _no_subcommand(words)
+    try:
+        code = importlib.import_module(chosen.module).run(words[1:])
+        return int(code or EXIT_OK)
+    except InterruptedRunError as stop:
+        print(f"wcsim: {stop}", file=sys.stderr)
+        return EXIT_OK
+    except WcsimError as error:
+        print(f"wcsim: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print("wcsim: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _no_subcommand(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(usage())
+        return EXIT_OK
+    if words[0] in ("-V", "--version"):
+        from wcsim import __version__
+
+        print(__version__)
+        return EXIT_OK
+    names = ", ".join(item.name for item in SUBCOMMANDS)
+    print(f"wcsim: unknown command {words[0]!r}; expected one of: {names}", file=sys.stderr)
+    return EXIT_BAD_INPUT
+
+
+def usage() -> str:
+    """The help page."""
+    lines = [f"  {item.name:<10}{item.says}" for item in SUBCOMMANDS]
+    return "\n".join(
+        [
+            "usage: wcsim COMMAND [options]      (wcsim COMMAND --help says more)",
+            "",
+            "Trains networks that help a person drive a power wheelchair through real cities.",
+            "",
+            *lines,
+        ]
+    )

@@ -1,0 +1,142 @@
+"""`wcsim test`: how trained networks do in a town that they have never seen, beside the baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.common import Repeated, parse, words_of, write_json
+from wcsim.config import RunConfig, load_run_config
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.town import Town, content_hash, find_town
+
+if TYPE_CHECKING:  # loads torch, which --help must not
+    from wcsim.agents.testing import TestResult
+
+@dataclass
+class Options:
+    """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """What to test; the baselines follow, random, zero and stop are always added."""
+    town: str = "monaco"
+    """Towns, joined by commas."""
+    profile: str = "inattentive"
+    """User profiles, joined by commas."""
+    episodes: int = 5
+    """Episodes for each policy, town and profile."""
+    max_steps: int = 10_000
+    """Steps after which an episode ends well."""
+    seed: int = 0
+    """Seed of the world; every policy meets the same one."""
+    preset: str = "quick"
+    """Settings, when no run folder brings its own."""
+    set: Repeated = ()
+    """section.key=value, laid over them; may be given several times."""
+    network: str = ""
+    """Your own network as module:Class, for runs that were trained with it."""
+    allow_train_town: bool = False
+    """Test in a town of split train, or in the town that a run was trained in."""
+    json: Path | None = field(default=None)
+    """Write the result to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Test and print one table for each town and profile."""
+    options = parse(Options, words, "test")
+    results = test_policies(options)
+    console = Console()
+    for result in results:
+        console.print(result.table())
+    console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
+    if options.json is not None:
+        write_json(options.json, as_json(results))
+    return 0
+
+
+def as_json(results: Sequence[TestResult]) -> dict[str, Any]:
+    """All results as one object; several towns or profiles are joined by commas, and every row names its own."""
+    return {
+        "town": ",".join(dict.fromkeys(result.town for result in results)),
+        "seed": results[0].seed,
+        "profile": ",".join(dict.fromkeys(result.profile for result in results)),
+        "rows": [
+            {**row.to_json(), "town": result.town, "profile": result.profile}
+            for result in results
+            for row in result.rows
+        ],
+    }
+
+
+def test_policies(options: Options) -> Sequence[TestResult]:
+    """The results, one for each town and profile."""
+    from wcsim.agents.baselines import NAMES
+    from wcsim.agents.env import WheelchairEnv
+    from wcsim.agents.testing import open_policy, run_test
+
+    if options.episodes < 1 or options.max_steps < 1:
+        raise ConfigError(f"--episodes {options.episodes} --max-steps {options.max_steps}: expected at least 1 of each")
+    towns = {town.name: town for town in (checked_town(name, options) for name in words_of(options.town))}
+    config = _config(options)
+    names = list(dict.fromkeys([*options.policies, *NAMES]))
+    policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
+    console = Console(stderr=True)
+
+    def make_env(town: str, profile: str) -> WheelchairEnv:
+        env = config.env.model_copy(update={"profile": profile, "max_steps": options.max_steps, "truth": True})
+        return WheelchairEnv(str(towns[town].folder), config=config.model_copy(update={"env": env}))
+
+    results = run_test(
+        policies,
+        make_env,
+        towns=tuple(towns),
+        profiles=words_of(options.profile),
+        episodes=options.episodes,
+        max_steps=options.max_steps,
+        seed=options.seed,
+        tick_s=config.world.tick_s,
+        progress=lambda text: console.print(f"tested {text}", style="dim", highlight=False),
+    )
+    return results
+
+
+def checked_town(name: str, options: Options) -> Town:
+    """The town to test in. Raises TownError for one that networks are trained in."""
+    from wcsim.agents.baselines import is_baseline
+    from wcsim.agents.runfolder import run_of
+
+    town = find_town(name)
+    validate_net(town.net)
+    if options.allow_train_town:
+        return town
+    if town.split == "train":
+        raise TownError(
+            f"{town.name} is a training town; expected a town of split test (wcsim town list). "
+            "Choose another --town, or say --allow-train-town"
+        )
+    digest = content_hash(town)
+    for policy in options.policies:
+        manifest = None if is_baseline(policy) else run_of(policy)
+        if manifest is not None and manifest.town_sha256 == digest:
+            raise TownError(
+                f"{policy} was trained in {town.name} itself; expected a town it has never seen. "
+                "Choose another --town, or say --allow-train-town"
+            )
+    return town
+
+
+def _config(options: Options) -> RunConfig:
+    """The settings of the first run that is tested, or of the preset; overrides apply to both."""
+    from wcsim.agents.baselines import is_baseline
+    from wcsim.agents.runfolder import config_of
+
+    for policy in options.policies:
+        if not is_baseline(policy):
+            return config_of(policy, options.preset, options.set)
+    return load_run_config(options.preset, options.set)

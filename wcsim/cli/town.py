@@ -1,0 +1,141 @@
+"""`wcsim town import | list | check`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.cli.common import parse, write_json
+from wcsim.errors import ConfigError
+from wcsim.towns.check import TownReport, check_town
+from wcsim.towns.importer import ImportOrder, import_town
+from wcsim.towns.town import find_town, list_towns
+
+NAMES = ("import", "list", "check")
+
+
+@dataclass
+class ImportOptions:
+    """Import a town from an OpenStreetMap extract: streets, pavements, buildings, trees, and endless traffic."""
+
+    osm: Path
+    """The extract: .osm, .osm.xml or .osm.xml.gz."""
+    bbox: str
+    """What to keep of it, in degrees: west,south,east,north."""
+    name: str
+    """The town's name."""
+    split: Literal["train", "test"] = "train"
+    """Whether networks may be trained in it, or only tested."""
+    out: Path | None = field(default=None)
+    """Where to put it; default ./scenarios/sumo/NAME."""
+    lefthand: bool = False
+    """Traffic drives on the left."""
+    seed: int = 42
+    """Seed of the demand."""
+    source: str = ""
+    """Where the extract comes from, for the licence notice."""
+
+
+@dataclass
+class ListOptions:
+    """List the towns that can be named."""
+
+
+@dataclass
+class CheckOptions:
+    """Check a town: can it be walked through, does its traffic find its way, is the ground without holes."""
+
+    town: Annotated[str, tyro.conf.Positional]
+    """A town's name or folder."""
+    json: Path | None = field(default=None)
+    """Write the result to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Run one of the subcommands."""
+    if not words or words[0] not in NAMES:
+        if words and words[0] in ("-h", "--help"):
+            print(f"usage: wcsim town {'|'.join(NAMES)} [options]")
+            return 0
+        raise ConfigError(f"wcsim town needs a command, got {words[:1]}; expected one of: {', '.join(NAMES)}")
+    if words[0] == "import":
+        return _import(parse(ImportOptions, words[1:], "town import"))
+    if words[0] == "list":
+        parse(ListOptions, words[1:], "town list")
+        return _list()
+    return _check(parse(CheckOptions, words[1:], "town check"))
+
+
+def _import(options: ImportOptions) -> int:
+    town = import_town(
+        ImportOrder(
+            osm=options.osm,
+            bbox=_bbox(options.bbox),
+            name=options.name,
+            split=options.split,
+            out=options.out if options.out is not None else Path("scenarios/sumo") / options.name,
+            lefthand=options.lefthand,
+            seed=options.seed,
+            source=options.source,
+        )
+    )
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
+    return _report(check_town(town))
+
+
+def _list() -> int:
+    table = Table("town", "split", "folder")
+    for town in list_towns():
+        table.add_row(town.name, town.split, str(town.folder))
+    Console().print(table)
+    return 0
+
+
+def _check(options: CheckOptions) -> int:
+    report = check_town(find_town(options.town))
+    code = _report(report)
+    if options.json is not None:
+        write_json(
+            options.json,
+            {
+                "town": report.town,
+                "crossings": report.crossings,
+                "walkingareas": report.walkingareas,
+                "walkable_largest_share": report.walkable_largest_share,
+                "classes": list(report.classes),
+                "unroutable": report.unroutable,
+                "mesh_faults": report.mesh_faults,
+                "cures": list(report.cures),
+            },
+        )
+    return code
+
+
+def _report(report: TownReport) -> int:
+    table = Table(f"town {report.town}", "")
+    table.add_row("crossings", str(report.crossings))
+    table.add_row("walking areas", str(report.walkingareas))
+    table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
+    table.add_row("classes in the demand", ", ".join(report.classes))
+    table.add_row("trips that find no way", str(report.unroutable))
+    table.add_row("faults in the mesh", str(report.mesh_faults))
+    console = Console()
+    console.print(table)
+    for cure in report.cures:
+        console.print(f"cure: {cure}", markup=False, highlight=False)
+    return 0
+
+
+def _bbox(text: str) -> tuple[float, float, float, float]:
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--bbox {text!r} is not west,south,east,north in degrees, as 24.9,60.1,25.0,60.2") from None
+    if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
+        raise ConfigError(f"--bbox {text!r} is empty or leaves the globe; expected west < east and south < north")
+    return west, south, east, north

@@ -1,0 +1,117 @@
+"""`wcsim train`: learn to assist, in a town."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from wcsim.cli.common import Repeated, parse, write_json
+from wcsim.config import RunConfig, load_run_config
+from wcsim.errors import TownError
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.town import Town, content_hash, find_town
+
+
+@dataclass
+class Options:
+    """Train a network: first to follow the user (action driven learning), then when not to (agent driven learning)."""
+
+    town: str = "helsinki"
+    """Town to train in; its split must be train."""
+    preset: str = "quick"
+    """Settings to begin with: quick or paper."""
+    config: Path | None = field(default=None)
+    """TOML file laid over the preset."""
+    set: Repeated = ()
+    """section.key=value, laid over both; may be given several times."""
+    network: str = ""
+    """Network by name, or your own as module:Class; the same as --set learn.network=..."""
+    reward: Repeated = ()
+    """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    seed: int = 0
+    """Seed of everything: equal seeds give equal weights."""
+    out: Path | None = field(default=None)
+    """Run folder; default runs/TOWN-PRESET-SEED."""
+    resume: bool = False
+    """Continue an interrupted run from its newest checkpoint."""
+    allow_test_town: bool = False
+    """Train in a town that is meant for tests."""
+    json: Path | None = field(default=None)
+    """Write where the run is to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Train and leave a run folder."""
+    options = parse(Options, words, "train")
+    overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
+    config = load_run_config(options.preset, overrides, options.config)
+    town = checked_town(options.town, options.allow_test_town)
+    out = options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
+    command = ("wcsim", "train", *words)
+    folder = train_in(town, config, out, options.seed, rewards=options.reward, resume=options.resume, command=command)
+    print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
+    if options.json is not None:
+        write_json(options.json, {"run": str(folder), "town": town.name, "seed": options.seed})
+    return 0
+
+
+def checked_town(name: str, allow_test_town: bool) -> Town:
+    """The town to train in. Raises TownError for one that is kept for tests."""
+    town = find_town(name)
+    validate_net(town.net)
+    if town.split == "test" and not allow_test_town:
+        raise TownError(
+            f"{town.name} is a test town; networks that were trained in it cannot be tested honestly. "
+            "Train in a town of split train (wcsim town list), or say --allow-test-town"
+        )
+    return town
+
+
+def train_in(
+    town: Town,
+    config: RunConfig,
+    out: Path,
+    seed: int,
+    *,
+    rewards: tuple[str, ...] = (),
+    resume: bool = False,
+    command: tuple[str, ...] = (),
+) -> Path:
+    """Train with a progress bar; returns the run folder."""
+    from wcsim.agents.callbacks import TrainProgress  # torch is loaded here, not for --help
+    from wcsim.agents.env import WheelchairEnv
+    from wcsim.agents.plugins import find_reward_term
+    from wcsim.agents.train import train
+
+    terms = tuple(find_reward_term(name) for name in rewards)
+    learning = config.model_copy(
+        update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": False})}
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(file=sys.stderr), transient=False) as bar:
+        task = bar.add_task("loading the town", total=config.learn.total_steps, says="")
+
+        def show(now: TrainProgress) -> None:
+            kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
+            bar.update(
+                task,
+                completed=now.step,
+                description=f"phase {now.phase}",
+                says=f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}",
+            )
+
+        return train(
+            config,
+            lambda: WheelchairEnv(str(town.folder), config=learning, reward_terms=terms),
+            out,
+            seed,
+            show,
+            town=town.name,
+            town_sha256=content_hash(town),
+            command=command,
+            resume=resume,
+        )

@@ -1,0 +1,39 @@
+"""`wcsim video TOWN --out x.webm`: ten seconds from a chair's camera, beside a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.progress import track
+
+from wcsim.cli.common import parse
+from wcsim.view.stage import open_stage
+
+
+@dataclass
+class Options:
+    """Film a chair that does what its user asks for: its camera beside a map."""
+
+    town: Annotated[str, tyro.conf.Positional] = "helsinki"
+    """A town's name or folder."""
+    seed: int = 0
+    """Seed of the traffic and of the chair's place."""
+    out: Path = Path("video.webm")
+    """The video (WebM)."""
+    seconds: float = 10.0
+    """How long."""
+    width: int = 480
+    """Width of the camera image in pixels."""
+
+
+def run(words: list[str]) -> int:
+    """Film it."""
+    options = parse(Options, words, "video")
+    with open_stage(options.town, options.seed, options.width) as stage, stage.film(options.out) as film:
+        for _ in track(range(round(options.seconds / stage.tick_s)), description="filming", transient=True):
+            film.add()
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s")
+    return 0

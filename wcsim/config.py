@@ -1,0 +1,365 @@
+"""Every file that wcsim reads from disk, as frozen models: an unknown key or a number out of bounds is an error.
+
+Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are TOML files in `wcsim/presets/`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from wcsim.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+MAX_CONFIG_BYTES = 1 << 20
+
+
+class Model(BaseModel):
+    """Base of all models: frozen, and unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class CameraConfig(Model):
+    """One camera on a chair."""
+
+    name: str = "front"
+    width_px: Annotated[int, Field(ge=8, le=2048)] = 320
+    height_px: Annotated[int, Field(ge=8, le=2048)] = 240
+    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0
+    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
+    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    p_BC_m: tuple[Finite, Finite, Finite] = (0.35, 0.0, 1.0)  # armrest, knee height
+    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
+    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0
+    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1
+    rgb: bool = False
+    renderer: Literal["numba", "pybullet"] = "numba"
+
+
+class ImuConfig(Model):
+    """The IMU and tilt sensor (definitions: docs/spec.md)."""
+
+    p_BI_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.45)
+    lowpass_hz: Positive = 20.0
+    saturation_mps2: Positive = 156.9  # +-16 g
+    accel_noise_mps2: NotNegative = 0.02
+    gyro_noise_radps: NotNegative = 0.001
+    accel_gravity_removed_for_reward: bool = True
+
+
+class ChairConfig(Model):
+    """The rear-wheel-drive chair as it is driven."""
+
+    plant: str = "rwd"
+    v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67
+    reverse_share: Share = 0.4
+    accel_mps2: Positive = 1.0
+    decel_mps2: Positive = 1.5
+    yaw_accel_radps2: Positive = 2.5
+    jerk_mps3: Positive = 4.0
+    yaw_rate_max_radps: Positive = 1.5
+    deadband: Annotated[float, Field(ge=0.0, le=0.5)] = 0.08
+    shape_exponent: Annotated[float, Field(ge=1.0, le=3.0)] = 1.0
+    brake_after_s: NotNegative = 0.5
+    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] = 80.0
+    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] = 0.50
+
+
+class WorldConfig(Model):
+    """Clocks, mirror and street reaction."""
+
+    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    substeps: Annotated[int, Field(ge=1, le=480)] = 24
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
+    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
+    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
+    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] = 300.0
+    attention_share: Share = 0.95
+    reaction_s: NotNegative = 0.7
+    brake_mps2: Positive = 4.5
+    clear_spawn_m: Positive = 2.0
+    rebuild_after_ticks: Annotated[int, Field(ge=0)] = 0
+
+    @model_validator(mode="after")
+    def _substep_is_sane(self) -> WorldConfig:
+        substep_s = self.tick_s / self.substeps
+        if not 1 / 1000 <= substep_s <= 1 / 100:
+            raise ValueError(
+                f"tick_s {self.tick_s} / substeps {self.substeps} gives a physics step of {substep_s:.5f} s; "
+                "expected 0.001 to 0.01 s: change world.substeps"
+            )
+        return self
+
+
+class RewardConfig(Model):
+    """Windows of Tables 1 and 2 of the paper, and the share of contacts that counts as a crash."""
+
+    base: Finite = 1.0
+    max_follow_distance: Positive = 0.1768  # sqrt(0.125^2 + 0.125^2)
+    max_distance: Positive = 2.0
+    penalty: NotNegative = 2.0
+    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)
+    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)
+    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
+    crash: NotNegative = 100.0
+    body_on_ground_Ns: NotNegative = 20.0
+
+
+class EnvConfig(Model):
+    """What the agent sees and does."""
+
+    observation: Literal["compact", "table3"] = "compact"
+    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    actions: Literal["square81", "disc69"] = "square81"
+    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    profile: str = "inattentive"
+    truth: bool = False
+
+
+class LearnConfig(Model):
+    """Both learning phases."""
+
+    total_steps: Annotated[int, Field(ge=1)] = 20_000
+    phase1_steps: Annotated[int, Field(ge=0)] = 5_000
+    network: str = "small"
+    head: Literal["residual", "plain"] = "residual"
+    gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
+    learning_rate: Positive = 3e-4
+    batch_size: Annotated[int, Field(ge=1, le=4096)] = 32
+    replay_frames: Annotated[int, Field(ge=100)] = 50_000
+    learning_starts: Annotated[int, Field(ge=0)] = 500
+    train_every: Annotated[int, Field(ge=1)] = 4
+    gradient_steps: Annotated[int, Field(ge=1)] = 1
+    n_step: Annotated[int, Field(ge=1, le=50)] = 5
+    tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
+    reward_scale: Positive = 0.05
+    clip_norm: Positive = 10.0
+    double_q: bool = True
+    margin: NotNegative = 1.0
+    margin_fade: Share = 0.25
+    precrash_share: Share = 0.25
+    precrash_window: Annotated[int, Field(ge=1)] = 20
+    exploration: Literal["local", "uniform"] = "local"
+    epsilon_start: Share = 0.2
+    epsilon_end: Share = 0.05
+    epsilon_sigma: Positive = 0.5
+    checkpoint_every: Annotated[int, Field(ge=1)] = 5_000
+    threads: Annotated[int, Field(ge=1, le=64)] = 1
+    device: str = "cpu"
+    episode_steps: Annotated[int, Field(ge=1)] = 1_000
+
+
+class RunConfig(Model):
+    """Everything a run needs besides its town and seed."""
+
+    world: WorldConfig = WorldConfig()
+    chair: ChairConfig = ChairConfig()
+    cameras: tuple[CameraConfig, ...] = (CameraConfig(),)
+    imu: ImuConfig = ImuConfig()
+    reward: RewardConfig = RewardConfig()
+    env: EnvConfig = EnvConfig()
+    learn: LearnConfig = LearnConfig()
+
+    @model_validator(mode="after")
+    def _cameras_have_names_of_their_own(self) -> RunConfig:
+        names = [camera.name for camera in self.cameras]
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"cameras are named {names}; expected at least one, each with a name of its own")
+        return self
+
+    def digest(self) -> str:
+        """SHA-256 over the resolved configuration."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
+
+
+class PriorFile(Model):
+    """The known follow reward inside a residual network."""
+
+    base: Finite
+    max_follow_distance: Positive
+    max_distance: Positive
+    penalty: NotNegative
+    reward_scale: Positive
+
+
+class NetFile(Model):
+    """The shape of an action-value network."""
+
+    network: Name
+    head: Literal["residual", "plain"]
+    dueling: bool
+    hidden: Annotated[int, Field(ge=1, le=65_536)]
+    actions: Literal["square81", "disc69"]
+    classes: Literal["cityscapes", "wcsim"]
+    prior: PriorFile
+
+
+class PolicyFile(Model):
+    """`policy.json`: everything about a trained policy but its weights."""
+
+    schema_version: Literal[1]
+    algorithm: Literal["SeqDQN"]
+    net: NetFile
+    image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
+    vector_size: Annotated[int, Field(ge=1, le=1024)]
+    camera: CameraConfig
+    reward_scale: Positive
+    manifest_sha256: Sha256 | Literal[""]
+    weights_sha256: Sha256
+    versions: dict[str, str] = {}
+
+
+class TownFile(Model):
+    """`town.toml`: what SUMO does not know about a town."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    split: Literal["train", "test", "scene"]
+    origin_m: tuple[int, int] = (0, 0)  # net coordinates of W's origin
+    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
+    lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    chair_ways: tuple[Literal["sidewalk", "crossing", "cycleway", "shared"], ...] = ("sidewalk", "crossing", "shared")
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None
+    source: str = ""
+    attribution: str = ""
+    hashes: dict[str, str] = {}
+
+
+class SceneSeat(Model):
+    """Where a scene puts a wheelchair and what drives it."""
+
+    start_m: tuple[Finite, Finite]  # net coordinates
+    heading_deg: Finite  # SUMO's: clockwise from north
+    goal_m: tuple[Finite, Finite] | None = None
+    profile: str = "competent"
+    joystick: tuple[Annotated[float, Field(ge=-1, le=1)], Annotated[float, Field(ge=-1, le=1)]] | None = None
+
+
+Window = tuple[Finite, Finite]
+
+
+class SceneExpect(Model):
+    """What a scene must show: each window holds the lowest and highest value that is right."""
+
+    crashed: bool | None = None
+    travelled_m: Window | None = None
+    drop_m: Window | None = None
+    max_roll_deg: Window | None = None
+    max_pitch_deg: Window | None = None
+    closest_actor_m: Window | None = None
+    standing_s: Window | None = None
+    actors_seen: Window | None = None
+
+
+class SceneFile(Model):
+    """`scene.toml`: a short regression scene with a fixed seed."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    shows: str
+    seed: Annotated[int, Field(ge=0)]
+    duration_s: Annotated[float, Field(gt=0.0, le=60.0)]
+    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
+    warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
+    attention_share: Share = 1.0
+    seats: tuple[SceneSeat, ...]
+    expect: SceneExpect = SceneExpect()
+
+
+M = TypeVar("M", bound=Model)
+
+
+def read_toml(path: Path, model: type[M]) -> M:
+    """Read a TOML file as `model`. Raises ConfigError with every fault and its place."""
+    return parse(model, _toml(path), str(path))
+
+
+def parse(model: type[M], data: dict[str, Any], where: str) -> M:
+    """Check `data` against `model`. Raises ConfigError that names `where`, the key, what was got and expected."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: " + "; ".join(_fault(item) for item in error.errors())) from None
+
+
+def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
+    """A preset by name, a TOML file over it, then `section.key=value` overrides (value in TOML syntax or a word)."""
+    folder = Path(__file__).parent / "presets"
+    path = folder / f"{preset}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(item.stem for item in folder.glob("*.toml")))
+        raise ConfigError(f"unknown preset {preset!r}; expected one of: {known}")
+    data = _toml(path)
+    where = f"preset {preset}"
+    if file is not None:
+        data, where = _merged(data, _toml(file)), str(file)
+    for text in overrides:
+        data, where = _merged(data, _override(text)), f"--set {text}"
+    return parse(RunConfig, data, where)
+
+
+def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
+    """A resolved configuration with `section.key=value` laid over it. Raises ConfigError as `load_run_config` does."""
+    data, where = config.model_dump(mode="json"), "configuration"
+    for text in overrides:
+        data, where = _merged(data, _override(text)), f"--set {text}"
+    return parse(RunConfig, data, where)
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes; expected a small TOML file")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
+
+
+def _fault(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"]) or "(file)"
+    if item["type"] == "extra_forbidden":
+        return f"unknown key {key!r}: remove it or correct its name"
+    got = json.dumps(item["input"], default=str)
+    return f"{key}: {item['msg']}, got {got[:80]}"
+
+
+def _override(text: str) -> dict[str, Any]:
+    key, equals, value = text.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ConfigError(f"--set {text!r} is not section.key=value, for example learn.total_steps=2000")
+    try:
+        parsed: Any = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value
+    for part in reversed(parts):
+        parsed = {part: parsed}
+    return dict(parsed)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
+    out = dict(base)
+    for key, value in over.items():
+        old = out.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            out[key] = _merged(old, value)
+        elif isinstance(old, list) and isinstance(value, dict) and set(value) <= {str(i) for i in range(len(old))}:
+            out[key] = [_merged(item, value.get(str(i), {})) for i, item in enumerate(old)]
+        else:
+            out[key] = value
+    return out

@@ -1,0 +1,258 @@
+"""The cameras of the wheelchairs: where each one looks, when it takes an image, and the buffers it writes into."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+
+import numpy as np
+
+from wcsim import frames
+from wcsim.config import CameraConfig
+from wcsim.errors import ConfigError
+from wcsim.physics.renderer.base import Images, Pinhole, Renderer, new_images
+from wcsim.physics.renderer.instances import (
+    ChairPose,
+    Instances,
+    actor_instances,
+    chair_instances,
+    joined,
+    rotation_of,
+)
+from wcsim.physics.renderer.raster import RasterRenderer, warm_up
+from wcsim.physics.renderer.store import GeometryStore
+from wcsim.types import F64, ActorState, CameraFrame, PlantState, StreetMesh
+
+# Axes of a camera that looks along x of its mount: x right, y down, z forward, each in the mount's frame.
+_R_CM = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeatBuffers:
+    """Where the images of one seat go, one entry a camera in the rig's order."""
+
+    images: tuple[Images, ...]
+
+
+@dataclass(slots=True)
+class _Shutter:
+    """What one camera of one seat took last, and its two buffers in turn."""
+
+    buffers: tuple[Images, Images]
+    turn: int = 0
+    last: CameraFrame | None = None
+
+
+@dataclass(slots=True)
+class _Cast:
+    """The actors of a tick as instances; all seats of the tick share them."""
+
+    actors: Sequence[ActorState] = ()
+    instances: Instances = field(default_factory=lambda: actor_instances(()))
+
+
+class CameraRig:
+    """The cameras of all seats: one geometry, one renderer of each kind, two buffers a camera.
+
+    The arrays of a frame stay valid until the second new image of that camera after it.
+    """
+
+    def __init__(self, mesh: StreetMesh, cameras: tuple[CameraConfig, ...], seats: int) -> None:
+        """Build the geometry and compile the rasteriser.
+
+        Args:
+            mesh: the street.
+            cameras: the cameras of every chair.
+            seats: number of wheelchairs, at least 1.
+
+        Raises:
+            ConfigError: when there is no camera or no seat.
+        """
+        if not cameras or seats < 1:
+            raise ConfigError(f"a rig got {len(cameras)} cameras and {seats} seats; expected at least one of each")
+        self.cameras = cameras
+        self.store = GeometryStore(mesh)
+        names = sorted({camera.renderer for camera in cameras})
+        self._renderers: dict[str, Renderer] = {name: _renderer(name, self.store) for name in names}
+        self._pinholes = tuple(pinhole(camera) for camera in cameras)
+        self._mounts = tuple(mount(camera) for camera in cameras)
+        self._shutters = [tuple(_Shutter(_two_buffers(camera)) for camera in cameras) for _ in range(seats)]
+        self._cast = _Cast()
+
+    def __enter__(self) -> CameraRig:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the renderers and their geometry; a second call does nothing."""
+        for renderer in self._renderers.values():
+            if hasattr(renderer, "close"):
+                renderer.close()
+        self._renderers.clear()
+
+    def reset(self, seat: int) -> None:
+        """Forget what the cameras of a seat saw, so that each takes a new image at its next shot."""
+        for shutter in self._shutters[seat]:
+            shutter.last = None
+
+    def shoot(
+        self,
+        seat: int,
+        tick: int,
+        plant: PlantState,
+        actors: Sequence[ActorState],
+        chairs: Sequence[ChairPose],
+        buffers: SeatBuffers | None = None,
+    ) -> tuple[CameraFrame, ...]:
+        """Take (or repeat) the image of every camera of a seat.
+
+        Args:
+            seat: whose cameras.
+            tick: the tick that the images show.
+            plant: where the seat's wheelchair is.
+            actors: what moves in the street; a tuple that is given again (the same object) is not read again.
+            chairs: the wheelchairs, the seat's own among them or not; it is never drawn.
+            buffers: where to write; the rig's own buffers when None.
+
+        Returns:
+            One frame a camera; a camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`.
+
+        Raises:
+            ConfigError: when given buffers do not fit the cameras.
+        """
+        others = chair_instances([chair for chair in chairs if chair.seat != seat])
+        instances = joined(self._actors(actors), others)
+        T_WB = pose_matrix(plant.p_WB_m, plant.q_WB)
+        shots = []
+        for index, shutter in enumerate(self._shutters[seat]):
+            own = buffers.images[index] if buffers is not None else None
+            shots.append(self._shot(index, shutter, tick, T_WB, instances, own))
+        return tuple(shots)
+
+    def _shot(
+        self, index: int, shutter: _Shutter, tick: int, T_WB: F64, instances: Instances, own: Images | None
+    ) -> CameraFrame:
+        camera = self.cameras[index]
+        if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
+            if own is not None and own.depth_m is not shutter.last.depth_m:
+                shutter.last = _copied(shutter.last, own)
+            return shutter.last
+        out = own if own is not None else shutter.buffers[shutter.turn]
+        shutter.turn = 1 - shutter.turn
+        T_CW = camera_matrix(T_WB, self._mounts[index])
+        self._renderers[camera.renderer].render(self._pinholes[index], T_CW, instances, out)
+        shutter.last = CameraFrame(
+            name=camera.name, taken_tick=tick, depth_m=out.depth_m, class_id=out.class_id, rgb=out.rgb
+        )
+        return shutter.last
+
+    def _actors(self, actors: Sequence[ActorState]) -> Instances:
+        if not isinstance(actors, tuple):  # a list may have changed since
+            return actor_instances(actors)
+        if actors is not self._cast.actors:
+            self._cast = _Cast(actors, actor_instances(actors))
+        return self._cast.instances
+
+
+class FreeCamera:
+    """A camera that can be put anywhere: for pictures, maps and tests."""
+
+    def __init__(self, street: StreetMesh | GeometryStore, camera: Pinhole) -> None:
+        """`street` may be the store of a rig, which saves building it again."""
+        store = street if isinstance(street, GeometryStore) else GeometryStore(street)
+        self.camera = camera
+        self._renderer = RasterRenderer(store)
+
+    def look(self, T_CW: F64, instances: Instances) -> Images:
+        """Fresh images with colours, seen with the camera at T_CW (3, 4), see `look_along` and `look_at`."""
+        images = new_images(self.camera.width_px, self.camera.height_px, rgb=True)
+        self._renderer.render(self.camera, T_CW, instances, images)
+        return images
+
+
+def pinhole(camera: CameraConfig) -> Pinhole:
+    """The ideal camera of a configuration."""
+    return Pinhole(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        focal_px=focal_px(camera.width_px, frames.rad(camera.hfov_deg)),
+        near_m=camera.near_m,
+        range_m=camera.range_m,
+    )
+
+
+def focal_px(width_px: int, hfov_rad: float) -> float:
+    """Focal length of a camera that sees hfov_rad over its width.
+
+    >>> round(focal_px(320, math.pi / 2), 6)
+    160.0
+    """
+    return 0.5 * width_px / math.tan(0.5 * hfov_rad)
+
+
+def mount(camera: CameraConfig) -> F64:
+    """Pose (3, 4) of the camera's mount in the chair's frame B: x the way it looks, y left, z up."""
+    return pose_of(camera.p_BC_m, frames.rad(camera.yaw_deg), frames.rad(camera.pitch_deg))
+
+
+def pose_of(p_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float) -> F64:
+    """Pose (3, 4) of a frame at p that looks along yaw, nose up by pitch."""
+    cy, sy, cp, sp = math.cos(yaw_rad), math.sin(yaw_rad), math.cos(pitch_rad), math.sin(pitch_rad)
+    turn = np.array([[cy * cp, -sy, -cy * sp], [sy * cp, cy, -sy * sp], [sp, 0.0, cp]])
+    return np.column_stack([turn, np.asarray(p_m, np.float64)])
+
+
+def pose_matrix(p_WB_m: F64, q_WB: F64) -> F64:
+    """Pose (3, 4) of a body from its place (3,) and quaternion (4,) x, y, z, w."""
+    return np.column_stack([rotation_of(q_WB), np.asarray(p_WB_m, np.float64)])
+
+
+def camera_matrix(T_WB: F64, T_BM: F64) -> F64:
+    """World to camera frame, (3, 4): the camera looks along x of its mount M, which sits on body B; x right, y down."""
+    R_WM = T_WB[:, :3] @ T_BM[:, :3]
+    p_WM = T_WB[:, :3] @ T_BM[:, 3] + T_WB[:, 3]
+    R_CW = _R_CM @ R_WM.T
+    return np.column_stack([R_CW, -R_CW @ p_WM])
+
+
+def look_along(p_W_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float) -> F64:
+    """World to camera frame (3, 4) of a camera at p that looks along yaw, nose up by pitch (-pi/2: down)."""
+    return camera_matrix(np.eye(3, 4), pose_of(p_W_m, yaw_rad, pitch_rad))
+
+
+def look_at(p_W_m: Sequence[float] | F64, target_W_m: Sequence[float] | F64) -> F64:
+    """World to camera frame (3, 4) of a level camera at p with the target in the middle of its image."""
+    x, y, z = np.asarray(target_W_m, np.float64) - np.asarray(p_W_m, np.float64)
+    return look_along(p_W_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y)))
+
+
+def _renderer(name: str, store: GeometryStore) -> Renderer:
+    if name == "pybullet":
+        from wcsim.physics.renderer.tiny import TinyRenderer  # the reference back end; PyBullet is loaded for it alone
+
+        return TinyRenderer(store)
+    renderer = RasterRenderer(store)
+    warm_up(renderer)
+    return renderer
+
+
+def _two_buffers(camera: CameraConfig) -> tuple[Images, Images]:
+    size = camera.width_px, camera.height_px
+    return new_images(*size, camera.rgb), new_images(*size, camera.rgb)
+
+
+def _copied(frame: CameraFrame, own: Images) -> CameraFrame:
+    """The same frame in other buffers."""
+    np.copyto(own.depth_m, frame.depth_m)
+    np.copyto(own.class_id, frame.class_id)
+    if own.rgb is not None and frame.rgb is not None:
+        np.copyto(own.rgb, frame.rgb)
+    return CameraFrame(
+        name=frame.name, taken_tick=frame.taken_tick, depth_m=own.depth_m, class_id=own.class_id, rgb=own.rgb
+    )

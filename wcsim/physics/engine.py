@@ -1,0 +1,229 @@
+"""The physics engine: one PyBullet client, its clock, the street as collision bodies, and what every body is.
+
+Everything else in this package works on an `Engine`. Bodies are never removed (PyBullet leaks 4.5 kB for each): those
+out of use are parked far below the street.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+import pybullet
+
+from wcsim.errors import PhysicsError
+from wcsim.physics.soup import Soup, split, tidy
+from wcsim.types import F64, ClassId, StreetMesh
+
+GRAVITY_MPS2: Final = 9.81
+PARK_Z_M: Final = -500.0
+MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
+_RAY_FROM_M: Final = 300.0
+_STREET_MARGIN_M: Final = 0.001
+# With PyBullet's 20 mm a wheel meets the edge of every triangle just ahead of it at a slant and is pushed back: 0.6
+# m/s2 rms on a flat floor of small triangles, and it is thrown off a fan of slivers. 0.1 mm gives 0.2, and a step costs
+# half. PyBullet keeps one such number for the whole process.
+CONTACT_BREAKING_M: Final = 1e-4
+
+
+class Role(Enum):
+    """What a body is to a wheelchair; the value is what `Contact.kind` says of the first four."""
+
+    GROUND = "ground"
+    KERB = "kerb"
+    BUILDING = "building"
+    STATIC = "static"
+    ACTOR = "actor"
+    CHAIR = "wheelchair"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyTag:
+    """What the contact code must know of a body."""
+
+    role: Role
+    kind: str  # as in Contact.kind
+    actor_id: str = ""
+    p_W_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an actor, at the start of the tick
+    v_W_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_rate_radps: float = 0.0
+
+
+_GROUND = (
+    ClassId.ROAD,
+    ClassId.SIDEWALK,
+    ClassId.PARKING,
+    ClassId.RAIL_TRACK,
+    ClassId.TERRAIN,
+    ClassId.CROSSWALK,
+    ClassId.GROUND,
+)
+_ROLE_OF_CLASS: Final = {
+    **{int(item): Role.GROUND for item in _GROUND},
+    **{int(item): Role.KERB for item in (ClassId.KERB, ClassId.LOWERED_KERB)},
+    **{int(item): Role.BUILDING for item in (ClassId.BUILDING, ClassId.WALL, ClassId.FENCE)},
+}
+
+
+class Engine:
+    """One PyBullet world without a window.
+
+    Args:
+        step_s: Fixed time step, 0.001 to 0.01 s.
+        solver_iterations: Upper bound of the constraint solver's iterations per step.
+
+    Raises:
+        PhysicsError: The step is out of bounds, or PyBullet gave no client.
+    """
+
+    def __init__(self, step_s: float, solver_iterations: int = 50) -> None:
+        if not 1 / 1000 <= step_s <= 1 / 100:
+            raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
+        if solver_iterations < 1:
+            raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
+        client = pybullet.connect(pybullet.DIRECT)
+        if client < 0:
+            raise PhysicsError("PyBullet gave no client; expected one: close other engines of this process first")
+        self.client: Final[int] = client
+        self.step_s: Final = step_s
+        self._open = True
+        self._tags: dict[int, BodyTag] = {}
+        self._rolling: set[int] = set()
+        pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=client)
+        pybullet.setTimeStep(step_s, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            numSolverIterations=solver_iterations,
+            deterministicOverlappingPairs=1,
+            contactBreakingThreshold=CONTACT_BREAKING_M,
+            enableFileCaching=0,
+            physicsClientId=client,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the client back; a second call does nothing."""
+        if self._open:
+            self._open = False
+            pybullet.disconnect(physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Advance by `step_s`."""
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def add_street(self, mesh: StreetMesh) -> None:
+        """Add everything that stands still: as few concave bodies per role as PyBullet's limits allow, friction 1.
+
+        Raises:
+            PhysicsError: The mesh holds numbers that are not finite or faces that point at no vertex.
+        """
+        vertices, faces = _checked(mesh)
+        role_by_class = np.array([_role_number(number) for number in range(256)])
+        face_role = role_by_class[mesh.face_class]
+        for number, role in enumerate(Role):
+            chosen = faces[face_role == number]
+            for soup in _street_parts(vertices, chosen):
+                self._add_soup(soup, role)
+
+    def add_static(self, vertices_W_m: F64, faces: npt.NDArray[np.integer], role: Role) -> int:
+        """Add one concave body of vertices (V, 3) and faces (F, 3) with friction 1; returns its id."""
+        return self._add_soup(Soup(vertices_m=np.asarray(vertices_W_m, np.float64), faces=np.asarray(faces)), role)
+
+    def _add_soup(self, soup: Soup, role: Role) -> int:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH,
+            vertices=soup.vertices_m.tolist(),
+            indices=soup.faces.ravel().tolist(),
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            physicsClientId=self.client,
+        )
+        body = self.add_body(shape, (0.0, 0.0, 0.0), BodyTag(role=role, kind=role.value))
+        pybullet.changeDynamics(
+            body,
+            -1,
+            lateralFriction=1.0,
+            rollingFriction=0.0,
+            spinningFriction=0.0,
+            collisionMargin=_STREET_MARGIN_M,
+            physicsClientId=self.client,
+        )
+        return body
+
+    def add_body(self, shape: int, position_m: tuple[float, float, float], tag: BodyTag) -> int:
+        """Make a mass-0 body of a collision shape and tag it; returns its id. Raises PhysicsError if it is refused."""
+        if shape < 0:
+            raise PhysicsError(f"PyBullet refused a collision shape for {tag.kind!r}; expected finite, positive sizes")
+        body: int = pybullet.createMultiBody(0.0, shape, basePosition=position_m, physicsClientId=self.client)
+        if body < 0:
+            raise PhysicsError(f"PyBullet refused a body for {tag.kind!r}; too many bodies, or no memory left")
+        self.tag(body, tag)
+        return body
+
+    def tag(self, body_id: int, tag: BodyTag) -> None:
+        """Say what a body is (again)."""
+        self._tags[body_id] = tag
+        if tag.role in (Role.GROUND, Role.KERB):
+            self._rolling.add(body_id)
+
+    def tag_of(self, body_id: int) -> BodyTag:
+        """What a body is. Raises PhysicsError for an id that was never told."""
+        try:
+            return self._tags[body_id]
+        except KeyError:
+            raise PhysicsError(f"body {body_id} is unknown; expected one made through this engine") from None
+
+    def role_of(self, body_id: int) -> Role:
+        """The role of a body. Raises PhysicsError for an id that was never told."""
+        return self.tag_of(body_id).role
+
+    @property
+    def rolling_ids(self) -> set[int]:
+        """Ids of the bodies that wheels are meant to touch: ground and kerbs."""
+        return self._rolling
+
+    def ray_down(self, points_W_m: F64) -> F64:
+        """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""
+        points = np.asarray(points_W_m, np.float64)
+        heights = np.full(len(points), -np.inf)
+        for start in range(0, len(points), MAX_RAYS):
+            part = points[start : start + MAX_RAYS]
+            above = np.c_[part[:, :2], np.full(len(part), _RAY_FROM_M)]
+            below = np.c_[part[:, :2], np.full(len(part), 0.5 * PARK_Z_M)]
+            hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
+            heights[start : start + MAX_RAYS] = [hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits]
+        return heights
+
+
+def _role_number(class_id: int) -> int:
+    return list(Role).index(_ROLE_OF_CLASS.get(class_id, Role.STATIC))
+
+
+def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
+    """Vertices (V, 3) float64 and faces (F, 3) int64 of a mesh whose numbers are sound."""
+    vertices = np.asarray(mesh.vertices_W_m, np.float64)
+    faces = np.asarray(mesh.faces, np.int64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise PhysicsError(f"street mesh has shapes {vertices.shape} and {faces.shape}; expected (V, 3) and (F, 3)")
+    if not np.isfinite(vertices).all():
+        raise PhysicsError("street mesh holds coordinates that are not finite; import the town again")
+    if len(mesh.face_class) != len(faces):
+        raise PhysicsError(f"street mesh has {len(mesh.face_class)} classes for {len(faces)} faces; expected one each")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise PhysicsError(f"street mesh has faces outside its {len(vertices)} vertices; import the town again")
+    return vertices, faces
+
+
+def _street_parts(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Iterator[Soup]:
+    if len(faces):
+        yield from split(tidy(vertices_m, faces))

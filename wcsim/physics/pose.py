@@ -1,0 +1,66 @@
+"""Rotations as nine plain floats, row by row: a substep is too short for arrays.
+
+Angles: yaw counter-clockwise, pitch nose up positive, roll right side down positive, turned in this order.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+Vec3 = tuple[float, float, float]
+Rotation = tuple[float, float, float, float, float, float, float, float, float]
+Quat = tuple[float, float, float, float]
+LEVEL: Final[Rotation] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def rotate(r: Rotation, x: float, y: float, z: float) -> Vec3:
+    """R times a vector."""
+    return (r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z)
+
+
+def rotate_back(r: Rotation, x: float, y: float, z: float) -> Vec3:
+    """R transposed times a vector."""
+    return (r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z)
+
+
+def added(a: Vec3, b: Vec3) -> Vec3:
+    """Sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
+    """Velocity of a point of a rigid body, from that of a known point and the angular velocity, all in one frame."""
+    x, y, z = point[0] - known[0], point[1] - known[1], point[2] - known[2]
+    wx, wy, wz = w
+    return (v_known[0] + wy * z - wz * y, v_known[1] + wz * x - wx * z, v_known[2] + wx * y - wy * x)
+
+
+def matrix(q: Quat) -> Rotation:
+    """Rotation matrix of a unit quaternion (x, y, z, w).
+
+    >>> matrix((0.0, 0.0, 0.0, 1.0))
+    (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    """
+    x, y, z, w = q
+    xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
+    xy, xz, yz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z
+    wx, wy, wz = 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
+    return (1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy)
+
+
+def euler(r: Rotation) -> tuple[float, float, float]:
+    """Roll, pitch (nose up positive) and yaw of a rotation, in radians."""
+    pitch = math.asin(min(max(r[6], -1.0), 1.0))
+    return math.atan2(r[7], r[8]), pitch, math.atan2(r[3], r[0])
+
+
+def quaternion(yaw_rad: float, pitch_rad: float = 0.0) -> Quat:
+    """Unit quaternion (x, y, z, w) of something that looks along yaw, nose up by pitch, not rolled.
+
+    >>> [round(part, 4) for part in quaternion(math.pi / 2)]
+    [0.0, 0.0, 0.7071, 0.7071]
+    """
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    return (sy * sp, 0.0 - cy * sp, sy * cp, cy * cp)

@@ -1,0 +1,1 @@
+"""Renderers of depth, class and colour over one geometry store."""

@@ -1,0 +1,77 @@
+"""What every renderer offers: draw the street and the actors of one moment into given buffers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.errors import ConfigError
+from wcsim.physics.renderer.instances import Instances
+from wcsim.types import F32, F64, U8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pinhole:
+    """An ideal camera; its axis goes through the middle of the image, pixel (u, v) is seen at (u + 0.5, v + 0.5)."""
+
+    width_px: int
+    height_px: int
+    focal_px: float
+    near_m: float
+    range_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Images:
+    """The buffers a renderer writes in place, C-contiguous and writable."""
+
+    depth_m: F32  # (H, W) distance along the optical axis, range_m where nothing is hit
+    class_id: U8  # (H, W) ClassId, SKY where nothing is hit
+    rgb: U8 | None = None  # (H, W, 3), drawn only when there is one
+
+
+class Renderer(Protocol):
+    """A renderer over one `GeometryStore`."""
+
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
+        """Draw into `out` what a camera sees.
+
+        Args:
+            camera: the camera; `out` must have its size.
+            T_CW: (3, 4) world to camera frame, x right, y down, z forward.
+            instances: the actors and wheelchairs to draw with the street.
+            out: the buffers, written in place.
+
+        Raises:
+            ConfigError: when a buffer has another size or type, or cannot be written.
+        """
+
+
+def new_images(width_px: int, height_px: int, rgb: bool) -> Images:
+    """Fresh buffers for a camera of this size."""
+    return Images(
+        depth_m=np.zeros((height_px, width_px), np.float32),
+        class_id=np.zeros((height_px, width_px), np.uint8),
+        rgb=np.zeros((height_px, width_px, 3), np.uint8) if rgb else None,
+    )
+
+
+def check_images(camera: Pinhole, out: Images) -> None:
+    """Raise ConfigError when `out` cannot take the images of `camera`."""
+    shape = (camera.height_px, camera.width_px)
+    _check("depth_m", out.depth_m, shape, np.dtype(np.float32))
+    _check("class_id", out.class_id, shape, np.dtype(np.uint8))
+    if out.rgb is not None:
+        _check("rgb", out.rgb, (*shape, 3), np.dtype(np.uint8))
+
+
+def _check(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    usable = bool(array.flags.carray)
+    if array.shape != shape or array.dtype != dtype or not usable:
+        raise ConfigError(
+            f"image buffer {name} is {array.dtype} {array.shape}, writable and C-contiguous: {usable}; "
+            f"expected a writable C-contiguous {dtype} {shape}: make it with new_images()"
+        )

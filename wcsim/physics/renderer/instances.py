@@ -1,0 +1,165 @@
+"""The moving things of one moment as rows of numbers: which model, where, how large, which colours."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.physics.renderer.kernels import place_models
+from wcsim.physics.renderer.templates import GAIT_PHASES, Template, template_of
+from wcsim.types import F64, I32, ActorKind, ActorState, PlantState
+
+U32 = npt.NDArray[np.uint32]
+
+STRIDE_M = 1.4  # two steps of a walking adult
+WALKING_MPS = 0.2  # slower than this, a pedestrian stands
+STANDING_PHASE = 1
+GAIT_HEADINGS = 16
+_TEMPLATES = {kind: int(template_of(kind)) for kind in ActorKind}
+
+# The box of a wheelchair with its user, seen from the body frame B (origin below the drive axle).
+CHAIR_BOX_CENTRE_B_M = (0.24, 0.0, 0.0)
+CHAIR_SIZE_LWH_M = (1.12, 0.62, 1.45)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instances:
+    """n placed models; each is turned by roll, then pitch (nose up), then yaw, and put at the middle of its foot."""
+
+    template: I32  # (n,) Template, for pedestrians plus the gait phase
+    p_W_m: F64  # (n, 3)
+    yaw_rad: F64  # (n,)
+    pitch_rad: F64  # (n,) nose up positive
+    roll_rad: F64  # (n,) left side up positive
+    scale_m: F64  # (n, 3) length, width, height
+    colour_seed: U32  # (n,)
+
+    def __len__(self) -> int:
+        return len(self.template)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChairPose:
+    """Where the wheelchair of a seat stands."""
+
+    seat: int
+    p_WB_m: F64  # (3,) below the middle of the drive axle
+    q_WB: F64  # (4,) x, y, z, w
+
+
+def chair_pose(seat: int, plant: PlantState) -> ChairPose:
+    """The pose of a seat's wheelchair for the cameras."""
+    return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB)
+
+
+def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ()) -> Instances:
+    """Models for the actors, in their order, and then for the chairs."""
+    return joined(actor_instances(actors), chair_instances(chairs))
+
+
+def actor_instances(actors: Sequence[ActorState]) -> Instances:
+    """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint."""
+    seed = np.array([zlib.crc32(actor.id.encode()) for actor in actors], np.uint32)
+    p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
+    yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
+    template = np.array([_TEMPLATES[actor.kind] for actor in actors], np.int32)
+    walks = template == Template.PEDESTRIAN
+    speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])
+    template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks])
+    return Instances(
+        template=template,
+        p_W_m=p_W_m,
+        yaw_rad=yaw_rad,
+        pitch_rad=np.array([actor.pitch_rad for actor in actors], np.float64),
+        roll_rad=np.zeros(len(actors)),
+        scale_m=np.array([actor.size_lwh_m for actor in actors], np.float64).reshape(-1, 3),
+        colour_seed=seed,
+    )
+
+
+def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
+    """Models for the wheelchairs of other seats."""
+    turns = [rotation_of(chair.q_WB) for chair in chairs]
+    places = [chair.p_WB_m + R_WB @ CHAIR_BOX_CENTRE_B_M for chair, R_WB in zip(chairs, turns, strict=True)]
+    return Instances(
+        template=np.full(len(chairs), Template.WHEELCHAIR, np.int32),
+        p_W_m=np.array(places, np.float64).reshape(-1, 3),
+        yaw_rad=np.array([math.atan2(R[1, 0], R[0, 0]) for R in turns], np.float64),
+        pitch_rad=np.array([math.asin(min(1.0, max(-1.0, R[2, 0]))) for R in turns], np.float64),
+        roll_rad=np.array([math.atan2(R[2, 1], R[2, 2]) for R in turns], np.float64),
+        scale_m=np.tile(CHAIR_SIZE_LWH_M, (len(chairs), 1)).astype(np.float64),
+        colour_seed=np.array([zlib.crc32(b"chair %d" % chair.seat) for chair in chairs], np.uint32),
+    )
+
+
+def joined(first: Instances, second: Instances) -> Instances:
+    """The rows of both."""
+    if len(second) == 0:
+        return first
+    if len(first) == 0:
+        return second
+    return Instances(
+        template=np.concatenate([first.template, second.template]),
+        p_W_m=np.concatenate([first.p_W_m, second.p_W_m]),
+        yaw_rad=np.concatenate([first.yaw_rad, second.yaw_rad]),
+        pitch_rad=np.concatenate([first.pitch_rad, second.pitch_rad]),
+        roll_rad=np.concatenate([first.roll_rad, second.roll_rad]),
+        scale_m=np.concatenate([first.scale_m, second.scale_m]),
+        colour_seed=np.concatenate([first.colour_seed, second.colour_seed]),
+    )
+
+
+def transforms(instances: Instances) -> F64:
+    """Unit model box to world, (n, 3, 4) float64: turn, size and place of every instance."""
+    T_WM = np.empty((len(instances), 3, 4))
+    place_models(
+        instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM
+    )
+    return T_WM
+
+
+def rotation_of(q: F64) -> F64:
+    """Rotation matrix (3, 3) of a quaternion (4,) x, y, z, w of any length but zero."""
+    x, y, z, w = np.asarray(q, np.float64) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rotation_quaternion(yaw_rad: float, pitch_rad: float, roll_rad: float) -> list[float]:
+    """Quaternion x, y, z, w of roll, then pitch (nose up), then yaw."""
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    cp, sp = math.cos(-0.5 * pitch_rad), math.sin(-0.5 * pitch_rad)
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    return [
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+        cy * cp * cr + sy * sp * sr,
+    ]
+
+
+def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32) -> I32:
+    """Phase (n,) in 0..3 of each walker's step, from the place (n, 3) alone: one snapshot always gives one picture.
+
+    The distance walked is read off along the nearest of 16 headings: a walker who turns a little does not skip phases.
+    The seed lets people out of step.
+    """
+    heading = np.rint(yaw_rad * (GAIT_HEADINGS / (2 * np.pi))) % GAIT_HEADINGS * (2 * np.pi / GAIT_HEADINGS)
+    walked_m = p_W_m[:, 0] * np.cos(heading) + p_W_m[:, 1] * np.sin(heading)
+    steps = np.floor((walked_m / STRIDE_M + (seed & 255) / 256.0) * GAIT_PHASES)
+    return np.where(speed_mps < WALKING_MPS, STANDING_PHASE, steps % GAIT_PHASES).astype(np.int32)
+
+
+def _rows(vectors: Sequence[F64]) -> F64:
+    """Vectors (3,) as the rows of one array (n, 3)."""
+    return np.concatenate([*vectors, np.zeros(0)]).reshape(-1, 3)

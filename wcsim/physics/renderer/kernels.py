@@ -1,0 +1,367 @@
+"""The rasteriser's compiled code: cull, transform, clip at the near plane, fill spans of 1/z, class and face.
+
+All that `draw` calls is in this file because numba, when it decides whether its machine code on disk is still good,
+looks only at the time stamp of the file of the kernel that is called.
+
+Camera frame: x right, y down, z forward. While a picture is drawn the depth buffer holds 1/z (0 = nothing); the word
+buffer, there for colour pictures only, holds a face's number in the street, or with bit 31 set a plain colour.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.physics.renderer.jit import kernel
+from wcsim.types import F32, F64, I32, U8
+
+U32Array = npt.NDArray[np.uint32]
+Word = np.uint32 | int
+
+COLOURED = np.uint32(0x80000000)
+SKY_ID = np.uint8(23)
+BUCKETS = 256
+OUT = np.float32(-1e30)  # the depth of what is out of view
+PLAIN, STRIPES, WINDOWS = 0, 1, 2  # how a face of the street is patterned
+
+
+class StreetArrays(NamedTuple):
+    """The standing street, see `GeometryStore`."""
+
+    vertices: F32
+    faces: I32
+    face_class: U8
+    chunk_vertices: I32
+    chunk_faces: I32
+    spheres: F32
+    rgb: U32Array  # (F,) packed
+    pattern: U8
+    frame: F32
+
+
+class ModelArrays(NamedTuple):
+    """The actor templates, see `ActorTemplates`, and their paints (paints, variants, 3)."""
+
+    vertices: F32
+    faces: I32
+    face_class: U8
+    face_paint: U8
+    vertices_of: I32
+    faces_of: I32
+    paints: F32
+
+
+class InstanceArrays(NamedTuple):
+    """The actors, see `Instances`."""
+
+    template: I32
+    p_W_m: F64
+    yaw_rad: F64
+    pitch_rad: F64
+    roll_rad: F64
+    scale_m: F64
+    colour_seed: U32Array
+
+
+class View(NamedTuple):
+    """A camera."""
+
+    T_CW: F64  # (3, 4)
+    T_WC: F64  # (3, 4)
+    focal_px: float
+    near_m: float
+    range_m: float
+    sun_C: F64  # (3,)
+    light: F64  # (8,) ambient, diffuse, horizon rgb, zenith rgb
+
+
+class Target(NamedTuple):
+    """The buffers of one picture."""
+
+    inverse_z: F32  # (H, W), becomes the depth
+    class_id: U8  # (H, W)
+    words: U32Array  # (H, W), or (0, 0) when no colours are drawn
+
+
+@kernel
+def fill(
+    x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
+    class_id: int, word: Word, out: Target,
+) -> None:
+    """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
+    height, width = out.inverse_z.shape
+    if min(y0, y1, y2) > height - 0.5 or max(y0, y1, y2) < 0.5:
+        return
+    if min(x0, x1, x2) > width - 0.5 or max(x0, x1, x2) < 0.5:
+        return
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    if abs(area) < 1e-12:
+        return
+    slope_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
+    slope_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
+    origin = w0 - slope_x * x0 - slope_y * y0
+    if y1 < y0:
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    if y2 < y0:
+        x0, y0, x2, y2 = x2, y2, x0, y0
+    if y2 < y1:
+        x1, y1, x2, y2 = x2, y2, x1, y1
+    first_row = max(0, int(np.ceil(y0 - 0.5)))
+    last_row = min(height - 1, int(np.ceil(y2 - 0.5)) - 1)
+    long_edge = (x2 - x0) / (y2 - y0)
+    upper_edge = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
+    lower_edge = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
+    step = np.float32(slope_x)
+    painted = out.words.shape[0] > 0
+    for row in range(first_row, last_row + 1):
+        y = row + 0.5
+        xa = x0 + (y - y0) * long_edge
+        xb = x0 + (y - y0) * upper_edge if y < y1 else x1 + (y - y1) * lower_edge
+        start = int(np.ceil(max(min(xa, xb), 0.0) - 0.5))
+        end = int(np.ceil(min(max(xa, xb), float(width)) - 0.5))
+        if end <= start:
+            continue
+        w_start = np.float32(slope_x * (start + 0.5) + slope_y * y + origin)
+        w_row = out.inverse_z[row]
+        class_row = out.class_id[row]
+        if painted:
+            word_row = out.words[row]
+            for i in range(start, end):
+                w = w_start + step * np.float32(i - start)
+                if w > w_row[i]:
+                    w_row[i] = w
+                    class_row[i] = class_id
+                    word_row[i] = word
+        else:
+            for i in range(start, end):
+                w = w_start + step * np.float32(i - start)
+                if w > w_row[i]:
+                    w_row[i] = w
+                    class_row[i] = class_id
+
+
+@kernel
+def clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
+    """Cut the triangle of the points a, b, c of p (camera frame) at the near plane and fill what is in front of it."""
+    height, width = out.inverse_z.shape
+    f, near, cx, cy = view.focal_px, view.near_m, 0.5 * width, 0.5 * height
+    behind = int(p[a, 2] < near) + int(p[b, 2] < near) + int(p[c, 2] < near)
+    if behind == 0:
+        wa, wb, wc = 1.0 / p[a, 2], 1.0 / p[b, 2], 1.0 / p[c, 2]
+        fill(
+            p[a, 0] * f * wa + cx, p[a, 1] * f * wa + cy, wa, p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, wb,
+            p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy, wc, class_id, word, out,
+        )  # fmt: skip
+        return
+    if behind == 3:
+        return
+    # Turn the corners so that the odd one (alone on its side of the plane) comes first.
+    odd_behind = behind == 1
+    if (p[b, 2] < near) == odd_behind:
+        a, b, c = b, c, a
+    elif (p[c, 2] < near) == odd_behind:
+        a, b, c = c, a, b
+    ax, ay, az = np.float64(p[a, 0]), np.float64(p[a, 1]), np.float64(p[a, 2])
+    t, s = (near - az) / (p[b, 2] - az), (near - az) / (p[c, 2] - az)
+    wn = 1.0 / near
+    px, py = (ax + t * (p[b, 0] - ax)) * f * wn + cx, (ay + t * (p[b, 1] - ay)) * f * wn + cy
+    qx, qy = (ax + s * (p[c, 0] - ax)) * f * wn + cx, (ay + s * (p[c, 1] - ay)) * f * wn + cy
+    if odd_behind:
+        wb, wc = 1.0 / p[b, 2], 1.0 / p[c, 2]
+        bx, by, dx, dy = p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy
+        fill(px, py, wn, bx, by, wb, dx, dy, wc, class_id, word, out)
+        fill(px, py, wn, dx, dy, wc, qx, qy, wn, class_id, word, out)
+    else:
+        wa = 1.0 / az
+        fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, out)
+
+
+@kernel
+def to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
+    """Transform vertices first:end into the first rows of `out`."""
+    for i in range(first, end):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        for k in range(3):
+            out[i - first, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+
+
+@kernel
+def draw_chunk(street: StreetArrays, chunk: int, view: View, scratch: F32, out: Target) -> None:
+    """Draw one chunk of the street."""
+    to_camera(street.vertices, street.chunk_vertices[chunk], street.chunk_vertices[chunk + 1], view.T_CW, scratch)
+    for face in range(street.chunk_faces[chunk], street.chunk_faces[chunk + 1]):
+        a, b, c = street.faces[face, 0], street.faces[face, 1], street.faces[face, 2]
+        az, bz, cz = scratch[a, 2], scratch[b, 2], scratch[c, 2]
+        if min(az, bz, cz) > view.range_m or max(az, bz, cz) < view.near_m:
+            continue
+        clip_and_fill(scratch, a, b, c, street.face_class[face], face, view, out)
+
+
+@kernel
+def draw_model(
+    models: ModelArrays, t: int, seed: int, T_CM: F64, solid: bool, view: View, scratch: F32, out: Target
+) -> None:
+    """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped."""
+    painted = out.words.shape[0] > 0
+    to_camera(models.vertices, models.vertices_of[t], models.vertices_of[t + 1], T_CM, scratch)
+    for face in range(models.faces_of[t], models.faces_of[t + 1]):
+        a, b, c = models.faces[face, 0], models.faces[face, 1], models.faces[face, 2]
+        ax, ay, az = scratch[a, 0], scratch[a, 1], scratch[a, 2]
+        ux, uy, uz = scratch[b, 0] - ax, scratch[b, 1] - ay, scratch[b, 2] - az
+        vx, vy, vz = scratch[c, 0] - ax, scratch[c, 1] - ay, scratch[c, 2] - az
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        if solid and nx * ax + ny * ay + nz * az >= 0.0:
+            continue
+        word = np.uint32(0)
+        if painted:
+            length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+            lit = (nx * view.sun_C[0] + ny * view.sun_C[1] + nz * view.sun_C[2]) / length
+            shade = view.light[0] + view.light[1] * max(lit, 0.0)
+            paint = models.face_paint[face]
+            variant = ((seed ^ (seed >> 9)) >> (paint * 2)) & (models.paints.shape[1] - 1)
+            word = COLOURED
+            for k in range(3):
+                word |= np.uint32(min(models.paints[paint, variant, k] * shade, 255.0)) << np.uint32(8 * k)
+        clip_and_fill(scratch, a, b, c, models.face_class[face], word, view, out)
+
+
+@kernel
+def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: F64) -> None:
+    """Unit model box to world: T_WM (n, 3, 4) = place . yaw . pitch (nose up) . roll . size."""
+    for i in range(len(yaw)):
+        cy, sy, cp, sp = np.cos(yaw[i]), np.sin(yaw[i]), np.cos(pitch[i]), np.sin(pitch[i])
+        cr, sr = np.cos(roll[i]), np.sin(roll[i])
+        T = T_WM[i]
+        T[0, 0], T[0, 1], T[0, 2] = cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr
+        T[1, 0], T[1, 1], T[1, 2] = sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr
+        T[2, 0], T[2, 1], T[2, 2] = sp, cp * sr, cp * cr
+        for row in range(3):
+            for k in range(3):
+                T[row, k] *= scale[i, k]
+            T[row, 3] = p_W_m[i, row]
+
+
+@kernel
+def half_diagonal(T: F64) -> float:
+    """Half the diagonal of a placed model's box, with room for rounding; T (3, 4) its place."""
+    total = 0.0
+    for row in range(3):
+        for k in range(3):
+            total += T[row, k] * T[row, k]
+    return float(0.5001 * np.sqrt(total) + 1e-3)
+
+
+@kernel
+def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
+    """Depth of the middle of each ball (n, 4: x, y, z of W, radius), or OUT where the whole ball is out of view."""
+    t0, t1, t2, t3 = view.T_CW[2, 0], view.T_CW[2, 1], view.T_CW[2, 2], view.T_CW[2, 3]
+    r0, r1, r2, r3 = view.T_CW[0, 0], view.T_CW[0, 1], view.T_CW[0, 2], view.T_CW[0, 3]
+    d0, d1, d2, d3 = view.T_CW[1, 0], view.T_CW[1, 1], view.T_CW[1, 2], view.T_CW[1, 3]
+    kx, ky = 0.5 * width / view.focal_px, 0.5 * height / view.focal_px
+    grow_x, grow_y = np.sqrt(1.0 + kx * kx), np.sqrt(1.0 + ky * ky)
+    near, far = view.near_m, view.range_m
+    for i in range(len(balls)):
+        x, y, z, radius = balls[i, 0], balls[i, 1], balls[i, 2], balls[i, 3]
+        ahead = t0 * x + t1 * y + t2 * z + t3
+        depth[i] = OUT
+        if ahead + radius < near or ahead - radius > far:
+            continue
+        right = abs(r0 * x + r1 * y + r2 * z + r3)
+        down = abs(d0 * x + d1 * y + d2 * z + d3)
+        if right - kx * ahead <= radius * grow_x and down - ky * ahead <= radius * grow_y:
+            depth[i] = ahead
+
+
+@kernel
+def near_first(depth: F32, range_m: float, order: I32) -> int:
+    """Write the numbers of what is not OUT into `order`, near ones first to 1/BUCKETS of the range; how many."""
+    starts = np.zeros(BUCKETS + 1, np.int32)
+    scale = BUCKETS / range_m
+    for i in range(len(depth)):
+        if depth[i] > OUT:
+            starts[1 + min(max(int(depth[i] * scale), 0), BUCKETS - 1)] += 1
+    for k in range(BUCKETS):
+        starts[k + 1] += starts[k]
+    count = int(starts[BUCKETS])
+    for i in range(len(depth)):
+        if depth[i] > OUT:
+            bucket = min(max(int(depth[i] * scale), 0), BUCKETS - 1)
+            order[starts[bucket]] = i
+            starts[bucket] += 1
+    return count
+
+
+@kernel
+def visible(street: StreetArrays, T_WM: F64, view: View, width: int, height: int, culling: bool, order: I32) -> int:
+    """Write what may be seen into `order`, near ones first: chunks as c, actors as chunks + i; returns how many."""
+    chunks, n = len(street.spheres), len(T_WM)
+    depth = np.zeros(chunks + n, np.float32)
+    if culling:
+        balls = np.empty((n, 4), np.float32)
+        for i in range(n):
+            for row in range(3):
+                balls[i, row] = T_WM[i, row, 3] + 0.5 * T_WM[i, row, 2]
+            balls[i, 3] = half_diagonal(T_WM[i])
+        cull(street.spheres, view, width, height, depth[:chunks])
+        cull(balls, view, width, height, depth[chunks:])
+    return near_first(depth, view.range_m, order)
+
+
+@kernel
+def draw(
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, out: Target
+) -> None:
+    """Draw a whole picture: depth and class, and words when there is a buffer for them."""
+    height, width = out.inverse_z.shape
+    out.inverse_z[:] = 0.0
+    out.class_id[:] = SKY_ID
+    chunks, n = len(street.spheres), len(actors.template)
+    T_WM = np.empty((n, 3, 4))
+    place_models(actors.p_W_m, actors.yaw_rad, actors.pitch_rad, actors.roll_rad, actors.scale_m, T_WM)
+    order = np.empty(chunks + n, np.int32)
+    count = visible(street, T_WM, view, width, height, culling, order)
+    size = 1
+    for k in range(count):
+        i = order[k]
+        if i < chunks:
+            size = max(size, street.chunk_vertices[i + 1] - street.chunk_vertices[i])
+        else:
+            t = actors.template[i - chunks]
+            size = max(size, models.vertices_of[t + 1] - models.vertices_of[t])
+    scratch = np.empty((size, 3), np.float32)
+    T_CM = np.empty((3, 4))
+    for k in range(count):
+        i = order[k]
+        if i < chunks:
+            draw_chunk(street, i, view, scratch, out)
+            continue
+        i -= chunks
+        T = T_WM[i]
+        for row in range(3):
+            for column in range(4):
+                total = view.T_CW[row, 3] if column == 3 else 0.0
+                for j in range(3):
+                    total += view.T_CW[row, j] * T[j, column]
+                T_CM[row, column] = total
+        away = 0.0
+        for row in range(3):
+            away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
+        solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
+        draw_model(models, actors.template[i], actors.colour_seed[i], T_CM, solid, view, scratch, out)
+    finish(view, out)
+
+
+@kernel
+def finish(view: View, out: Target) -> None:
+    """Turn 1/z into depth; what lies beyond the range is sky."""
+    height, width = out.inverse_z.shape
+    limit, far = np.float32(1.0 / view.range_m), np.float32(view.range_m)
+    for row in range(height):
+        w_row, class_row = out.inverse_z[row], out.class_id[row]
+        for i in range(width):
+            w = w_row[i]
+            inside = w > limit
+            w_row[i] = np.float32(1.0) / w if inside else far
+            class_row[i] = class_row[i] if inside else SKY_ID

@@ -1,0 +1,84 @@
+"""What the pieces of an actor's model are made of, and the human figure that walks, rides and sits in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wcsim.physics.renderer.paint import Paint
+from wcsim.physics.renderer.shapes import Part, Point, ball, barrel, box, limb
+from wcsim.types import ClassId
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of a model with its class and paint; faces that look towards `top_along` take the paint `top`."""
+
+    part: Part
+    class_id: ClassId
+    paint: Paint
+    top: Paint | None = None
+    top_along: Point = (0.0, 0.0, 1.0)  # unit vector
+    top_from: float = 0.9  # least cosine between a face's normal and it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posture:
+    """Where the joints of a figure are, metres; left first, feet point along x."""
+
+    hip: Point  # middle of the pelvis
+    lean_m: float  # how far the shoulders are ahead of the hip
+    hands: tuple[Point, Point]
+    knees: tuple[Point, Point]
+    ankles: tuple[Point, Point]
+
+
+TORSO_M = 0.56  # hip to shoulders
+HEAD_M = 0.19  # shoulders to the middle of the head
+HAIR_ALONG = (-0.6, 0.0, 0.8)
+
+
+def figure(posture: Posture, class_id: ClassId, helmet: bool = False) -> list[Piece]:
+    """A person of about 1.75 m in a posture, 196 triangles."""
+    hip_x, _, hip_z = posture.hip
+    shoulder_x, shoulder_z = hip_x + posture.lean_m, hip_z + TORSO_M
+    torso = barrel(hip_z - 0.06, shoulder_z, (0.105, 0.155), (0.085, 0.185), hip_x, posture.lean_m)
+    head = ball((shoulder_x + 0.02, 0.0, shoulder_z + HEAD_M), (0.105, 0.085, 0.135))
+    chin = (shoulder_x + 0.01, 0.0, shoulder_z + HEAD_M - 0.06)
+    neck = limb((shoulder_x, 0.0, shoulder_z - 0.01), chin, 0.07, 0.05, sides=4)
+    cap = Paint.BODY if helmet else Paint.HAIR
+    pieces = [
+        Piece(torso, class_id, Paint.SHIRT),
+        Piece(neck, class_id, Paint.SKIN),
+        Piece(head, class_id, Paint.SKIN, top=cap, top_along=HAIR_ALONG, top_from=0.1),
+    ]
+    for side, hand, knee, ankle in zip((1.0, -1.0), posture.hands, posture.knees, posture.ankles, strict=True):
+        shoulder = (shoulder_x, 0.2 * side, shoulder_z - 0.06)
+        pieces.append(Piece(limb(shoulder, hand, 0.058, 0.04), class_id, Paint.SHIRT))
+        pieces.append(Piece(limb((hip_x, 0.09 * side, hip_z), knee, 0.085, 0.062), class_id, Paint.TROUSERS))
+        pieces.append(Piece(limb(knee, ankle, 0.062, 0.045), class_id, Paint.TROUSERS))
+        x, y, z = ankle
+        pieces.append(Piece(box((x - 0.07, y - 0.045, z - 0.07), (x + 0.15, y + 0.045, z)), class_id, Paint.SHOE))
+    return pieces
+
+
+def walker(phase: int) -> list[Piece]:
+    """A pedestrian in one of four phases of a step: left foot ahead, right swings, right foot ahead, left swings."""
+    left_ahead = phase in (0, 3)
+    if phase % 2 == 0:
+        fore = ((0.05, 0.42), (0.07, 0.07))  # knee and ankle (x, z) of the leg ahead
+        back = ((0.03, 0.43), (-0.10, 0.10))
+        reach = 0.15
+    else:
+        fore = ((0.02, 0.44), (-0.02, 0.07))  # the standing leg
+        back = ((0.09, 0.47), (-0.06, 0.16))  # the swinging one
+        reach = 0.04
+    left, right = (fore, back) if left_ahead else (back, fore)
+    swing = -reach if left_ahead else reach  # arms swing against the legs
+    posture = Posture(
+        hip=(0.0, 0.0, 0.88),
+        lean_m=0.02,
+        hands=((0.02 + swing, 0.235, 0.80), (0.02 - swing, -0.235, 0.80)),
+        knees=((left[0][0], 0.10, left[0][1]), (right[0][0], -0.10, right[0][1])),
+        ankles=((left[1][0], 0.10, left[1][1]), (right[1][0], -0.10, right[1][1])),
+    )
+    return figure(posture, ClassId.PERSON)

@@ -1,0 +1,86 @@
+"""The compiled second pass of a colour picture: from face numbers and depth to shaded, patterned, hazy colours.
+
+Nothing here is called by another kernel, see `kernels`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wcsim.physics.renderer.jit import kernel
+from wcsim.physics.renderer.kernels import COLOURED, PLAIN, STRIPES, StreetArrays, U32Array, View
+from wcsim.types import F32, U8
+
+# Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
+HALF = np.float32(0.5)
+PER_STOREY = np.float32(1 / 3.2)
+WINDOW_HALF, WINDOW_MIDDLE = np.float32(0.225), np.float32(0.53)
+SKY_STEPS = 255
+SKY_GROWTH = np.float32(1.8 * SKY_STEPS)
+CLEAR = np.float32(0.2)  # share of the range from which on there is haze, up to 160/256 at its end
+HAZE_GROWTH = np.float32(160.0 / 0.64)
+FULL, EVEN, LOW, HIGH = np.uint32(256), np.uint32(0xFF00FF), np.uint32(0xFF), np.uint32(0xFF00)
+BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
+NO_WORD = np.uint32(0)
+STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
+WINDOW_WORD = np.uint32(0x6C5C4E)
+
+
+@kernel
+def overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np.uint32:
+    """The colour word that a face's pattern puts over its own colour at a point of W, or 0."""
+    bay = x * street.frame[face, 0] + y * street.frame[face, 1] - street.frame[face, 2]
+    if street.pattern[face] == STRIPES:
+        return STRIPE_WORD if bay - np.floor(bay) < HALF else NO_WORD
+    storey = (z - street.frame[face, 3]) * PER_STOREY
+    beside = abs(bay - np.floor(bay) - HALF)
+    above = abs(storey - np.floor(storey) - WINDOW_MIDDLE)
+    return WINDOW_WORD if beside < WINDOW_HALF and above < WINDOW_HALF else NO_WORD
+
+
+@kernel
+def sky_ramp(view: View) -> U8:
+    """Colours (SKY_STEPS + 1, 3) of the sky from the horizon up."""
+    ramp = np.empty((SKY_STEPS + 1, 3), np.uint8)
+    for i in range(SKY_STEPS + 1):
+        for k in range(3):
+            ramp[i, k] = np.uint8(view.light[2 + k] + i * (view.light[5 + k] - view.light[2 + k]) / SKY_STEPS)
+    return ramp
+
+
+@kernel
+def colour(street: StreetArrays, view: View, depth_m: F32, words: U32Array, rgb: U8) -> None:
+    """Write the shaded picture (H, W, 3) from words and depth: faces with their patterns, actors, haze, sky."""
+    height, width = depth_m.shape
+    far, limit = np.float32(view.range_m), np.float32(1.0 / view.range_m)
+    left, step = np.float32(0.5 - 0.5 * width), np.float32(1.0 / view.focal_px)
+    clear_m = CLEAR * far
+    fog_even = np.uint32(int(view.light[2]) | int(view.light[4]) << 16)
+    fog_green = np.uint32(view.light[3])
+    T = view.T_WC.astype(np.float32)
+    ramp = sky_ramp(view)
+    for row in range(height):
+        v = np.float32((row + 0.5 - 0.5 * height) / view.focal_px)
+        ray_x, ray_y, ray_z = T[0, 1] * v + T[0, 2], T[1, 1] * v + T[1, 2], T[2, 1] * v + T[2, 2]
+        for i in range(width):
+            u = (np.float32(i) + left) * step
+            z = depth_m[row, i]
+            if z >= far:
+                rise = min(max(int(SKY_GROWTH * (T[2, 0] * u + ray_z)), 0), SKY_STEPS)
+                rgb[row, i, 0], rgb[row, i, 1], rgb[row, i, 2] = ramp[rise, 0], ramp[rise, 1], ramp[rise, 2]
+                continue
+            word = words[row, i]
+            if not word & COLOURED:
+                face, word = word, street.rgb[word]
+                if street.pattern[face] != PLAIN:
+                    x, y = T[0, 3] + z * (T[0, 0] * u + ray_x), T[1, 3] + z * (T[1, 0] * u + ray_y)
+                    word = overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
+            if z > clear_m:
+                share = z * limit - CLEAR
+                haze = np.uint32(HAZE_GROWTH * share * share)
+                even = ((word & EVEN) * (FULL - haze) + fog_even * haze) >> BYTE & EVEN  # red and blue at once
+                green = ((word >> BYTE & LOW) * (FULL - haze) + fog_green * haze) & HIGH
+                word = even | green
+            rgb[row, i, 0] = word & LOW
+            rgb[row, i, 1] = word >> BYTE & LOW
+            rgb[row, i, 2] = word >> TWO_BYTES & LOW

@@ -1,0 +1,123 @@
+"""Convex primitives in metres, from which the models of the actors are put together.
+
+Every primitive is closed and its faces are counter-clockwise seen from outside: the rasteriser may skip back faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.types import F64
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One closed convex piece (or a flat decal) of a model."""
+
+    vertices_m: F64  # (V, 3)
+    faces: npt.NDArray[np.int64]  # (T, 3) indices into vertices_m, counter-clockwise seen from outside
+
+
+def box(low: Point, high: Point, top: float = 1.0) -> Part:
+    """A box between two corners; `top` shrinks its upper face about its middle (1 = straight walls)."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    lower = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)]
+    upper = [(cx + top * (x - cx), cy + top * (y - cy), z1) for x, y, _ in lower]
+    return _between_rings(lower, upper)
+
+
+def prism(profile_xz: Sequence[tuple[float, float]], half_width: float, taper: float = 1.0) -> Part:
+    """A convex profile in the x-z plane, pushed out along y to +-half_width; `taper` narrows what lies highest."""
+    heights = [z for _, z in profile_xz]
+    low, high = min(heights), max(heights)
+
+    def half(z: float) -> float:
+        return half_width * (1.0 + (taper - 1.0) * (z - low) / (high - low))
+
+    right = [(x, -half(z), z) for x, z in profile_xz]
+    left = [(x, half(z), z) for x, z in profile_xz]
+    return _between_rings(right, left)
+
+
+def wheel(x: float, y: float, radius: float, width: float, sides: int) -> Part:
+    """A wheel that stands on the ground at (x, y), axle along y."""
+    turn = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
+    grow = 1.0 / np.cos(np.pi / sides)  # the polygon's flat sides, not its corners, stand on the ground
+    ring = [(x + grow * radius * np.cos(a), radius * (1.0 + grow * np.sin(a))) for a in turn]
+    right = [(px, y - 0.5 * width, max(pz, 0.0)) for px, pz in ring]
+    left = [(px, y + 0.5 * width, max(pz, 0.0)) for px, pz in ring]
+    return _between_rings(right, left)
+
+
+def limb(start: Point, end: Point, start_radius: float, end_radius: float, sides: int = 5) -> Part:
+    """A tapered rod between two points: arms, legs, tubes of a frame."""
+    a, b = np.array(start), np.array(end)
+    axis = (b - a) / np.linalg.norm(b - a)
+    side = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    turns = 2.0 * np.pi * np.arange(sides) / sides
+    around = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), other)
+    return _between_rings(a + start_radius * around, b + end_radius * around)
+
+
+def barrel(
+    low_z: float, high_z: float, low: tuple[float, float], high: tuple[float, float], x: float = 0.0, lean: float = 0.0
+) -> Part:
+    """An eight-sided trunk; `low` and `high` are half axes (x, y) of its ends, `lean` shifts the upper one in x."""
+    turns = 2.0 * np.pi * (np.arange(8) + 0.5) / 8
+    ring = np.c_[np.cos(turns), np.sin(turns)] / np.cos(np.pi / 8)
+    lower = np.c_[x + low[0] * ring[:, 0], low[1] * ring[:, 1], np.full(8, low_z)]
+    upper = np.c_[x + lean + high[0] * ring[:, 0], high[1] * ring[:, 1], np.full(8, high_z)]
+    return _between_rings(lower, upper)
+
+
+def ball(centre: Point, half_axes: Point, around: int = 6, rings: int = 3) -> Part:
+    """An ellipsoid of `rings` rings between two poles."""
+    turns = 2.0 * np.pi * np.arange(around) / around
+    tilts = np.pi * (np.arange(rings) + 1) / (rings + 1)
+    unit = [(np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)) for t in tilts for a in turns]
+    unit += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
+    top, bottom = around * rings, around * rings + 1
+    faces = []
+    for i in range(around):
+        j = (i + 1) % around
+        faces += [(top, i, j), (bottom, around * (rings - 1) + j, around * (rings - 1) + i)]
+        for ring in range(rings - 1):
+            p, q = around * ring, around * (ring + 1)
+            faces += [(p + i, q + i, q + j), (p + i, q + j, p + j)]
+    return _outward(np.array(unit) * half_axes + np.array(centre), faces)
+
+
+def decal(corners: Sequence[Point]) -> Part:
+    """A flat rectangle on the skin of a model, four corners counter-clockwise seen from outside."""
+    return Part(np.array(corners, np.float64), np.array([(0, 1, 2), (0, 2, 3)], np.int64))
+
+
+def _between_rings(first: Any, second: Any) -> Part:
+    """The hull between two convex rings of as many corners."""
+    n = len(first)
+    faces = []
+    for i in range(n):
+        j = (i + 1) % n
+        faces += [(i, j, n + j), (i, n + j, n + i)]
+    for i in range(1, n - 1):
+        faces += [(0, i, i + 1), (n, n + i, n + i + 1)]
+    return _outward(np.concatenate([np.asarray(first, np.float64), np.asarray(second, np.float64)]), faces)
+
+
+def _outward(vertices: F64, faces: Sequence[tuple[int, int, int]]) -> Part:
+    """Turn every face of a convex piece so that its normal points away from the middle."""
+    index = np.array(faces, np.int64)
+    a, b, c = (vertices[index[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0 - vertices.mean(axis=0)) < 0.0
+    index[inward] = index[inward][:, [0, 2, 1]]
+    return Part(vertices, index)

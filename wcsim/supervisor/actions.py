@@ -1,0 +1,74 @@
+"""The joystick positions that an agent can choose: points of a lattice of step 0.25 (x right, y forward).
+
+`square81` is the paper's grid. `disc69` keeps the lattice cells that meet the unit disc, which is all that a joystick
+in a round gate can reach. The 49 lattice points inside the disc would not do: more than a third of the directions of a
+full push would have no point within 0.1768, the largest distance that still earns the reward for following.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.errors import ConfigError
+from wcsim.types import F32, F64
+
+STEP = 0.25
+HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
+DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
+MAX_DISTANCE = 2.0  # the largest distance within a round gate; a corner of the square counts as this far
+NAMES = ("square81", "disc69")
+
+I64 = np.typing.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionSet:
+    """A discrete set of joystick positions; an action is an index into `points`."""
+
+    name: str
+    points: F64  # (A, 2) x, y in [-1, 1]
+    mirror: I64  # (A,) index of the same position with x -> -x
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def nearest(self, joystick_xy: Sequence[float] | F32 | F64) -> int:
+        """The action nearest to a joystick position (2,); of two equally near ones the lower index."""
+        return int(self.nearest_many(np.asarray(joystick_xy, dtype=np.float64)[None])[0])
+
+    def nearest_many(self, joysticks_xy: F32 | F64) -> I64:
+        """The same for many positions, (N, 2) -> (N,)."""
+        return np.asarray(np.argmin(self._squared(joysticks_xy), axis=1), dtype=np.int64)
+
+    def distance(self, action: int, joystick_xy: Sequence[float] | F32 | F64) -> float:
+        """Distance between an action's position and a joystick position, at most 2 (Table 1 of the paper)."""
+        dx, dy = self.points[action] - np.asarray(joystick_xy, dtype=np.float64)
+        return min(float(np.hypot(dx, dy)), MAX_DISTANCE)
+
+    def distances(self, joysticks_xy: F32 | F64) -> F64:
+        """Distances of every action to every position, (N, 2) -> (N, A) in 0..2."""
+        return np.minimum(np.sqrt(self._squared(joysticks_xy)), MAX_DISTANCE)
+
+    def _squared(self, joysticks_xy: F32 | F64) -> F64:
+        gap = np.asarray(joysticks_xy, dtype=np.float64)[:, None, :] - self.points[None]
+        return np.asarray((gap * gap).sum(axis=-1), dtype=np.float64)
+
+
+def action_set(name: str) -> ActionSet:
+    """The action set of that name. Raises ConfigError for an unknown one.
+
+    >>> [len(action_set(name)) for name in ("square81", "disc69")]
+    [81, 69]
+    """
+    if name not in NAMES:
+        raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}")
+    steps = np.arange(-HALF_CELLS, HALF_CELLS + 1)
+    cells = np.array([(i, j) for i in steps for j in steps])
+    if name == "disc69":
+        cells = cells[(cells**2).sum(axis=1) <= DISC_LIMIT]
+    index = {(int(i), int(j)): k for k, (i, j) in enumerate(cells)}
+    mirror = np.array([index[-int(i), int(j)] for i, j in cells], dtype=np.int64)
+    return ActionSet(name=name, points=cells * STEP, mirror=mirror)

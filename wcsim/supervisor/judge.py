@@ -1,0 +1,73 @@
+"""From a seat's share of a snapshot to what an environment's step returns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.errors import ConfigError
+from wcsim.supervisor.observation import Observation, observe
+from wcsim.supervisor.rewards import joystick_distance, reward
+from wcsim.types import F64, ClientSnapshot, Joystick, RewardTerms
+
+
+class Judgement(NamedTuple):
+    """What one step was worth."""
+
+    observation: Observation
+    reward: RewardTerms
+    terminated: bool
+    truncated: bool
+
+
+def judge(
+    snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, config: RunConfig, camera: str = ""
+) -> Judgement:
+    """Judge the step that led to `snapshot`.
+
+    Args:
+        snapshot: The seat's snapshot after the tick; `snapshot.first` (the next episode) is not looked at.
+        action: Index of the executed action.
+        asked: The user's joystick in the observation that the action answered, that is, of the snapshot before.
+        points: (A, 2) joystick positions of the action set.
+        config: The run's configuration.
+        camera: The camera to look through, "" for the first.
+
+    Raises:
+        ConfigError: No such camera.
+        IndexError: No such action.
+    """
+    taken = points[action]
+    distance = joystick_distance(np.array([asked.x, asked.y]), taken, config.reward)
+    events = snapshot.events
+    return Judgement(
+        observation=observation_of(snapshot, config, camera),
+        reward=reward(distance, snapshot.sensors.imu, events, config.reward),
+        terminated=events.crashed,
+        truncated=events.truncated and not events.crashed,
+    )
+
+
+def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = "") -> Observation:
+    """The observation of a snapshot in the configured form; also for the first frame of an episode."""
+    seen = _camera(config, camera)
+    return observe(
+        config.env.observation,
+        snapshot.sensors,
+        snapshot.user,
+        camera=seen.name,
+        range_m=seen.range_m,
+        fold=config.env.classes == "cityscapes",
+    )
+
+
+def _camera(config: RunConfig, name: str) -> CameraConfig:
+    if not name:
+        return config.cameras[0]
+    for camera in config.cameras:
+        if camera.name == name:
+            return camera
+    known = ", ".join(camera.name for camera in config.cameras)
+    raise ConfigError(f"no camera {name!r} in the configuration; expected one of: {known}")

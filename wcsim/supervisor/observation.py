@@ -1,0 +1,155 @@
+"""What the agent gets to see (Table 3 of the paper), in two forms.
+
+`compact` keeps images as uint8 (class ids, and depth on a logarithmic scale) for the replay store, and networks expand
+them; `table3` gives the paper's floats. Both hold the same picture, in fresh arrays that a replay buffer may keep.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from wcsim.errors import ConfigError
+from wcsim.supervisor.palette import class_fold_table, palette
+from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, SensorFrame
+
+Form = Literal["compact", "table3"]
+Observation = dict[str, npt.NDArray[Any]]
+
+DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
+ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
+
+_MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
+_TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
+_INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
+
+
+def observation_space(form: Form, width: int, height: int) -> spaces.Dict:
+    """The Gymnasium space of `observe`; images are (C, height, width). Raises ConfigError for an unknown form."""
+    _check_form(form)
+    vectors: dict[str, spaces.Space[Any]] = {
+        "imu": spaces.Box(-1.0, 1.0, (5,), np.float32),
+        "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
+    }
+    if form == "compact":
+        return spaces.Dict(
+            {
+                "seg": spaces.Box(0, 255, (1, height, width), np.uint8),
+                "depth": spaces.Box(0, 255, (1, height, width), np.uint8),
+                **vectors,
+            }
+        )
+    return spaces.Dict(
+        {
+            "segmentation": spaces.Box(0.0, 1.0, (3, height, width), np.float32),
+            "depth": spaces.Box(0.0, 1.0, (1, height, width), np.float32),
+            **vectors,
+        }
+    )
+
+
+def observe(
+    form: Form, sensors: SensorFrame, user: Joystick, *, camera: str, range_m: float, fold: bool
+) -> Observation:
+    """The observation of one frame.
+
+    Args:
+        form: "compact" or "table3".
+        sensors: What the chair's sensors say.
+        user: The user's joystick as it stands in this frame.
+        camera: Name of the camera to look through.
+        range_m: That camera's range; depth is scaled by it.
+        fold: Whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road).
+
+    Returns:
+        Arrays as in `observation_space`, contiguous and owned by the caller.
+
+    Raises:
+        ConfigError: There is no such camera or form.
+    """
+    _check_form(form)
+    frame = _frame(sensors, camera)
+    vectors = {"imu": imu_vector(sensors.imu), "joystick": np.array([user.x, user.y], np.float32)}
+    if form == "compact":
+        seg = _fold(frame.class_id) if fold else frame.class_id.copy()
+        return {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None], **vectors}
+    colours = _planes(fold)
+    index = frame.class_id.astype(np.intp)
+    image = np.empty((3, *index.shape), np.float32)
+    for plane, colour in zip(image, colours, strict=True):
+        np.take(colour, index, out=plane, mode="clip")
+    depth = np.multiply(frame.depth_m, np.float32(1.0 / range_m), dtype=np.float32)
+    return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
+
+
+def imu_vector(imu: ImuFrame) -> F32:
+    """(5,) float32 in [-1, 1]: tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2."""
+    accel = imu.accel_mean_mps2 / ACCEL_FULL_SCALE_MPS2
+    scaled = (*accel, imu.roll_rad / math.pi, imu.pitch_rad / (0.5 * math.pi))
+    return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
+
+
+def encode_depth(depth_m: F32, range_m: float) -> U8:
+    """Depth (H, W) as uint8 on a logarithmic scale: 0 at 0.1 m and below, 255 at `range_m` and above."""
+    # The leading bits of a float32 are a logarithm already: a table over them is five times faster than np.log.
+    bits = np.ascontiguousarray(depth_m, dtype=np.float32).view(np.uint32) >> _MANTISSA_BITS_DROPPED
+    code: U8 = np.take(_depth_codes(float(range_m)), bits)
+    return code
+
+
+def decode_depth(code: U8, range_m: float) -> F32:
+    """The depth in metres that a code of `encode_depth` stands for; relative error at most 1.3 % up to 40 m."""
+    steps = np.arange(256) / 255.0
+    metres = (DEPTH_NEAR_M * (range_m / DEPTH_NEAR_M) ** steps).astype(np.float32)
+    decoded: F32 = metres[code]
+    return decoded
+
+
+@lru_cache(maxsize=8)
+def _depth_codes(range_m: float) -> U8:
+    """Table from the leading bits of a float32 to its code; negative numbers give 0, infinity and NaN give 255."""
+    leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)  # the sign bit is the first: the other half is negative
+    middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
+    middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
+    near_to_far = np.clip(middle.view(np.float32).astype(np.float64), DEPTH_NEAR_M, range_m) / DEPTH_NEAR_M
+    codes = np.zeros(_TABLE_SIZE, np.uint8)
+    codes[: len(leading)] = np.rint(255.0 * np.log(near_to_far) / math.log(range_m / DEPTH_NEAR_M))
+    return codes
+
+
+def _fold(class_id: U8) -> U8:
+    folded = bytearray(class_id.tobytes()).translate(_fold_bytes())  # twice as fast as indexing with uint8
+    return np.frombuffer(folded, np.uint8).reshape(class_id.shape)
+
+
+@lru_cache(maxsize=1)
+def _fold_bytes() -> bytes:
+    return class_fold_table().tobytes()
+
+
+@lru_cache(maxsize=2)
+def _planes(fold: bool) -> F32:
+    """Colour planes (3, 256) float32 in 0..1, by class id."""
+    table = palette()
+    if fold:
+        table = table[class_fold_table()]
+    planes: F32 = np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
+    return planes
+
+
+def _frame(sensors: SensorFrame, name: str) -> CameraFrame:
+    for frame in sensors.cameras:
+        if frame.name == name:
+            return frame
+    known = ", ".join(frame.name for frame in sensors.cameras) or "none"
+    raise ConfigError(f"no camera {name!r} on this chair; it has: {known}")
+
+
+def _check_form(form: str) -> None:
+    if form not in ("compact", "table3"):
+        raise ConfigError(f"unknown observation form {form!r}; expected 'compact' or 'table3'")

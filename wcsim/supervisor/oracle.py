@@ -1,0 +1,135 @@
+"""The oracle: which commands end badly, on the true geometry. For metrics and baselines, never part of an observation.
+
+A command is dangerous when holding it for 0.5 s and then letting the stick go (the chair brakes at its comfortable
+rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. Everything else
+is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.config import ChairConfig
+from wcsim.supervisor.rollout import free_distance, roll_out
+from wcsim.types import F64, ActorState, Bool, Joystick, PlantState, StreetGrid
+
+REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
+LONGEST_ROLL_OUT_S = 2.5
+OTHER_LEVEL_M = 2.5  # higher or lower than this, an actor is on a bridge or in a tunnel
+FAR_M = 25.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assessment:
+    """Everything the oracle says of one moment."""
+
+    danger: bool
+    safe_actions: Bool  # (A,)
+    first_s: F64  # (A,) seconds until each action goes wrong, infinity when it is safe
+    clearance_m: float
+
+
+class Oracle:
+    """Looks half a second and a braking distance ahead, for one street, chair and action set."""
+
+    def __init__(self, grid: StreetGrid, chair: ChairConfig, actions: F64) -> None:
+        """Prepare the arrays.
+
+        Args:
+            grid: The street from above.
+            chair: The limits of the drive.
+            actions: (A, 2) joystick positions of the action set.
+        """
+        self._grid = grid
+        self._origin_m = np.array(grid.origin_W_m, np.float64)
+        self._chair = chair
+        self._commands = shaped(actions, chair)
+        self._limits = np.array(
+            [
+                chair.v_max_mps,
+                chair.reverse_share,
+                chair.accel_mps2,
+                chair.decel_mps2,
+                chair.yaw_accel_radps2,
+                chair.jerk_mps3,
+                chair.yaw_rate_max_radps,
+            ]
+        )
+
+    def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
+        """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
+        commands = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
+        return bool(np.isfinite(self._roll_out(plant, commands, actor_table(plant, actors))[0]))
+
+    def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
+        """(A,) bool: which actions end well."""
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, actor_table(plant, actors)))
+        return safe
+
+    def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
+        """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
+        return self._clearance(plant, actor_table(plant, actors, FAR_M))
+
+    def assess(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> Assessment:
+        """All answers at once; cheaper than three calls."""
+        table = actor_table(plant, actors, FAR_M)
+        own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
+        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table)
+        return Assessment(
+            danger=bool(np.isfinite(first_s[-1])),
+            safe_actions=np.isinf(first_s[:-1]),
+            first_s=first_s[:-1],
+            clearance_m=self._clearance(plant, table),
+        )
+
+    def _roll_out(self, plant: PlantState, commands: F64, table: F64) -> F64:
+        grid = self._grid
+        first_s: F64 = roll_out(
+            _state(plant),
+            commands,
+            self._limits,
+            grid.height_cm,
+            grid.clearance_dm,
+            self._origin_m,
+            grid.cell_m,
+            table,
+        )
+        return first_s
+
+    def _clearance(self, plant: PlantState, table: F64) -> float:
+        grid = self._grid
+        gap = free_distance(_state(plant), grid.clearance_dm, self._origin_m, grid.cell_m, table)
+        return min(float(gap), FAR_M)
+
+
+def shaped(joysticks: F64, chair: ChairConfig) -> F64:
+    """Joystick positions (K, 2) as the drive takes them: on the unit disc, without the deadband, shaped."""
+    radius = np.hypot(joysticks[:, 0], joysticks[:, 1])
+    inside = np.minimum(radius, 1.0)
+    out = np.maximum(inside - chair.deadband, 0.0) / (1.0 - chair.deadband)
+    scale = np.divide(out**chair.shape_exponent, radius, out=np.zeros_like(radius), where=radius > chair.deadband)
+    return np.ascontiguousarray(joysticks * scale[:, None], dtype=np.float64)
+
+
+def actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = 0.0) -> F64:
+    """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`)."""
+    x, y, z = plant.p_WB_m.tolist()
+    rows = []
+    for actor in actors:
+        ax, ay, az = actor.p_W_m.tolist()
+        vx, vy, _ = actor.v_W_mps.tolist()
+        length, width, _ = actor.size_lwh_m
+        reach = max(REACH_M + LONGEST_ROLL_OUT_S * (abs(vx) + abs(vy)), within_m) + 0.5 * (length + width)
+        if abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M:
+            rows.append((ax, ay, actor.yaw_rad, 0.0, 0.5 * length, 0.5 * width, vx, vy, 0.0))
+    table = np.array(rows, np.float64).reshape(-1, 9)
+    table[:, 3] = np.sin(table[:, 2])
+    table[:, 2] = np.cos(table[:, 2])
+    return table
+
+
+def _state(plant: PlantState) -> F64:
+    return np.array([plant.p_WB_m[0], plant.p_WB_m[1], plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2]])

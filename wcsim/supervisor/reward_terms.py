@@ -1,0 +1,17 @@
+"""The user's own reward term: a class with two methods, named `module:Class` on the command line."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from wcsim.types import ClientSnapshot
+
+
+class RewardTerm(Protocol):
+    """One more term of the reward; it sees what the supervisor sees, before and after a tick."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+
+    def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
+        """What this tick adds to the reward."""

@@ -1,0 +1,115 @@
+"""The reward of one step: Tables 1 and 2 of the paper, term by term, as pure functions.
+
+Table 1 gives a window for every measured quantity: below it nothing happens, inside it the penalty grows linearly to
+its full size, above it the step is a crash. Table 2 gives the sizes: +1 for following the user, -2 for each penalty at
+full intensity, -100 for a crash, once. The joystick distance is the exception: above its window the penalty stays full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from wcsim.config import RewardConfig
+from wcsim.errors import ConfigError
+from wcsim.frames import rad
+from wcsim.types import F64, Contact, Events, ImuFrame, RewardTerms
+
+CrashReason = Literal["", "collision", "acceleration", "tilt"]
+
+ROLLING_PARTS = frozenset({"wheel", "caster", "antitip"})
+GROUND_KINDS = frozenset({"ground", "kerb"})
+
+# Grid centres in float32 lie on either side of sqrt(0.125^2 + 0.125^2); both sides must earn the base reward.
+DISTANCE_TOLERANCE = 1e-6
+
+
+def intensity(value: float, low: float, high: float) -> float:
+    """How far `value` is inside its window: 0 at `low` and below, 1 at `high` and above, linear between (Table 1).
+
+    Raises ConfigError when the window is empty.
+
+    >>> intensity(30.0, 20.0, 40.0), intensity(-5.0, 20.0, 40.0), intensity(99.0, 20.0, 40.0)
+    (0.5, 0.0, 1.0)
+    """
+    if not low < high:
+        raise ConfigError(f"reward window ({low}, {high}) is empty; expected low < high: correct the [reward] section")
+    return min(1.0, max(0.0, (value - low) / (high - low)))
+
+
+def joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float]:
+    """Base reward and joystick penalty for the distance between user's and agent's joystick.
+
+    Table 2 row "zero joystick distance" (+1 up to `max_follow_distance`), Table 1 row "joystick distance" (0.1768..2).
+    Only one of the two is ever not zero.
+    """
+    if distance <= config.max_follow_distance + DISTANCE_TOLERANCE:
+        return config.base, 0.0
+    return 0.0, 0.0 - config.penalty * intensity(distance, config.max_follow_distance, config.max_distance)
+
+
+def accel_term(accel_peak_mps2: F64, config: RewardConfig) -> float:
+    """Penalty for the peak acceleration of a tick; (3,) m/s^2, gravity removed. Table 1 rows "acceleration x, y, z"."""
+    low, high = config.accel_window_mps2
+    return 0.0 - config.penalty * sum(intensity(abs(float(axis)), low, high) for axis in accel_peak_mps2)
+
+
+def tilt_term(roll_rad: float, pitch_rad: float, config: RewardConfig) -> float:
+    """Penalty for leaning sideways or along. Table 1 rows "roll" (5..20 deg) and "pitch" (20..30 deg)."""
+    roll_low, roll_high = (rad(angle) for angle in config.roll_window_deg)
+    pitch_low, pitch_high = (rad(angle) for angle in config.pitch_window_deg)
+    leaning = intensity(abs(roll_rad), roll_low, roll_high) + intensity(abs(pitch_rad), pitch_low, pitch_high)
+    return 0.0 - config.penalty * leaning
+
+
+def crash_term(crashed: bool, config: RewardConfig) -> float:
+    """Table 2 row "crash" (-100): once, however many things went wrong in the step."""
+    return 0.0 - config.crash if crashed else 0.0
+
+
+def reward(distance: float, imu: ImuFrame, events: Events, config: RewardConfig) -> RewardTerms:
+    """All terms of one step; `distance` as from `joystick_distance`."""
+    base, joystick = joystick_terms(distance, config)
+    return RewardTerms(
+        base=base,
+        joystick=joystick,
+        accel=accel_term(imu.accel_peak_mps2, config),
+        tilt=tilt_term(imu.roll_rad, imu.pitch_rad, config),
+        crash=crash_term(events.crashed, config),
+    )
+
+
+def joystick_distance(user: F64, agent: F64, config: RewardConfig) -> float:
+    """Euclidean distance between two joystick positions (2,), held at `max_distance`.
+
+    A corner of the action square is up to 2.41 from a stick on the disc; that is no crash of its own, so the distance
+    stops at the end of the window.
+    """
+    return min(float(np.hypot(user[0] - agent[0], user[1] - agent[1])), config.max_distance)
+
+
+def crash_reason(imu: ImuFrame, contacts: Sequence[Contact], config: RewardConfig) -> CrashReason:
+    """Why this tick ends the episode, "" when it does not (Table 2 row "crash"; Table 1 column "maximum").
+
+    A collision goes before an acceleration and that before a tilt, because the first explains the others.
+    """
+    if any(is_collision(contact, config) for contact in contacts):
+        return "collision"
+    if any(abs(float(axis)) > config.accel_window_mps2[1] for axis in imu.accel_peak_mps2):
+        return "acceleration"
+    if abs(imu.roll_rad) > rad(config.roll_window_deg[1]) or abs(imu.pitch_rad) > rad(config.pitch_window_deg[1]):
+        return "tilt"
+    return ""
+
+
+def is_collision(contact: Contact, config: RewardConfig) -> bool:
+    """Whether a touch counts as a collision.
+
+    Wheels, casters and anti-tips may touch ground and kerb. Anything else that touches ground or kerb counts above
+    `body_on_ground_Ns` (a footplate that scrapes over a lowered kerb is no accident); everything else counts always.
+    """
+    if contact.kind not in GROUND_KINDS:
+        return True
+    return contact.part not in ROLLING_PARTS and contact.impulse_Ns > config.body_on_ground_Ns

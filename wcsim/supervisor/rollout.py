@@ -1,0 +1,301 @@
+"""The oracle's kernel: where a chair goes when a command is held for half a second and then the stick let go.
+
+Plain arrays in and out, compiled by numba. The chair is kinematic, with the drive's limits of speed, acceleration, jerk
+and turn rate; the street is the raster of `StreetGrid`; others drive straight on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.types import F64, U8
+
+I64 = npt.NDArray[np.int64]
+
+HOLD_S = 0.5
+STEP_S = 0.05
+LONGEST_S = 4.0
+
+# The chair seen from above, in B (x forward from the drive axle).
+MIDDLE_M = 0.23
+HALF_LENGTH_M = 0.57
+HALF_WIDTH_M = 0.31
+DISC_SPACING_M = 0.26  # three discs as wide as the chair, and its four corners, stand for the rectangle
+FAR_M = 0.75  # beyond the footprint's corners by 0.1 m
+WHEEL_X_M = (0.0, 0.0, 0.50, 0.50)
+WHEEL_Y_M = (0.29, -0.29, 0.27, -0.27)
+
+KERB_STEP_CM = 5  # a wheel takes this much up or down
+DEEPENING_M = 0.03  # who already touches may move, if not closer
+ACTOR_MARGIN_M = 0.05
+LEAN_LIMIT = math.tan(math.radians(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
+PITCH_LIMIT = math.tan(math.radians(30.0))
+GRAVITY_MPS2 = 9.81
+YAW_SLOWDOWN_S_PER_M = 0.6
+
+# columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
+AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
+# entries of the chair's limits (7,)
+V_MAX, REVERSE, ACCEL, DECEL, YAW_ACCEL, JERK, W_MAX = range(7)
+
+
+@numba.njit(cache=True)
+def roll_out(
+    state: F64,
+    commands: F64,
+    limits: F64,
+    height_cm: U8,
+    clearance_dm: U8,
+    origin_m: F64,
+    cell_m: float,
+    actors: F64,
+) -> F64:
+    """Seconds until each command goes wrong, infinity when it ends well.
+
+    Args:
+        state: (5,) x, y, yaw, v, w of the drive axle.
+        commands: (K, 2) joystick positions without deadband, on the unit disc.
+        limits: (7,) see the column names above.
+        height_cm: (rows, cols) of the street grid.
+        clearance_dm: (rows, cols) of the street grid.
+        origin_m: (2,) of the street grid.
+        cell_m: Size of a cell.
+        actors: (n, 9) see the column names above; the margin column is overwritten.
+
+    Returns:
+        (K,) float64.
+    """
+    _set_margins(state, actors)
+    start_gap = _static_gap(state[0], state[1], state[2], clearance_dm, origin_m, cell_m, FAR_M)
+    allowed_gap = min(0.0, start_gap - DEEPENING_M)
+    first_s = np.full(len(commands), np.inf)
+    for k in range(len(commands)):
+        first_s[k] = _one(
+            state, commands[k], limits, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
+        )
+    return first_s
+
+
+@numba.njit(cache=True)
+def free_distance(state: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64) -> float:
+    """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
+    nearest = _static_gap(state[0], state[1], state[2], clearance_dm, origin_m, cell_m, np.inf)
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    cx, cy = state[0] + MIDDLE_M * cos, state[1] + MIDDLE_M * sin
+    for i in range(len(actors)):
+        other = actors[i]
+        if _overlap(cx, cy, cos, sin, other[AX], other[AY], other, 0.0):
+            return 0.0
+        gap = min(
+            _corners_to_box(
+                cx, cy, cos, sin, HALF_LENGTH_M, HALF_WIDTH_M,
+                other[AX], other[AY], other[ACOS], other[ASIN], other[AHALF_L], other[AHALF_W],
+            ),
+            _corners_to_box(
+                other[AX], other[AY], other[ACOS], other[ASIN], other[AHALF_L], other[AHALF_W],
+                cx, cy, cos, sin, HALF_LENGTH_M, HALF_WIDTH_M,
+            ),
+        )  # fmt: skip
+        nearest = min(nearest, gap)
+    return max(0.0, nearest)
+
+
+@numba.njit(cache=True)
+def _one(
+    state: F64,
+    command: F64,
+    limits: F64,
+    allowed_gap: float,
+    height_cm: U8,
+    clearance_dm: U8,
+    origin_m: F64,
+    cell_m: float,
+    actors: F64,
+) -> float:
+    x, y, yaw, v, w = state[0], state[1], state[2], state[3], state[4]
+    a = 0.0
+    before = np.empty(4, np.int64)
+    before2 = np.empty(4, np.int64)
+    _wheel_heights(x, y, yaw, height_cm, origin_m, cell_m, before)
+    before2[:] = before
+    now = np.empty(4, np.int64)
+    for i in range(int(LONGEST_S / STEP_S)):
+        held = i * STEP_S < HOLD_S - 1e-9
+        if not held and v == 0.0 and abs(w) < 1e-3:
+            break
+        v_wanted = w_wanted = 0.0
+        if held:
+            v_wanted = command[1] * limits[V_MAX] * (limits[REVERSE] if command[1] < 0.0 else 1.0)
+            w_wanted = -command[0] * limits[W_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v_wanted), abs(v)))
+        v_before = v
+        v, a = _follow_speed(v, a, v_wanted, limits)
+        w += min(max(w_wanted - w, -limits[YAW_ACCEL] * STEP_S), limits[YAW_ACCEL] * STEP_S)
+        yaw_before = yaw
+        yaw += w * STEP_S
+        way = 0.5 * (v_before + v) * STEP_S
+        x += way * math.cos(0.5 * (yaw_before + yaw))
+        y += way * math.sin(0.5 * (yaw_before + yaw))
+        later_s = (i + 1) * STEP_S
+        _wheel_heights(x, y, yaw, height_cm, origin_m, cell_m, now)
+        if _falls(now, before, before2, v * w) or _touches(
+            x, y, yaw, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors
+        ):
+            return later_s
+        before2[:] = before
+        before[:] = now
+    return np.inf
+
+
+@numba.njit(cache=True)
+def _follow_speed(v: float, a: float, v_wanted: float, limits: F64) -> tuple[float, float]:
+    """Speed and acceleration one step later: limited acceleration, limited jerk, no overshoot."""
+    gap = v_wanted - v
+    if gap == 0.0:
+        return v, 0.0
+    limit = limits[DECEL] if v * gap < 0.0 else limits[ACCEL]
+    wanted = math.copysign(min(limit, math.sqrt(2.0 * limits[JERK] * abs(gap))), gap)
+    most = limits[JERK] * STEP_S
+    a += min(max(wanted - a, -most), most)
+    move = a * STEP_S
+    if abs(gap) <= abs(move) or abs(gap) < 0.01:
+        return v_wanted, 0.0
+    return v + move, a
+
+
+@numba.njit(cache=True)
+def _falls(now: I64, before: I64, before2: I64, vw: float) -> bool:
+    """A wheel met a step (within two samples, so that a raster's soft edge counts), or the chair leans too far."""
+    for j in range(4):
+        if abs(now[j] - before[j]) > KERB_STEP_CM or abs(now[j] - before2[j]) > KERB_STEP_CM:
+            return True
+    lean = 0.01 * (now[0] - now[1]) / (WHEEL_Y_M[0] - WHEEL_Y_M[1]) + vw / GRAVITY_MPS2
+    pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (WHEEL_X_M[2] - WHEEL_X_M[0])
+    return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
+
+
+@numba.njit(cache=True)
+def _touches(
+    x: float,
+    y: float,
+    yaw: float,
+    later_s: float,
+    allowed_gap: float,
+    clearance_dm: U8,
+    origin_m: F64,
+    cell_m: float,
+    actors: F64,
+) -> bool:
+    if _static_gap(x, y, yaw, clearance_dm, origin_m, cell_m, FAR_M) < allowed_gap:
+        return True
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    cx, cy = x + MIDDLE_M * cos, y + MIDDLE_M * sin
+    for i in range(len(actors)):
+        other = actors[i]
+        ox, oy = other[AX] + later_s * other[AVX], other[AY] + later_s * other[AVY]
+        if _overlap(cx, cy, cos, sin, ox, oy, other, other[AMARGIN]):
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def _set_margins(state: F64, actors: F64) -> None:
+    """Others get a small margin, except those who stand within it already: they would forbid every move."""
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    cx, cy = state[0] + MIDDLE_M * cos, state[1] + MIDDLE_M * sin
+    for i in range(len(actors)):
+        other = actors[i]
+        near = _overlap(cx, cy, cos, sin, other[AX], other[AY], other, ACTOR_MARGIN_M)
+        other[AMARGIN] = 0.0 if near else ACTOR_MARGIN_M
+
+
+@numba.njit(cache=True)
+def _static_gap(
+    x: float, y: float, yaw: float, clearance_dm: U8, origin_m: F64, cell_m: float, far_m: float
+) -> float:
+    """Distance from the footprint to the nearest solid thing, negative inside it; a rough one beyond `far_m`."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    cx, cy = x + MIDDLE_M * cos, y + MIDDLE_M * sin
+    middle = _clearance(cx, cy, clearance_dm, origin_m, cell_m)
+    if middle > far_m:
+        return middle - (FAR_M - 0.1)
+    gap = np.inf
+    for i in range(-1, 2):
+        ahead = i * DISC_SPACING_M
+        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, origin_m, cell_m) - HALF_WIDTH_M)
+    for i in range(4):
+        ahead = HALF_LENGTH_M if i < 2 else -HALF_LENGTH_M
+        left = HALF_WIDTH_M if i % 2 == 0 else -HALF_WIDTH_M
+        px, py = cx + ahead * cos - left * sin, cy + ahead * sin + left * cos
+        gap = min(gap, _clearance(px, py, clearance_dm, origin_m, cell_m))
+    return gap
+
+
+@numba.njit(cache=True)
+def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: float) -> float:
+    """The raster between its cell centres, in metres."""
+    col = (x - origin_m[0]) / cell_m - 0.5
+    row = (y - origin_m[1]) / cell_m - 0.5
+    rows, cols = clearance_dm.shape
+    c0 = min(max(math.floor(col), 0), cols - 2)
+    r0 = min(max(math.floor(row), 0), rows - 2)
+    fc = min(max(col - c0, 0.0), 1.0)
+    fr = min(max(row - r0, 0.0), 1.0)
+    low = (1.0 - fc) * clearance_dm[r0, c0] + fc * clearance_dm[r0, c0 + 1]
+    high = (1.0 - fc) * clearance_dm[r0 + 1, c0] + fc * clearance_dm[r0 + 1, c0 + 1]
+    return float(0.1 * ((1.0 - fr) * low + fr * high))
+
+
+@numba.njit(cache=True)
+def _wheel_heights(
+    x: float, y: float, yaw: float, height_cm: U8, origin_m: F64, cell_m: float, out: I64
+) -> None:
+    """Ground height under the wheels into `out` (4,), centimetres."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    rows, cols = height_cm.shape
+    for j in range(4):
+        wx = x + WHEEL_X_M[j] * cos - WHEEL_Y_M[j] * sin
+        wy = y + WHEEL_X_M[j] * sin + WHEEL_Y_M[j] * cos
+        col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
+        row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
+        out[j] = height_cm[row, col]
+
+
+@numba.njit(cache=True)
+def _overlap(cx: float, cy: float, cos: float, sin: float, ox: float, oy: float, other: F64, margin: float) -> bool:
+    """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
+    half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
+    dx, dy = ox - cx, oy - cy
+    reach = HALF_LENGTH_M + HALF_WIDTH_M + half_l + half_w
+    if dx * dx + dy * dy > reach * reach:
+        return False
+    ocos, osin = other[ACOS], other[ASIN]
+    along = abs(cos * ocos + sin * osin)
+    cross = abs(cos * osin - sin * ocos)
+    if abs(dx * cos + dy * sin) > HALF_LENGTH_M + half_l * along + half_w * cross:
+        return False
+    if abs(dy * cos - dx * sin) > HALF_WIDTH_M + half_l * cross + half_w * along:
+        return False
+    if abs(dx * ocos + dy * osin) > half_l + HALF_LENGTH_M * along + HALF_WIDTH_M * cross:
+        return False
+    return bool(abs(dy * ocos - dx * osin) <= half_w + HALF_LENGTH_M * cross + HALF_WIDTH_M * along)
+
+
+@numba.njit(cache=True)
+def _corners_to_box(
+    ax: float, ay: float, acos: float, asin: float, al: float, aw: float,
+    bx: float, by: float, bcos: float, bsin: float, bl: float, bw: float,
+) -> float:  # fmt: skip
+    """The least distance from the corners of rectangle a to rectangle b."""
+    least = np.inf
+    for i in range(4):
+        sl = al if i < 2 else -al
+        sw = aw if i % 2 == 0 else -aw
+        dx, dy = ax + sl * acos - sw * asin - bx, ay + sl * asin + sw * acos - by
+        out_l = max(0.0, abs(dx * bcos + dy * bsin) - bl)
+        out_w = max(0.0, abs(dy * bcos - dx * bsin) - bw)
+        least = min(least, math.hypot(out_l, out_w))
+    return least

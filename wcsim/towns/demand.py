@@ -1,0 +1,209 @@
+"""Endless traffic for a town: flows of every class that do not run dry, from a seed.
+
+Ways from edge to edge are drawn, routed once by SUMO's `duarouter`, and those that it cannot route are left out; the
+flows carry the routes, so that nothing is left to fail while the simulation runs. SUMO makes all people of a personFlow
+when it reads it (48 hours of them: 2.4 s and 200 MB), but reads its files only a little ahead of the clock; so the
+people come in slices, each along a part of the ways.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from wcsim.errors import SumoError
+from wcsim.seeding import derive, generator
+from wcsim.towns.netread import Edge, Net
+from wcsim.towns.tools import run_tool
+from wcsim.towns.xmlio import read_root
+from wcsim.types import F64
+
+END_S = 1_000_000  # eleven days: longer than any run
+WALK_END_S = 172_800
+SLICE_S = 600
+SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
+VTYPES = "vtypes.xml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """How much of one class a town gets."""
+
+    types: str  # id of the vType or vTypeDistribution
+    vclass: str
+    per_h_km: float  # departures per hour and kilometre of lane that the class may use
+    flows_per_km: float  # how many different ways these are spread over
+    shortest_m: float
+    longest_m: float  # straight line between the ends
+    fringe: float  # how much likelier a way starts or ends where the town is cut off
+
+    @property
+    def walks(self) -> bool:
+        """True for those on foot."""
+        return self.vclass == "pedestrian"
+
+
+# Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
+MIX = (
+    Traffic(types="cars", vclass="passenger", per_h_km=105, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
+    Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
+    Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
+    Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
+    Traffic(
+        types="motorcycles", vclass="motorcycle", per_h_km=7, flows_per_km=1.5, shortest_m=150, longest_m=9e9, fringe=8
+    ),
+    Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
+    Traffic(types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """A routed way of one class."""
+
+    traffic: Traffic
+    edges: tuple[str, ...]
+    length_m: float
+
+
+def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, ...]:
+    """Ways of all classes through a net; `folder` is for files in between. Raises SumoError."""
+    drawn = [(traffic, pair) for traffic in MIX for pair in _draw(net, traffic, seed)]
+    return _choose(net, drawn, _route(net_path, folder, drawn, seed))
+
+
+def vtypes_text() -> str:
+    """The vehicle and person types that the flows name, as a SUMO additional file."""
+    return (Path(__file__).parent / VTYPES).read_text(encoding="utf-8")
+
+
+def usable_km(net: Net, vclass: str) -> float:
+    """Kilometres of street lane that a class may use."""
+    return (
+        sum(lane.length_m for edge in net.edges if not edge.function for lane in edge.lanes if lane.permits(vclass))
+        / 1e3
+    )
+
+
+def _wanted_flows(net: Net, traffic: Traffic) -> int:
+    km = usable_km(net, traffic.vclass)
+    return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
+
+
+def _draw(net: Net, traffic: Traffic, seed: int) -> list[tuple[str, str]]:
+    """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
+    edges = [e for e in net.edges if not e.function and any(lane.permits(traffic.vclass) for lane in e.lanes)]
+    wanted = _wanted_flows(net, traffic) * 5
+    if len(edges) < 2 or not wanted:
+        return []
+    rng = generator(seed, "demand", traffic.types)
+    first = _weights(edges, {e.end for e in edges}, traffic, start=True)
+    last = _weights(edges, {e.start for e in edges}, traffic, start=False)
+    middle_m = np.array([0.5 * (e.lanes[0].points_m[0] + e.lanes[0].points_m[-1]) for e in edges])  # (E, 2)
+    pairs: dict[tuple[str, str], None] = {}
+    for _ in range(wanted * 4):
+        a = int(rng.choice(len(edges), p=first))
+        far_m = np.hypot(*(middle_m - middle_m[a]).T)
+        weight = last * ((far_m >= 0.6 * traffic.shortest_m) & (far_m <= traffic.longest_m))
+        if weight.sum() > 0:
+            b = int(rng.choice(len(edges), p=weight / weight.sum()))
+            pairs[edges[a].id, edges[b].id] = None
+        if len(pairs) >= wanted:
+            break
+    return list(pairs)
+
+
+def _weights(edges: list[Edge], joined: set[str], traffic: Traffic, *, start: bool) -> F64:
+    """Chance (E,) of each edge to be an end: by length inside the town, by capacity where the town is cut off."""
+    weights = np.empty(len(edges))
+    for i, edge in enumerate(edges):
+        lanes = [lane for lane in edge.lanes if lane.permits(traffic.vclass)]
+        cut = (edge.start if start else edge.end) not in joined
+        length_m = max(lane.length_m for lane in lanes)
+        capacity = 10.0 * len(lanes) * max(lane.speed_mps for lane in lanes)
+        weights[i] = (
+            traffic.fringe * capacity if cut and not traffic.walks else length_m * (traffic.fringe if cut else 1.0)
+        )
+        if length_m < 12.0 and not traffic.walks:
+            weights[i] = 0.0  # too short to put a vehicle on
+    return weights / weights.sum() if weights.sum() > 0 else np.full(len(edges), 1.0 / len(edges))
+
+
+def _route(
+    net_path: Path, folder: Path, drawn: list[tuple[Traffic, tuple[str, str]]], seed: int
+) -> dict[int, list[str]]:
+    """Edges of each drawn way that duarouter finds, by its number."""
+    trips, types, out = folder / "demand.trips.xml", folder / "demand.types.xml", folder / "demand.routes.xml"
+    lines = ["<routes>"]
+    for number, (traffic, (a, b)) in enumerate(drawn):
+        ends = f"from={quoteattr(a)} to={quoteattr(b)}"
+        if traffic.walks:
+            lines.append(f'<person id="{number}" depart="{number}"><walk {ends}/></person>')
+        else:
+            lines.append(f'<trip id="{number}" type="{traffic.types}" depart="{number}" {ends}/>')
+    trips.write_text("\n".join([*lines, "</routes>"]), encoding="utf-8")
+    types.write_text(vtypes_text(), encoding="utf-8")
+    options = ["-n", str(net_path.resolve()), "-r", trips.name, "-a", types.name, "-o", out.name]
+    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--seed", str(derive(seed, "duarouter"))]
+    run = run_tool("duarouter", [*options, "--xml-validation", "never"], folder)
+    if run.returncode:
+        raise SumoError(f"no demand could be built: {run.reason()}")
+    found: dict[int, list[str]] = {}
+    for element in read_root(out):
+        child = element.find("walk" if element.tag == "person" else "route")
+        if child is not None and child.get("edges"):
+            found[int(element.attrib["id"])] = child.attrib["edges"].split()
+    for path in (trips, types, out, out.with_suffix(".alt.xml")):
+        path.unlink(missing_ok=True)
+    return found
+
+
+def _choose(net: Net, drawn: list[tuple[Traffic, tuple[str, str]]], routed: dict[int, list[str]]) -> tuple[Way, ...]:
+    length_m = {edge.id: edge.lanes[0].length_m for edge in net.edges if edge.lanes}
+    left = {traffic.types: _wanted_flows(net, traffic) for traffic in MIX}
+    ways: list[Way] = []
+    for number, (traffic, _) in enumerate(drawn):
+        edges = routed.get(number, [])
+        way_m = sum(length_m[edge] for edge in edges)
+        if left[traffic.types] and edges and way_m >= traffic.shortest_m:
+            left[traffic.types] -= 1
+            ways.append(Way(traffic=traffic, edges=tuple(edges), length_m=way_m))
+    return tuple(ways)
+
+
+def flows_text(net: Net, ways: tuple[Way, ...], seed: int, scale: float = 1.0) -> str:
+    """A SUMO route file of endless flows along `ways`, `scale` times as dense as MIX; their types are in `vtypes.xml`.
+
+    Vehicle flows come first, then person flows by their begin, as SUMO's reading ahead needs it.
+    """
+    lines = ["<routes>"]
+    for traffic in MIX:
+        mine = [way for way in ways if way.traffic is traffic]
+        per_s = scale * traffic.per_h_km * usable_km(net, traffic.vclass) / 3600.0
+        if traffic.walks:
+            lines += _walks(mine, traffic, per_s, generator(seed, "demand", "slices"))
+            continue
+        for number, way in enumerate(mine):
+            head = f'id="{traffic.types}.{number}" type="{traffic.types}" begin="0" end="{END_S}"'
+            route = f"<route edges={quoteattr(' '.join(way.edges))}/>"
+            rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
+            lines.append(f"    <flow {head} {rate}>{route}</flow>")
+    return "\n".join([*lines, "</routes>", ""])
+
+
+def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
+    if not ways:
+        return []
+    lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
+    used = max(1, round(SLICE_SHARE * len(ways)))
+    rate = f'period="exp({per_s / used:.6f})"'
+    for number, begin in enumerate(range(0, WALK_END_S, SLICE_S)):
+        for way in np.sort(rng.choice(len(ways), used, replace=False)):
+            span = f'begin="{begin}" end="{begin + SLICE_S}" {rate}'
+            head = f'id="{traffic.types}.{number}.{way}" type="{traffic.types}" {span}'
+            walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
+            lines.append(f'    <personFlow {head} departPos="random" departPosLat="random">{walk}</personFlow>')
+    return lines

@@ -1,0 +1,46 @@
+"""Ground, kerbs, buildings and furniture as one StreetMesh, in chunks that can be culled and merged alone."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+
+from wcsim.towns.ground import CELL_M, Ground
+from wcsim.towns.shapes import Piece, joined
+from wcsim.types import F64, I32, StreetMesh
+
+
+def build_mesh(ground: Ground, walls: tuple[F64, I32, I32], large: list[Piece], small: list[Piece]) -> StreetMesh:
+    """One chunk for each ground cell with its kerbs, for each large piece, and for the small pieces of each cell."""
+    pieces = [*_ground_pieces(ground, walls), *large, *_by_cell(small)]
+    return StreetMesh(
+        vertices_W_m=np.concatenate([piece.vertices_W_m for piece in pieces]).astype(np.float32),
+        faces=joined(pieces).faces,
+        face_class=np.concatenate([piece.face_class for piece in pieces]),
+        chunk_vertices=np.cumsum([0, *(len(piece.vertices_W_m) for piece in pieces)]).astype(np.int32),
+        chunk_faces=np.cumsum([0, *(len(piece.faces) for piece in pieces)]).astype(np.int32),
+    )
+
+
+def _ground_pieces(ground: Ground, walls: tuple[F64, I32, I32]) -> list[Piece]:
+    triangles = np.concatenate([ground.vertices_W_m[ground.faces], walls[0]])  # (T, 3, 3)
+    classes = np.concatenate([ground.face_class, walls[1]]).astype(np.uint8)
+    cells, owner = np.unique(np.concatenate([ground.cell, walls[2]]), axis=0, return_inverse=True)
+    return [
+        _indexed(triangles[chosen], classes[chosen]) for chosen in (owner.reshape(-1) == i for i in range(len(cells)))
+    ]
+
+
+def _indexed(triangles: F64, classes: np.ndarray) -> Piece:
+    """Triangles (T, 3, 3) with shared corners stored once."""
+    vertices, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    return Piece(vertices_W_m=vertices, faces=index.reshape(-1, 3).astype(np.int32), face_class=classes)
+
+
+def _by_cell(pieces: list[Piece]) -> list[Piece]:
+    groups: dict[tuple[int, int], list[Piece]] = defaultdict(list)
+    for piece in pieces:
+        x, y = np.floor(piece.vertices_W_m[:, :2].mean(axis=0) / CELL_M)
+        groups[int(x), int(y)].append(piece)
+    return [joined(groups[cell]) for cell in sorted(groups)]

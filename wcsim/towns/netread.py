@@ -1,0 +1,208 @@
+"""A SUMO net as plain data: lanes with their class and shape, connections, junction outlines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from wcsim.errors import TownError
+from wcsim.towns.xmlio import read_root
+from wcsim.types import F64
+
+DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
+_WALKERS = {"pedestrian", "wheelchair"}
+_RIDERS = {"bicycle", "scooter"}
+_RAILS = {"rail", "tram", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car", "ship"}
+
+
+class LaneKind(Enum):
+    """What a lane is to somebody who builds its ground."""
+
+    MOTOR = "motor"
+    RAIL = "rail"
+    BIKE = "bike"
+    SHARED = "shared"  # walkers and riders together
+    SIDEWALK = "sidewalk"
+    CROSSING = "crossing"
+    WALKINGAREA = "walkingarea"  # its shape is an outline, not a centre line
+    CLOSED = "closed"
+
+
+WALK_KINDS = frozenset({LaneKind.SIDEWALK, LaneKind.SHARED})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lane:
+    """One lane of a net."""
+
+    id: str
+    edge_id: str
+    index: int
+    kind: LaneKind
+    internal: bool  # inside a junction
+    points_m: F64  # (K, 2) net coordinates minus the origin
+    width_m: float
+    length_m: float
+    speed_mps: float
+    allow: frozenset[str] | None  # None: every class but those in `disallow`
+    disallow: frozenset[str]
+
+    def permits(self, vclass: str) -> bool:
+        """True when a SUMO vehicle class may use this lane."""
+        return vclass not in self.disallow and (self.allow is None or vclass in self.allow)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """One edge of a net with its lanes, right to left."""
+
+    id: str
+    function: str  # "" for a street; "internal", "crossing", "walkingarea", ...
+    start: str  # junction ids, "" inside a junction
+    end: str
+    lanes: tuple[Lane, ...]
+    crossed: tuple[str, ...]  # the edges that a crossing crosses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """Where a lane leads to."""
+
+    start: str  # edge ids
+    end: str
+    start_lane: int
+    end_lane: int
+    tls_id: str
+    tls_link: int  # -1 for none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Junction:
+    """The outline of a junction; empty for those that have none."""
+
+    id: str
+    kind: str
+    outline_m: F64  # (K, 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Net:
+    """A whole net."""
+
+    edges: tuple[Edge, ...]
+    connections: tuple[Connection, ...]
+    junctions: tuple[Junction, ...]
+
+    def lanes(self, *kinds: LaneKind) -> list[Lane]:
+        """All lanes of these kinds, in file order."""
+        return [lane for edge in self.edges for lane in edge.lanes if lane.kind in kinds]
+
+
+def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
+    """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
+    root = read_root(path)
+    if root.tag != "net":
+        raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
+    try:
+        edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
+        connections = tuple(_connection(element) for element in root.iterfind("connection"))
+        junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
+    except (KeyError, ValueError) as error:
+        raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
+    if not any(edge.lanes for edge in edges):
+        raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
+    return Net(edges=edges, connections=connections, junctions=junctions)
+
+
+def points(text: str, origin_m: tuple[int, int]) -> F64:
+    """SUMO's "x,y[,z] x,y[,z] ..." as (K, 2), moved by -origin. Raises ValueError."""
+    rows = [part.split(",")[:2] for part in text.split()]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    if not np.isfinite(table).all():
+        raise ValueError(f"a shape holds a number that is not finite: {text[:60]!r}")
+    return table - np.asarray(origin_m, dtype=np.float64)
+
+
+def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
+    function = element.get("function", "normal")
+    return Edge(
+        id=element.attrib["id"],
+        function="" if function == "normal" else function,
+        start=element.get("from", ""),
+        end=element.get("to", ""),
+        lanes=tuple(_lane(child, element, function, origin_m) for child in element.iterfind("lane")),
+        crossed=tuple(element.get("crossingEdges", "").split()),
+    )
+
+
+def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
+    allow, disallow = _permissions(element)
+    return Lane(
+        id=element.attrib["id"],
+        edge_id=edge.attrib["id"],
+        index=int(element.attrib["index"]),
+        kind=lane_kind(function, allow),
+        internal=function == "internal",
+        points_m=points(element.attrib["shape"], origin_m),
+        width_m=float(element.get("width", DEFAULT_LANE_WIDTH_M)),
+        length_m=float(element.get("length", "0")),
+        speed_mps=float(element.get("speed", "13.89")),
+        allow=allow,
+        disallow=disallow,
+    )
+
+
+def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
+    """Classes allowed (None: all but the others) and forbidden, SUMO's word "all" resolved."""
+    allow, disallow = element.get("allow"), element.get("disallow", "")
+    if disallow == "all":
+        return frozenset(), frozenset()
+    if allow is None or allow == "all":
+        return None, frozenset(disallow.split())
+    return frozenset(allow.split()), frozenset()
+
+
+def lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
+    """What a lane is, from its edge's function and the classes it allows (None: all but a few).
+
+    >>> lane_kind("normal", frozenset({"pedestrian", "bicycle"})).value
+    'shared'
+    """
+    if function == "crossing":
+        return LaneKind.CROSSING
+    if function == "walkingarea":
+        return LaneKind.WALKINGAREA
+    if allow is None:
+        return LaneKind.MOTOR
+    if not allow:
+        return LaneKind.CLOSED
+    if allow <= _WALKERS:
+        return LaneKind.SIDEWALK
+    if allow <= _RIDERS:
+        return LaneKind.BIKE
+    if allow <= _WALKERS | _RIDERS:
+        return LaneKind.SHARED
+    return LaneKind.RAIL if allow <= _RAILS else LaneKind.MOTOR
+
+
+def _connection(element: Element) -> Connection:
+    return Connection(
+        start=element.attrib["from"],
+        end=element.attrib["to"],
+        start_lane=int(element.get("fromLane", "0")),
+        end_lane=int(element.get("toLane", "0")),
+        tls_id=element.get("tl", ""),
+        tls_link=int(element.get("linkIndex", "-1")),
+    )
+
+
+def _junction(element: Element, origin_m: tuple[int, int]) -> Junction:
+    return Junction(
+        id=element.attrib["id"],
+        kind=element.get("type", ""),
+        outline_m=points(element.get("shape", ""), origin_m),
+    )

@@ -1,0 +1,88 @@
+"""Scenes: short hand-written streets, built with netconvert when they are needed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+from wcsim.config import SceneFile, read_toml
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.folder import sumocfg_text, town_toml_text
+from wcsim.towns.tools import run_tool
+from wcsim.towns.town import Town, open_town, town_roots
+from wcsim.towns.xmlio import without_comments, write_gzip
+
+_NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
+_MORE_FILES = ("add", "poly")
+# normalisation off: the net keeps the coordinates that the author wrote
+_OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
+
+
+def list_scenes() -> tuple[Path, ...]:
+    """Folders of all scenes that can be found by name, sorted by name."""
+    found: dict[str, Path] = {}
+    for root in town_roots():
+        for file in sorted((root / "scenes").glob("*/scene.toml")):
+            found.setdefault(file.parent.name, file.parent)
+    return tuple(found[name] for name in sorted(found))
+
+
+def find_scene(name_or_path: str) -> Path:
+    """The folder of a scene by name (in ./scenarios/sumo/scenes, then in the package) or path. Raises TownError."""
+    scenes = {folder.name: folder for folder in list_scenes()}
+    if name_or_path in scenes:
+        return scenes[name_or_path]
+    path = Path(name_or_path).expanduser()
+    if name_or_path and (path / "scene.toml").is_file():
+        return path
+    known = ", ".join(scenes) or "(no scene is installed)"
+    raise TownError(
+        f"unknown scene {name_or_path!r}; expected one of: {known}, or a path to a folder with a scene.toml"
+    )
+
+
+def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
+    """Build a scene's net into `work` and return it as a town; net coordinates are world coordinates.
+
+    Raises:
+        TownError: a file of the scene is missing.
+        SumoError: netconvert refuses it.
+    """
+    scene = read_toml(folder / "scene.toml", SceneFile)
+    work.mkdir(parents=True, exist_ok=True)
+    _build_net(scene.name, folder, work)
+    additional = []
+    for kind in ("rou", *_MORE_FILES):
+        source = _only(folder, kind, needed=kind == "rou")
+        if source is not None:
+            shutil.copyfile(source, work / f"{scene.name}.{kind}.xml")
+            additional += [f"{scene.name}.{kind}.xml"] if kind != "rou" else []
+    text = sumocfg_text(scene.name, scene.seed, routes=f"{scene.name}.rou.xml", additional=tuple(additional))
+    (work / f"{scene.name}.sumocfg").write_text(text, encoding="utf-8")
+    toml = town_toml_text(name=scene.name, split="scene", kerb_height_m=scene.kerb_height_m)
+    (work / "town.toml").write_text(toml, encoding="utf-8")
+    return open_town(work / f"{scene.name}.sumocfg"), scene
+
+
+def _build_net(name: str, folder: Path, work: Path) -> None:
+    options: list[str] = []
+    for option, kind in _NETCONVERT_FILES:
+        source = _only(folder, kind, needed=kind in ("nod", "edg"))
+        if source is not None:
+            options += [option, str(source.resolve())]
+    plain = work / f"{name}.net.xml"
+    run = run_tool("netconvert", [*options, *_OPTIONS, "-o", plain.name], work)
+    if run.returncode:
+        raise SumoError(f"scene {name}: no net could be built: {run.reason()}; correct the XML files in {folder}")
+    write_gzip(work / f"{name}.net.xml.gz", without_comments(plain.read_bytes()))
+    plain.unlink()
+
+
+def _only(folder: Path, kind: str, *, needed: bool) -> Path | None:
+    found = sorted(path for path in folder.glob(f"*.{kind}.xml") if re.fullmatch(r"[\w.-]+", path.name))
+    if len(found) > 1 or (needed and not found):
+        raise TownError(
+            f"scene {folder}: has {len(found)} files *.{kind}.xml; expected {'one' if needed else 'at most one'}"
+        )
+    return found[0] if found else None

@@ -1,0 +1,145 @@
+"""What the ground of a town is, as polygons: carriageway, crossings, pavement, and the rest inside the town's edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.towns.netread import WALK_KINDS, Lane, LaneKind, Net
+
+GRID_M = 0.01  # all ground points lie on this grid
+SIMPLIFY_M = 0.05
+CLOSE_M = 0.15  # gaps narrower than twice this are closed
+STRIP_M = 0.35  # half of the width below which a strip of road or between roads is not worth a kerb
+POCKET_M2 = 12.0
+REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
+DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
+MARGIN_M = 15.0  # terrain beyond the outermost street
+MITRE = {"join_style": "mitre", "mitre_limit": 2.0}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surfaces:
+    """Disjoint areas that together fill `hull`, in W; the terrain is what is left of it."""
+
+    low: BaseGeometry  # carriageway and crossings: height 0
+    crossing: BaseGeometry  # part of `low`
+    pavement: BaseGeometry
+    hull: BaseGeometry
+
+
+def surfaces_of(net: Net, chair_ways: tuple[str, ...]) -> Surfaces:
+    """Derive the areas from a net: a carriageway wins over a footway drawn on it, a crossing wins over both."""
+    low_lanes, walk_lanes = _split(net, chair_ways)
+    motor = shapely.union_all(
+        [lane_area(lane) for lane in low_lanes if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL) and not lane.internal]
+    )
+    other = shapely.union_all([lane_area(lane) for lane in low_lanes])
+    crossing = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.CROSSING)])
+    walk = shapely.union_all([lane_area(lane) for lane in walk_lanes] + _outlines(net))
+    junctions = shapely.union_all([_polygon(j.outline_m) for j in net.junctions if j.kind != "internal"])
+    walk = walk.union(_corners(junctions, other, walk))
+    inner = shapely.union_all([junctions, other]).difference(walk.buffer(GRID_M))
+    low = shapely.union_all([motor, inner, crossing])
+    both = _cleaned(shapely.union_all([low, walk]))
+    low = _cleaned(_without_pockets(_opened(low.buffer(STRIP_M, **MITRE).buffer(-STRIP_M, **MITRE), STRIP_M), motor))
+    pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
+    reaches = _reaches(net.lanes(LaneKind.CROSSING), low, pavement)
+    crossing = shapely.set_precision(shapely.union_all([crossing.intersection(low), *reaches]), GRID_M)
+    hull = shapely.set_precision(both.convex_hull.buffer(MARGIN_M, quad_segs=2), GRID_M)
+    return Surfaces(low=low, crossing=_areas(crossing), pavement=_areas(pavement), hull=hull)
+
+
+def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
+    """Parts of junctions beside the pavement that no vehicle comes near: SUMO's walking areas leave them out."""
+    near = driven.buffer(DRIVEN_M, quad_segs=2).buffer(0.5 - DRIVEN_M, quad_segs=2)
+    corners = _opened(junctions.difference(walk).difference(near), 0.2)
+    shapely.prepare(walk)
+    return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, CLOSE_M)])
+
+
+def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> list[BaseGeometry]:
+    """Road between the end of a crossing and the pavement: SUMO ends a crossing at the junction's own outline."""
+    shapely.prepare(pavement)
+    found: list[BaseGeometry] = []
+    for lane in crossings:
+        area = lane_area(lane)
+        for end, inner in ((0, 1), (-1, -2)):
+            along = lane.points_m[end] - lane.points_m[inner]
+            along = along / max(1e-6, float(np.hypot(*along)))
+            ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
+            strip = ahead.buffer(lane.width_m / 2, cap_style="flat").difference(pavement)
+            strip = strip.intersection(shapely.clip_by_rect(low, *strip.bounds)) if not strip.is_empty else strip
+            parts = [part for part in shapely.get_parts(strip) if part.geom_type == "Polygon" and part.intersects(area)]
+            found += [part for part in parts if shapely.dwithin(pavement, part, 2 * GRID_M)]
+    return found
+
+
+def walkable_lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
+    """Lanes that count as pavement in this town."""
+    return _split(net, chair_ways)[1]
+
+
+def lane_area(lane: Lane) -> BaseGeometry:
+    """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
+    if lane.kind is LaneKind.WALKINGAREA:
+        return _polygon(lane.points_m)
+    points_m = lane.points_m[np.r_[True, np.any(np.diff(lane.points_m, axis=0) != 0.0, axis=1)]]
+    if len(points_m) < 2:
+        return Polygon()
+    return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", **MITRE)
+
+
+def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane]]:
+    """Lanes at the height of the road, and those that are pavement, as a cycle track is where chairs may use it."""
+    low: list[Lane] = []
+    walk: list[Lane] = []
+    for edge in net.edges:
+        tracks_only = all(lane.kind in WALK_KINDS | {LaneKind.BIKE} for lane in edge.lanes)
+        for lane in edge.lanes:
+            if lane.kind in WALK_KINDS or (lane.kind is LaneKind.BIKE and tracks_only and "cycleway" in chair_ways):
+                walk.append(lane)
+            elif lane.kind in (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE):
+                low.append(lane)
+    return low, walk
+
+
+def _outlines(net: Net) -> list[BaseGeometry]:
+    return [_polygon(lane.points_m) for lane in net.lanes(LaneKind.WALKINGAREA)]
+
+
+def _polygon(points_m: np.ndarray) -> BaseGeometry:
+    """A polygon from an outline that may cross itself: SUMO draws some walking areas as bow-ties."""
+    if len(points_m) < 3:
+        return Polygon()
+    polygon = Polygon(points_m)
+    return polygon if polygon.is_valid else _areas(shapely.make_valid(polygon))
+
+
+def _cleaned(area: BaseGeometry) -> BaseGeometry:
+    """Gaps closed, points thinned and put on the grid."""
+    closed = area.buffer(CLOSE_M, **MITRE).buffer(-CLOSE_M, **MITRE).simplify(SIMPLIFY_M)
+    return _areas(shapely.set_precision(closed, GRID_M))
+
+
+def _opened(area: BaseGeometry, half_m: float) -> BaseGeometry:
+    """Without strips narrower than twice `half_m`."""
+    return _areas(area.buffer(-half_m, **MITRE).buffer(half_m, **MITRE).intersection(area))
+
+
+def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:
+    """Without small bits of junction that no vehicle drives on: they would be holes in the pavement."""
+    parts = shapely.get_parts(low)
+    shapely.prepare(motor)
+    return MultiPolygon([part for part in parts if part.area > POCKET_M2 or shapely.intersects(motor, part)])
+
+
+def _areas(geometry: BaseGeometry) -> BaseGeometry:
+    """Only the polygons of a geometry, crumbs left out."""
+    parts = [part for part in shapely.get_parts(geometry) if part.geom_type in ("Polygon", "MultiPolygon")]
+    flat = [p for part in parts for p in shapely.get_parts(part) if p.area > 0.05]
+    return MultiPolygon(flat)

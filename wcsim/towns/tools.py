@@ -1,0 +1,107 @@
+"""SUMO's command line tools as children, with limits on time and memory; the end of their output is kept."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import resource
+import signal
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wcsim.errors import SumoError
+
+_TAIL_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a child may use before it is ended."""
+
+    wall_s: float = 300.0
+    cpu_s: int = 240
+    memory_bytes: int = 4 << 30
+    file_bytes: int = 1 << 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolRun:
+    """How a tool ended; a negative return code is the signal that killed it, as in `subprocess`."""
+
+    name: str
+    returncode: int
+    output: str  # the end of stdout and stderr together
+
+    @property
+    def died(self) -> bool:
+        """True when a signal ended it, which for these tools means a native crash or a limit."""
+        return self.returncode < 0
+
+    def reason(self) -> str:
+        """One line that says why it failed: the signal, or the first error in its output."""
+        if self.died:
+            return f"{self.name} was ended by {signal.Signals(-self.returncode).name}"
+        errors = [line for line in self.output.splitlines() if line.startswith("Error")]
+        lines = errors or self.output.strip().splitlines()[-1:] or ["no message"]
+        return f"{self.name} failed with code {self.returncode}: {lines[0][:300]}"
+
+
+def sumo_home() -> Path:
+    """Folder of the eclipse-sumo wheel. Raises SumoError when it is not installed."""
+    spec = importlib.util.find_spec("sumo")
+    places = list(spec.submodule_search_locations or ()) if spec is not None else []
+    if not places or not (Path(places[0]) / "bin").is_dir():
+        raise SumoError("the eclipse-sumo wheel is not installed; install it: pip install 'eclipse-sumo>=1.28,<1.29'")
+    return Path(places[0])
+
+
+def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits | None = None) -> ToolRun:
+    """Run a tool of the eclipse-sumo wheel in `folder`. Raises SumoError when it cannot start or takes too long."""
+    limits = limits or Limits()
+    home = sumo_home()
+    projections = str(home / "data" / "proj")  # without it netconvert says "Cannot find proj.db"
+    environment = os.environ | {"SUMO_HOME": str(home), "PROJ_LIB": projections, "PROJ_DATA": projections}
+    with tempfile.TemporaryFile() as log:
+        try:
+            child = subprocess.Popen(
+                [str(home / "bin" / name), *arguments],
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        except OSError as error:
+            raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None
+        _limit(child.pid, limits)
+        try:
+            returncode = child.wait(limits.wall_s)
+        except BaseException as error:
+            child.kill()
+            child.wait()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise SumoError(f"{name} took longer than {limits.wall_s:.0f} s; try a smaller area") from None
+            raise
+        return ToolRun(name=name, returncode=returncode, output=_tail(log.fileno()))
+
+
+def _limit(pid: int, limits: Limits) -> None:
+    """Set limits from outside: code between fork and exec is not safe in a process with threads."""
+    for kind, value in (
+        (resource.RLIMIT_AS, limits.memory_bytes),
+        (resource.RLIMIT_CPU, limits.cpu_s),
+        (resource.RLIMIT_FSIZE, limits.file_bytes),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        try:
+            resource.prlimit(pid, kind, (value, value))
+        except (ProcessLookupError, PermissionError, ValueError):  # ended already, or a tighter limit holds
+            continue
+
+
+def _tail(descriptor: int) -> str:
+    size = os.fstat(descriptor).st_size
+    return os.pread(descriptor, _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode("utf-8", "replace")

@@ -1,0 +1,131 @@
+"""The street around a wheelchair from straight above, with what moves drawn as boxes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from wcsim.physics.camera import FreeCamera, look_along
+from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.instances import (
+    CHAIR_SIZE_LWH_M,
+    ChairPose,
+    chair_instances,
+    chair_pose,
+    instances_of,
+)
+from wcsim.physics.renderer.store import GeometryStore
+from wcsim.types import F64, U8, ActorKind, ActorState, Route, Snapshot, StreetMesh
+
+# From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
+HEIGHT_M = 400.0
+RANGE_M = 10_000.0  # haze grows with the share of the range
+
+KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
+    (ActorKind.CAR, (36, 86, 190)),
+    (ActorKind.TRUCK, (24, 48, 120)),
+    (ActorKind.BUS, (14, 120, 150)),
+    (ActorKind.TRAM, (20, 130, 110)),
+    (ActorKind.MOTORCYCLE, (120, 70, 200)),
+    (ActorKind.BICYCLE, (190, 90, 20)),
+    (ActorKind.SCOOTER, (200, 130, 40)),
+    (ActorKind.PEDESTRIAN, (214, 40, 70)),
+    (ActorKind.WHEELCHAIR, (240, 200, 40)),
+    (ActorKind.OTHER, (110, 80, 120)),
+)
+CHAIR_RGB = (250, 214, 40)
+ROUTE_RGB = (40, 150, 60)
+EDGE_RGB = (250, 250, 250)
+SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
+
+
+class MapView:
+    """Draws maps of one street: north up, `span_m` from edge to edge."""
+
+    def __init__(self, street: StreetMesh | GeometryStore, size_px: int = 480, span_m: float = 60.0) -> None:
+        """`street` may be the store of a camera rig, which saves building it again."""
+        camera = Pinhole(
+            width_px=size_px,
+            height_px=size_px,
+            focal_px=size_px * HEIGHT_M / span_m,
+            near_m=1.0,
+            range_m=RANGE_M,
+        )
+        self._camera = FreeCamera(street, camera)
+
+    def draw(
+        self,
+        centre_W_m: F64,
+        actors: Sequence[ActorState],
+        chairs: Sequence[ChairPose] = (),
+        route: Route | None = None,
+    ) -> U8:
+        """The map (size, size, 3) around a point (3,).
+
+        Args:
+            centre_W_m: the middle of the map.
+            actors: drawn as boxes in the colour of their kind, with a line from the middle to the front.
+            chairs: drawn in yellow.
+            route: drawn as a green line.
+        """
+        x, y, ground = (float(value) for value in centre_W_m)
+        T_CW = look_along((x, y, ground + HEIGHT_M), math.pi / 2, -math.pi / 2)
+        images = self._camera.look(T_CW, instances_of(()))
+        image = np.zeros_like(images.class_id[..., None].repeat(3, axis=2)) if images.rgb is None else images.rgb
+        if route is not None:
+            points = np.column_stack([route.points_W_m, np.full(len(route.points_W_m), ground)])
+            cv2.polylines(image, [self._pixels(T_CW, points)], False, ROUTE_RGB, 2, cv2.LINE_AA, 3)
+        colours = dict(KIND_RGB)
+        for actor in actors:
+            corners = oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
+            self._box(image, T_CW, corners, colours[actor.kind])
+        for place, yaw_rad in _chair_places(chairs):
+            self._box(image, T_CW, oriented_box(place, yaw_rad, CHAIR_SIZE_LWH_M[:2]), CHAIR_RGB)
+        return image
+
+    def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
+        """A filled box (front left, front right, rear right, rear left) with a line to its front; a dot if small."""
+        pixels = self._pixels(T_CW, corners_W_m)
+        middle, nose = corners_W_m.mean(axis=0), corners_W_m[:2].mean(axis=0)
+        start, end = self._pixels(T_CW, np.array([middle, nose])).tolist()
+        if np.ptp(pixels, axis=0).max() < SMALL_PX * 8:
+            cv2.circle(image, start, SMALL_PX * 4, colour, cv2.FILLED, cv2.LINE_AA, 3)
+            return
+        cv2.fillConvexPoly(image, pixels, colour, cv2.LINE_AA, 3)
+        cv2.polylines(image, [pixels], True, EDGE_RGB, 1, cv2.LINE_AA, 3)
+        cv2.line(image, start, end, EDGE_RGB, 1, cv2.LINE_AA, 3)
+
+    def _pixels(self, T_CW: F64, points_W_m: F64) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+        """Image points (n, 2) int32 in eighths of a pixel, for OpenCV's `shift` of 3."""
+        camera = self._camera.camera
+        seen = points_W_m @ T_CW[:, :3].T + T_CW[:, 3]
+        flat = seen[:, :2] / seen[:, 2:] * camera.focal_px + 0.5 * camera.width_px - 0.5
+        return np.asarray(np.rint(flat * 8), np.int32)
+
+
+def map_view(view: MapView, snapshot: Snapshot, seat: int, route: Route | None = None) -> U8:
+    """The map around a seat's wheelchair in a snapshot, with all actors and wheelchairs in it."""
+    chairs = [chair_pose(client.seat, client.plant) for client in snapshot.clients]
+    mine = next(client for client in snapshot.clients if client.seat == seat)
+    return view.draw(mine.plant.p_WB_m, snapshot.actors, chairs, route)
+
+
+def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
+    """Ground corners (4, 3) of a box about p: front left, front right, rear right, rear left.
+
+    >>> oriented_box(np.zeros(3), 0.0, (4.0, 2.0))[:, :2].tolist()
+    [[2.0, 1.0], [2.0, -1.0], [-2.0, -1.0], [-2.0, 1.0]]
+    """
+    half_length, half_width = 0.5 * size_lw_m[0], 0.5 * size_lw_m[1]
+    ahead = half_length * np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+    left = half_width * np.array([-math.sin(yaw_rad), math.cos(yaw_rad), 0.0])
+    return np.asarray(p_W_m + np.array([ahead + left, ahead - left, -ahead - left, -ahead + left]), np.float64)
+
+
+def _chair_places(chairs: Sequence[ChairPose]) -> list[tuple[F64, float]]:
+    """Middle of the box (3,) and yaw of every chair."""
+    rows = chair_instances(chairs)
+    return [(rows.p_W_m[i], float(rows.yaw_rad[i])) for i in range(len(rows))]

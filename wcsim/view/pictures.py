@@ -1,0 +1,88 @@
+"""Pictures for people: class and depth images in colour, side by side with captions, and PNG files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from wcsim.errors import ConfigError
+from wcsim.supervisor.palette import palette
+from wcsim.types import F32, U8
+
+INK_RGB = (255, 255, 255)
+STRIP_RGB = (28, 32, 38)
+
+
+def class_colours(class_id: U8) -> U8:
+    """Class ids (H, W) as a colour image (H, W, 3), in the Cityscapes colours; an unknown id is black."""
+    return np.asarray(palette()[class_id], np.uint8)
+
+
+def depth_colours(depth_m: F32, range_m: float | None = None) -> U8:
+    """Depth (H, W) as a colour image (H, W, 3): near is red, far is blue, `range_m` (default: the largest) is black.
+
+    The scale is logarithmic from 0.3 m on, since what is near matters most.
+    """
+    far = float(range_m if range_m is not None else depth_m.max(initial=1.0))
+    near = min(0.3, 0.5 * far)
+    share = np.log(np.clip(depth_m, near, far) / near) / np.log(far / near)
+    bgr = cv2.applyColorMap(np.asarray(230 - 210 * share, np.uint8), cv2.COLORMAP_TURBO)
+    bgr[depth_m >= far] = 0
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def captioned(image: U8, text: str) -> U8:
+    """A copy of an image (H, W, 3) with a line of text in its upper left corner, on a dark strip."""
+    out = np.array(image, np.uint8, order="C")
+    scale = max(0.35, out.shape[1] / 800.0)
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    strip = out[: height + below + 6, : width + 10]
+    strip[:] = (0.35 * strip + 0.65 * np.array(STRIP_RGB)).astype(np.uint8)
+    cv2.putText(out, text, (5, height + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, INK_RGB, 1, cv2.LINE_AA)
+    return out
+
+
+def triptych(rgb: U8 | None, class_id: U8, depth_m: F32, range_m: float | None = None) -> U8:
+    """Colour, class and depth of one camera side by side, (H, 3 W, 3) uint8, with captions.
+
+    Args:
+        rgb: (H, W, 3), or None when the camera took no colours; the place is then dark.
+        class_id: (H, W) ClassId.
+        depth_m: (H, W).
+        range_m: the camera's range, see `depth_colours`.
+
+    Raises:
+        ConfigError: when the images are not of one size.
+    """
+    shape = class_id.shape
+    if depth_m.shape != shape or (rgb is not None and rgb.shape != (*shape, 3)):
+        raise ConfigError(
+            f"images of one camera must be of one size; got class {shape}, depth {depth_m.shape}, "
+            f"rgb {None if rgb is None else rgb.shape}: pass the arrays of one CameraFrame"
+        )
+    colour = captioned(np.full((*shape, 3), STRIP_RGB, np.uint8), "no colour taken") if rgb is None else rgb
+    panels = [
+        captioned(colour, "camera") if rgb is not None else colour,
+        captioned(class_colours(class_id), "class"),
+        captioned(depth_colours(depth_m, range_m), "depth"),
+    ]
+    return np.hstack(panels)
+
+
+def write_png(path: Path, image: U8) -> None:
+    """Write an image (H, W, 3), RGB, or (H, W); the file appears whole or not at all.
+
+    Raises:
+        ConfigError: when the folder cannot be written.
+    """
+    bgr = image[..., ::-1] if image.ndim == 3 else image
+    _, data = cv2.imencode(".png", np.ascontiguousarray(bgr))
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data.tobytes())
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
