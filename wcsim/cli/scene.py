@@ -14,6 +14,7 @@ from rich.table import Table
 
 from wcsim.bridge.scene import GOLDEN, run_in_child
 from wcsim.bridge.scene_facts import SceneFacts, facts_of, faults
+from wcsim.bridge.trace import read_trace
 from wcsim.bridge.trace_diff import difference
 from wcsim.cli.common import parse, write_json
 from wcsim.config import SceneFile, read_toml
@@ -120,11 +121,19 @@ def _bless(options: BlessOptions) -> int:
             trace = Path(work) / "new.trace"
             facts = run_in_child(folder, trace)
             golden = folder / GOLDEN
-            told = difference(trace, golden) if golden.is_file() else "there was no golden trace"
+            told = _news(trace, golden)
             if told:
                 shutil.copyfile(trace, golden)
             print(f"{folder.name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}")
     return 0
+
+
+def _news(trace: Path, golden: Path) -> str:
+    """Why a golden trace must be written anew; "" when it need not."""
+    if not golden.is_file():
+        return "there was no golden trace"
+    other_versions = read_trace(trace)[0] != read_trace(golden)[0]
+    return difference(trace, golden) or ("it was made by other versions" if other_versions else "")
 
 
 def _words(facts: SceneFacts) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ from wcsim.errors import PhysicsError
 from wcsim.physics import drive
 from wcsim.physics.contacts import ContactLog, Touch
 from wcsim.physics.engine import GRAVITY_MPS2, PARK_Z_M, BodyTag, Engine, Role
+from wcsim.physics.ghosts import MOST_IN_A_ROW, SUSPECT_N, Motion, Tyre, coast, is_ghost
 from wcsim.physics.imu import Imu
 from wcsim.physics.plant import PlantSpec, plant_spec, urdf
 from wcsim.physics.pose import Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
@@ -27,6 +29,7 @@ from wcsim.types import F64, Contact, ImuFrame, Joystick, PlantState
 Vec3 = tuple[float, float, float]
 PLACE_LIFT_M: Final = 0.001  # the street's collision margin
 _PARK_STEP_M: Final = 20.0
+_TURNING: Final = ("wheel_l", "wheel_r", "swivel_l", "swivel_r", "caster_l", "caster_r")
 _FRAME: Final = -1  # PyBullet's index of the base link
 _MOTORS_OFF: Final = drive.WheelCommand(radps=(0.0, 0.0), torque_Nm=(0.0, 0.0))
 _AWAKE: Final = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING | pybullet.ACTIVATION_STATE_WAKE_UP
@@ -56,7 +59,10 @@ class Wheelchair:
         self._axle_m: Vec3 = (-self._com_B_m[0], 0.0, self.spec.wheel_radius_m - self._com_B_m[2])
         self.body_id: Final[int] = _load(engine, self.spec)
         self._links = _links(self.body_id, engine.client)
-        self._drives = [self._links["wheel_l"], self._links["wheel_r"]]
+        self._joints = [self._links[name] for name in _TURNING]  # the drive wheels first
+        self._drives = self._joints[:2]
+        self._tyres = _tyres(self._links, self.spec)
+        self._coasted = 0
         self._part = {index: name.split("_")[0] for name, index in self._links.items() if "swivel" not in name}
         self._rolling = frozenset(self._part)
         _set_dynamics(self.body_id, self._links, self.spec, engine.client)
@@ -106,12 +112,19 @@ class Wheelchair:
         if self._parked:
             return
         client = self._engine.client
-        left, right = pybullet.getJointStates(self.body_id, self._drives, physicsClientId=client)
+        joints = pybullet.getJointStates(self.body_id, self._joints, physicsClientId=client)
+        self._before = Motion(
+            p_W_m=self._p_com_W_m,
+            q_WB=self._q_WB,
+            v_W_mps=self._v_W_mps,
+            w_W_radps=self._w_W_radps,
+            joints=[joint[:2] for joint in joints],
+        )
         wanted = drive.step(
             self._drive,
             self._joystick,
             self._axle_speed_mps(),
-            (left[1], right[1]),
+            (joints[0][1], joints[1][1]),
             self._chair,
             self.spec,
             self._engine.step_s,
@@ -122,13 +135,14 @@ class Wheelchair:
         """Sample the IMU and add up what was touched."""
         if self._parked:
             return
-        before = (self._v_W_mps, self._w_W_radps)
+        points = pybullet.getContactPoints(bodyA=self.body_id, physicsClientId=self._engine.client)
+        self._coast_over_ghosts(points)
         self._read()
         self._imu.sample(self._rotation, self._v_W_mps, self._w_W_radps)
         ground, rolling = self._engine.rolling_ids, self._rolling
-        for point in pybullet.getContactPoints(bodyA=self.body_id, physicsClientId=self._engine.client):
+        for point in points:
             if point[3] not in rolling or point[2] not in ground:
-                self._touch(point, *before)
+                self._touch(point)
 
     def end_tick(self, rng_noise: np.random.Generator | None) -> None:
         """Close the tick for `imu` and `contacts`, and tell others how this chair moves; noise only with a generator.
@@ -212,15 +226,29 @@ class Wheelchair:
         _, pitching, _ = rotate_back(r, *self._w_W_radps)
         return v + pitching * self._axle_m[2]
 
-    def _touch(self, point: tuple[Any, ...], v_W_mps: Vec3, w_W_radps: Vec3) -> None:
+    def _coast_over_ghosts(self, points: Sequence[tuple[Any, ...]]) -> None:
+        """Undo the step when the ground pushed a wheel hard where it was not, and nothing else did."""
+        suspects = [point for point in points if point[9] > SUSPECT_N and point[3] in self._tyres]
+        street, client = self._engine.rolling_ids, self._engine.client
+        if not suspects or self._coasted == MOST_IN_A_ROW or any(point[2] not in street for point in points):
+            self._coasted = 0
+            return
+        if any(is_ghost(point, self.body_id, self._tyres[point[3]], self._before, client) for point in suspects):
+            coast(self.body_id, self._joints, self._before, self._engine.step_s, client)
+            self._coasted += 1
+        else:
+            self._coasted = 0
+
+    def _touch(self, point: tuple[Any, ...]) -> None:
         """Count one contact point (PyBullet's fields: 2 other body, 3 own link, 5 place, 7 normal to us, 9 force)."""
         if point[9] <= 0.0:
             return
         tag = self._engine.tag_of(point[2])
+        before = self._before
         part = self._part.get(point[3]) or self._frame_part(point[5])
         touch = Touch(
             point_W_m=point[5],
-            v_chair_W_mps=velocity_at(point[5], self._p_com_W_m, v_W_mps, w_W_radps),
+            v_chair_W_mps=velocity_at(point[5], before.p_W_m, before.v_W_mps, before.w_W_radps),
             normal_to_chair=point[7],
         )
         self._log.add(point[2], part, point[9] * self._engine.step_s, tag, touch)
@@ -252,6 +280,13 @@ def _load(engine: Engine, spec: PlantSpec) -> int:
             return int(pybullet.loadURDF(str(path), flags=flags, physicsClientId=engine.client))
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet refused the wheelchair ({error}); expected a body: check the plant") from None
+
+
+def _tyres(links: dict[str, int], spec: PlantSpec) -> dict[int, Tyre]:
+    """The cylinders of drive wheels and casters by link index."""
+    wheel = Tyre(radius_m=spec.wheel_radius_m, half_width_m=0.5 * spec.wheel_width_m)
+    caster = Tyre(radius_m=spec.caster_radius_m, half_width_m=0.5 * spec.caster_width_m)
+    return {links[name]: wheel if name.startswith("wheel") else caster for name in _TURNING if "swivel" not in name}
 
 
 def _links(body: int, client: int) -> dict[str, int]:

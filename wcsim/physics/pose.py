@@ -55,6 +55,16 @@ def euler(r: Rotation) -> tuple[float, float, float]:
     return math.atan2(r[7], r[8]), pitch, math.atan2(r[3], r[0])
 
 
+def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
+    """A rotation after turning with angular velocity w (world frame) for a short time."""
+    hx, hy, hz = 0.5 * dt_s * w[0], 0.5 * dt_s * w[1], 0.5 * dt_s * w[2]
+    x, y, z, s = q
+    out = (x + hx * s + hy * z - hz * y, y + hy * s + hz * x - hx * z, z + hz * s + hx * y - hy * x)
+    last = s - hx * x - hy * y - hz * z
+    k = 1.0 / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + last**2)
+    return (k * out[0], k * out[1], k * out[2], k * last)
+
+
 def quaternion(yaw_rad: float, pitch_rad: float = 0.0) -> Quat:
     """Unit quaternion (x, y, z, w) of something that looks along yaw, nose up by pitch, not rolled.
 
