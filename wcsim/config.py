@@ -153,6 +153,11 @@ class LearnConfig(Model):
     epsilon_start: Share = 0.2
     epsilon_end: Share = 0.05
     epsilon_sigma: Positive = 0.5
+    epsilon_hold: Annotated[int, Field(ge=1, le=100)] = 1  # steps that an explored offset from the stick is held
+    aid: Literal["none", "oracle"] = "none"  # beyond the paper: safe actions from the privileged truth, in training
+    aid_weight: NotNegative = 1.0
+    aid_share: Share = 0.25  # of each batch, from steps in which the user's command ends badly
+    mirror: bool = False  # batches are mirrored left to right half of the time
     checkpoint_every: Annotated[int, Field(ge=1)] = 5_000
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     device: str = "cpu"

@@ -34,6 +34,7 @@ def phase_plan(learn: LearnConfig) -> PhasePlan:
         epsilon_end=learn.epsilon_end,
         margin=learn.margin,
         margin_fade=learn.margin_fade,
+        aid=learn.aid_weight if learn.aid == "oracle" else 0.0,
     )
 
 
@@ -49,6 +50,8 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             reward_scale=learn.reward_scale,
             exploration=learn.exploration,
             epsilon_sigma=learn.epsilon_sigma,
+            epsilon_hold=learn.epsilon_hold,
+            mirror=learn.mirror,
         ),
         plan=phase_plan(learn),
         seed=seed,
@@ -66,6 +69,8 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             "gamma": learn.gamma,
             "precrash_share": learn.precrash_share,
             "precrash_window": learn.precrash_window,
+            "advice": learn.aid == "oracle",
+            "danger_share": learn.aid_share if learn.aid == "oracle" else 0.0,
             "seed": seed,
         },
         policy_kwargs={"spec": net_spec(config)},

@@ -31,6 +31,7 @@ class PhasePlan:
     epsilon_end: float = 0.05
     margin: float = 1.0
     margin_fade: float = 0.25
+    aid: float = 0.0
 
     def phase(self, step: int) -> Phase:
         """The phase of the step that follows `step` steps done."""
@@ -54,6 +55,10 @@ class PhasePlan:
         if self.margin_fade <= 0.0:
             return 0.0
         return self.margin * max(0.0, 1.0 - self.progress(step) / self.margin_fade)
+
+    def aid_weight(self, step: int) -> float:
+        """Weight of the advice from the truth: none in the first phase, which teaches obedience alone."""
+        return 0.0 if self.phase(step) is Phase.ACTION_DRIVEN else self.aid
 
 
 class PhaseSwitch(BaseCallback):

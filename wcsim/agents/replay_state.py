@@ -27,6 +27,8 @@ def replay_arrays(replay: FrameReplay) -> Arrays:
             blobs += frames_store.pack(replay.frames.read(part, np.full(len(part), seat)))
     ends = sorted(replay.after_end)
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
+    if replay.advice is not None:
+        arrays.update(replay.advice.arrays(rows))
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
@@ -51,6 +53,8 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     rows = (total - size + np.arange(size)) % replay.buffer_size
     for name in PER_STEP:
         getattr(replay, name)[rows] = arrays[name]
+    if replay.advice is not None:
+        replay.advice.restore(arrays, total - size + np.arange(size), arrays["episode_step"] == 0)
     _restore_frames(replay, arrays, rows)
     for (index, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
         replay.after_end[int(index), int(seat)] = (image, vector)

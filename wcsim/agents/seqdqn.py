@@ -2,7 +2,8 @@
 
 On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
 gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
-exploration near the user's joystick, and random draws from a generator of its own. `learn`, callbacks, logger, `save`,
+advice from the truth in the second (`aid`), exploration near the user's joystick, and random draws from a generator of
+its own. `learn`, callbacks, logger, `save`,
 `load` and `EvalCallback` are SB3's. Sequences of length 1 only: the networks have no recurrent memory yet.
 """
 
@@ -18,15 +19,17 @@ import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
+from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from wcsim import seeding
+from wcsim.agents.aid import aid_loss
+from wcsim.agents.mirror import mirrored
 from wcsim.agents.phases import Phase, PhasePlan
 from wcsim.agents.policy import QNet, SeqQPolicy
 from wcsim.agents.protocol import JOYSTICK_KEY
-from wcsim.agents.replay import FrameReplay
+from wcsim.agents.replay import FrameReplay, FrameSamples
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
@@ -43,6 +46,8 @@ class SeqSettings:
     reward_scale: float = 0.05
     exploration: Literal["local", "uniform"] = "local"
     epsilon_sigma: float = 0.5
+    epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
+    mirror: bool = False
 
 
 class SeqDQN(DQN):
@@ -66,6 +71,8 @@ class SeqDQN(DQN):
         self.settings = settings if settings is not None else SeqSettings()
         self.plan = plan
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
+        self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
+        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
@@ -96,15 +103,28 @@ class SeqDQN(DQN):
         if deterministic or not isinstance(observation, dict):
             return actions, state
         sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
-        explored = np.where(self.rng.random(len(sticks)) < self.exploration_rate, self._explore(sticks), actions)
+        explored = np.where(self._begins(len(sticks)), self._explore(sticks), actions)
         return (explored if np.ndim(actions) else explored[0]), state
+
+    def _begins(self, seats: int) -> npt.NDArray[np.bool_]:
+        """Which seats explore now: an exploration lasts `epsilon_hold` steps, so it begins that much more rarely."""
+        hold = self.settings.epsilon_hold
+        if len(self._held) != seats:
+            self._held, self._offsets = np.zeros(seats, dtype=np.int64), np.zeros((seats, 2))
+        rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
+        begins = (self._held == 0) & (self.rng.random(seats) < rate)
+        drawn = self.rng.normal(0.0, self.settings.epsilon_sigma, (seats, 2))
+        self._offsets = np.where(begins[:, None], drawn, self._offsets)
+        self._held = np.where(begins, hold, self._held)
+        explores: npt.NDArray[np.bool_] = self._held > 0
+        self._held = np.maximum(self._held - 1, 0)
+        return explores
 
     def _explore(self, sticks: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         """A random action per seat: near the user's joystick, or any."""
         if self.settings.exploration == "uniform":
             return self.rng.integers(0, len(self.action_points), len(sticks))
-        wish = np.clip(sticks + self.rng.normal(0.0, self.settings.epsilon_sigma, sticks.shape), -1.0, 1.0)
-        return self.action_points.nearest_many(wish)
+        return self.action_points.nearest_many(np.clip(sticks + self._offsets, -1.0, 1.0))
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
@@ -136,19 +156,22 @@ class SeqDQN(DQN):
         buffer = self.replay_buffer
         if buffer is None:
             raise PolicyError("there is no replay buffer; build the model with an environment before training it")
-        margin = 0.0 if self.plan is None else self.plan.margin_weight(self.num_timesteps)
+        plan, step = self.plan, self.num_timesteps
+        margin, aid = (0.0, 0.0) if plan is None else (plan.margin_weight(step), plan.aid_weight(step))
         for _ in range(gradient_steps):
-            batch = buffer.sample(batch_size)
-            loss = self.loss(batch, margin)  # type: ignore[arg-type]
-            self._update(loss)
+            batch: FrameSamples = buffer.sample(batch_size)  # type: ignore[assignment]
+            if self.settings.mirror and self.rng.random() < 0.5:
+                batch = mirrored(batch, self._mirror_map())
+            self._update(self.loss(batch, margin, aid))
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
         self.logger.record("train/max_abs_q", self.max_abs_q)
         self.logger.record("train/margin_weight", margin)
+        self.logger.record("train/aid_weight", aid)
 
-    def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
-        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss."""
+    def loss(self, batch: FrameSamples, margin: float, aid: float = 0.0) -> torch.Tensor:
+        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss and advice from the truth."""
         target = self.targets(batch)
         values = self.q_net(batch.observations)
         self.max_abs_q = float(values.detach().abs().max())
@@ -156,10 +179,15 @@ class SeqDQN(DQN):
         loss = functional.smooth_l1_loss(chosen, target)
         if margin > 0.0:
             loss = loss + margin * self.margin_loss(values, batch.observations)
+        if aid > 0.0 and batch.safe is not None and batch.advised is not None:
+            distances = self.q_net.distances(batch.observations[JOYSTICK_KEY])
+            rest = self.action_points.nearest((0.0, 0.0))
+            scale = self.settings.reward_scale
+            loss = loss + aid * aid_loss(values, distances, batch.safe, batch.advised, rest, scale)
         return loss
 
     @torch.no_grad()
-    def targets(self, batch: DictReplayBufferSamples) -> torch.Tensor:
+    def targets(self, batch: FrameSamples) -> torch.Tensor:
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
         if self.settings.double_q:
@@ -177,6 +205,9 @@ class SeqDQN(DQN):
         gap = distances - distances.gather(1, label) + MARGIN_OFFSET
         wanted = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
         return ((values + wanted).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
+
+    def _mirror_map(self) -> torch.Tensor:
+        return torch.as_tensor(self.action_points.mirror, device=self.device)
 
     def _update(self, loss: torch.Tensor) -> None:
         self.last_loss = float(loss.detach())

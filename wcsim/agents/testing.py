@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+from rich import box
 from rich.table import Table
 
 from wcsim.agents import baselines
@@ -22,14 +23,14 @@ Progress = Callable[[str], None]
 
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
-    ("kpi1_within", "within", "{:.0%}"),
-    ("kpi1_free_mean", "KPI 1 free", "{:.3f}"),
-    ("free_share", "free", "{:.0%}"),
-    ("kpi2_mean_steps", "KPI 2 steps", "{:.0f}"),
-    ("crashes", "crashes", "{:d}"),
-    ("km", "km", "{:.2f}"),
-    ("crashes_per_km", "crashes/km", "{:.2f}"),
-    ("speed_mps", "m/s", "{:.2f}"),
+    ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
+    ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
+    ("free_share", "free\nsteps", "{:.0%}"),
+    ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
+    ("crashes", "\ncrashes", "{:d}"),
+    ("km", "\nkm", "{:.2f}"),
+    ("crashes_per_km", "per\nkm", "{:.2f}"),
+    ("speed_mps", "\nm/s", "{:.2f}"),
 )
 
 
@@ -54,11 +55,12 @@ class TestResult:
         }
 
     def table(self) -> Table:
-        """The rows for a console."""
-        table = Table(title=f"{self.town}, {self.profile} user, seed {self.seed}")
-        table.add_column("policy")
-        for _, title, _ in COLUMNS:
-            table.add_column(title, justify="right")
+        """The rows for a console, 80 columns wide at most: a long path is folded, a number never is."""
+        title = f"{self.town}, {self.profile} user, seed {self.seed}"
+        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        table.add_column("\npolicy", overflow="fold", min_width=8)
+        for _, heading, _ in COLUMNS:
+            table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
             table.add_row(row.policy, *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
         return table

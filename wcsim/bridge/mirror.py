@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim import frames
 from wcsim.physics.bodies import BodyMove
-from wcsim.types import ActorState, StreetGrid
+from wcsim.types import ActorKind, ActorState, StreetGrid
 
 JUMP_MPS = 60.0  # faster than anything in a street: SUMO has teleported the actor, so its body does not sweep
 
@@ -43,4 +43,6 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     v_W_mps = (new.p_W_m - start.p_W_m) / dt_s
     if float(v_W_mps @ v_W_mps) > JUMP_MPS**2:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
-    return BodyMove(actor=start, v_W_mps=v_W_mps, yaw_rate_radps=frames.wrap(new.yaw_rad - start.yaw_rad) / dt_s)
+    # A person's body is round; turning it would only bend the way that the velocity leads.
+    turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
+    return BodyMove(actor=start, v_W_mps=v_W_mps, yaw_rate_radps=turned_rad / dt_s)

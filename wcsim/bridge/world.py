@@ -14,6 +14,7 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.bridge import mirror
+from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import ChairInStreet, StreetReaction
@@ -101,7 +102,9 @@ class World:
     def _mirror(self) -> None:
         with self.stopwatch.measure("mirror"):
             before = {actor.id: actor for actor in self._actors}
-            self._read_street()
+            near = self._near_chairs()
+            self._deflection.update(near, tuple(self._in_street(seat) for seat in self.seats))
+            self._take(near)
             self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
@@ -139,6 +142,7 @@ class World:
         self._tick = 0
         self._actors: tuple[ActorState, ...] = ()
         self._street = StreetReaction(self.config.world, seeding.derive(seed, "street"))
+        self._deflection = Deflection(self.street.grid, self.config.world.tick_s)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
@@ -177,11 +181,18 @@ class World:
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
     def _read_street(self) -> None:
-        """The actors near any chair, on the ground, and the signals, as SUMO has them now."""
-        here_W_m = np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
-        near = self._sumo.actors(here_W_m, self.config.world.mirror_radius_m)
-        self._actors = mirror.on_ground(near, self.street.grid)
+        """See the street again, after a chair has moved to another place."""
+        self._take(self._near_chairs())
+
+    def _take(self, near: tuple[ActorState, ...]) -> None:
+        """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
+        self._actors = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
         self._signals: tuple[SignalState, ...] = self._sumo.signals()
+
+    def _near_chairs(self) -> tuple[ActorState, ...]:
+        """The actors near any chair as SUMO has them."""
+        here_W_m = np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
+        return self._sumo.actors(here_W_m, self.config.world.mirror_radius_m)
 
     def _others(self, seat: Seat) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.bridge.world import World
-from wcsim.cli.common import parse, words_of, write_json
+from wcsim.cli.common import OutFile, in_bounds, parse, some_words, subcommand, write_json
 from wcsim.config import CameraConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.physics.camera import pinhole
@@ -24,7 +23,8 @@ from wcsim.towns.street import load_street
 from wcsim.towns.town import find_town
 from wcsim.types import Command, SeatSpec, Snapshot
 
-NAMES = ("tick", "camera")
+MAX_CHAIRS = 64
+MANY = 1_000_000
 
 
 @dataclass
@@ -41,7 +41,7 @@ class TickOptions:
     """Camera width in pixels; the height is three quarters of it."""
     seed: int = 0
     """Seed of the world."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the result to this file."""
 
 
@@ -59,26 +59,22 @@ class CameraOptions:
     """How often each picture is drawn."""
     seed: int = 0
     """Seed of the poses and the traffic."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the result to this file."""
 
 
 def run(words: list[str]) -> int:
     """Run one bench."""
-    if not words or words[0] not in NAMES:
-        if words and words[0] in ("-h", "--help"):
-            print(f"usage: wcsim bench {'|'.join(NAMES)} [options]")
-            return 0
-        raise ConfigError(f"wcsim bench needs a name, got {words[:1]}; expected one of: {', '.join(NAMES)}")
-    if words[0] == "tick":
+    name = subcommand(words, "bench", {"tick": TickOptions, "camera": CameraOptions})
+    if name == "tick":
         return _tick(parse(TickOptions, words[1:], "bench tick"))
-    return _camera(parse(CameraOptions, words[1:], "bench camera"))
+    return _camera(parse(CameraOptions, words[1:], "bench camera")) if name else 0
 
 
 def _tick(options: TickOptions) -> int:
-    result: dict[str, Any] = {}
-    for chairs in (int(word) for word in words_of(options.chairs)):
-        result[str(chairs)] = _measure(options, chairs)
+    in_bounds("--ticks", options.ticks, 1, MANY)
+    in_bounds("--width", options.width, 16, 2048)
+    result: dict[str, Any] = {str(chairs): _measure(options, chairs) for chairs in _chairs(options.chairs)}
     table = Table("chairs", "ticks/s", "share of the time")
     for number, row in result.items():
         share = "  ".join(f"{name} {part:.0%}" for name, part in row["share"].items())
@@ -87,6 +83,16 @@ def _tick(options: TickOptions) -> int:
     if options.json is not None:
         write_json(options.json, result)
     return 0
+
+
+def _chairs(text: str) -> list[int]:
+    try:
+        found = [int(word) for word in some_words("--chairs", text)]
+    except ValueError:
+        raise ConfigError(f"--chairs {text!r}: expected whole numbers joined by commas, as 1,4") from None
+    for number in found:
+        in_bounds("--chairs", number, 1, MAX_CHAIRS)
+    return found
 
 
 def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
@@ -128,8 +134,10 @@ def _sized(config: RunConfig, width: int) -> RunConfig:
 
 
 def _camera(options: CameraOptions) -> int:
+    for option, fewest in (("poses", 1), ("actors", 0), ("rounds", 1)):
+        in_bounds(f"--{option}", getattr(options, option), fewest, 1000)
     camera = CameraConfig()
-    rows = {name: _compare(name, camera, options) for name in words_of(options.towns)}
+    rows = {name: _compare(name, camera, options) for name in some_words("--towns", options.towns)}
     table = Table("town", "rasteriser ms", "with colours", "TinyRenderer ms", "ratio", "same class", "same depth")
     for name, row in rows.items():
         cells = (row.ms_median, row.rgb_ms_median, row.tiny_ms_median, row.ratio_vs_tiny)

@@ -1,10 +1,12 @@
-"""What the subcommands share: parsing, JSON files, tables."""
+"""What the subcommands share: parsing, bounds, files that results go to."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -16,10 +18,46 @@ T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 """An option that may be given several times, once for each value."""
 
+OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+"""A file that is written only when it is named."""
+
+OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+"""A folder that is made, with a default of its own."""
+
+MAX_SEED = (1 << 31) - 1
+
 
 def parse(options: type[T], words: list[str], command: str) -> T:
-    """Parse a subcommand's options; a mistake prints what was expected and exits with code 2."""
-    return tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__)
+    """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
+
+    Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
+    hear of it before the work than after it.
+    """
+    parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__)
+    in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
+    check_output("--json", getattr(parsed, "json", None))
+    return parsed
+
+
+def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str:
+    """The second word of a command that has several, or "" after its help was printed.
+
+    Args:
+        words: What follows the command.
+        command: Its name.
+        known: Second words, each with its class of options.
+
+    Raises:
+        ConfigError: The word is missing or unknown.
+    """
+    if words and words[0] in known:
+        return words[0]
+    if words and words[0] in ("-h", "--help"):
+        lines = [f"  {name:<10}{(kind.__doc__ or '').strip()}" for name, kind in known.items()]
+        print("\n".join([f"usage: wcsim {command} {'|'.join(known)} [options]", "", *lines]))
+        return ""
+    got = f"unknown {command} command {words[0]!r}" if words else f"{command} needs a command"
+    raise ConfigError(f"{got}; expected one of: {', '.join(known)} (wcsim {command} --help)")
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -31,18 +69,63 @@ def words_of(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
+def some_words(option: str, text: str) -> tuple[str, ...]:
+    """The items of a comma-separated option. Raises ConfigError when there is none."""
+    found = words_of(text)
+    if not found:
+        raise ConfigError(f"{option} {text!r} names nothing; expected one or more, joined by commas")
+    return found
+
+
+def in_bounds(option: str, value: float, low: float, high: float) -> None:
+    """Raise ConfigError unless low <= value <= high; NaN is never in bounds."""
+    if not low <= value <= high:
+        expected = f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
+        raise ConfigError(f"{option} {value}: expected {expected}")
+
+
+def check_output(option: str, path: Path | None, suffix: str = "") -> None:
+    """Make sure that a result can be written there before the work begins; missing folders are made later.
+
+    Raises ConfigError that says what is in the way.
+    """
+    if path is None:
+        return
+    if suffix and path.suffix.lower() != suffix:
+        raise ConfigError(f"{option} {path}: expected a file name that ends in {suffix}")
+    if path.is_dir():
+        raise ConfigError(f"{option} {path} is a folder; expected the name of a file")
+    check_folder(option, path.parent)
+
+
+def check_folder(option: str, folder: Path) -> None:
+    """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
+    place = folder.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"{option}: {place} is not a folder that can be written; choose another place")
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write a result file at once or not at all; NaN and infinity never appear in it."""
     try:
         text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     except ValueError as error:
         raise ConfigError(f"{path}: a result is not a finite number ({error})") from None
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
+    """Let `fill` write a file beside `path` and rename it, so that the file appears whole or not at all.
+
+    Raises ConfigError when the place cannot be written.
+    """
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
+            part = Path(work) / path.name
+            fill(part)
+            part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
 from rich.console import Console
 
 from wcsim.cli import test
-from wcsim.cli.common import Repeated, parse, write_json
+from wcsim.cli.common import OutFolder, Repeated, parse, write_json
 from wcsim.cli.train import checked_town, train_in
 from wcsim.config import load_run_config
 from wcsim.view.pictures import triptych, write_png
@@ -25,7 +25,7 @@ class Options:
     """Town to train in."""
     test_town: str = "monaco"
     """Town to test in."""
-    out: Path | None = field(default=None)
+    out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
     set: Repeated = ()
     """section.key=value, laid over preset quick; may be given several times."""
@@ -42,6 +42,10 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "demo")
     console = Console()
     started = time.monotonic()
+    trial = test.Options(
+        town=options.test_town, episodes=options.episodes, max_steps=options.max_steps, seed=options.seed
+    )
+    test.check(trial)  # before the training, not after it
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
     console.print(f"[bold]1/3[/] training in {options.train_town} (Ctrl-C ends it early and keeps what was learned)")
     config = load_run_config("quick", options.set)
@@ -49,15 +53,7 @@ def run(words: list[str]) -> int:
         checked_town(options.train_town, False), config, out, options.seed, command=("wcsim", "demo", *words)
     )
     console.print(f"[bold]2/3[/] testing in {options.test_town}, which the network has never seen")
-    results = test.test_policies(
-        test.Options(
-            policies=(str(folder), f"{folder}:phase1"),
-            town=options.test_town,
-            episodes=options.episodes,
-            max_steps=options.max_steps,
-            seed=options.seed,
-        )
-    )
+    results = test.test_policies(replace(trial, policies=(str(folder), f"{folder}:phase1")))
     for result in results:
         console.print(result.table())
     write_json(folder / "test.json", test.as_json(results))

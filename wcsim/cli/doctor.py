@@ -8,14 +8,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.cli.common import parse, write_json
+from wcsim.cli.common import OutFile, parse, write_json
 from wcsim.errors import WcsimError
 
 PACKAGES = (
@@ -34,7 +34,7 @@ class Options:
     """Town to run for the tick rate."""
     seed: int = 0
     """Seed of that run."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the findings to this file."""
 
 

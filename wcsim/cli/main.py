@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from dataclasses import dataclass
 
 from wcsim.errors import InterruptedRunError, WcsimError
 
-EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 0, 2, 130
+EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 0, 2, 130, 141
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +35,22 @@ SUBCOMMANDS = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code (0 done, 2 bad input, 130 interrupted)."""
-    words = sys.argv[1:] if arguments is None else arguments
+    """Run the command line; returns the exit code (0 done, 2 bad input, 130 interrupted, 141 nobody reads on)."""
+    try:
+        code = _run(sys.argv[1:] if arguments is None else arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whoever read the output, as `head` does, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+
+
+def _run(words: list[str]) -> int:
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
     if chosen is None:
         return _no_subcommand(words)
     try:
-        code = importlib.import_module(chosen.module).run(words[1:])
-        return int(code or EXIT_OK)
+        return int(importlib.import_module(chosen.module).run(words[1:]) or EXIT_OK)
     except InterruptedRunError as stop:
         print(f"wcsim: {stop}", file=sys.stderr)
         return EXIT_OK
@@ -51,6 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("wcsim: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except SystemExit as leave:  # from the parser of options: 0 after --help, 2 after a mistake
+        return leave.code if isinstance(leave.code, int) else EXIT_BAD_INPUT
 
 
 def _no_subcommand(words: list[str]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,21 +16,20 @@ from wcsim.bridge.scene import GOLDEN, run_in_child
 from wcsim.bridge.scene_facts import SceneFacts, facts_of, faults
 from wcsim.bridge.trace import read_trace
 from wcsim.bridge.trace_diff import difference
-from wcsim.cli.common import parse, write_json
+from wcsim.cli.common import OutFile, parse, subcommand, write_json
 from wcsim.config import SceneFile, read_toml
-from wcsim.errors import ConfigError
 from wcsim.towns.scenes import find_scene, list_scenes
 
-NAMES = ("run", "list", "bless")
+Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
 
 
 @dataclass
 class RunOptions:
     """Run scenes (all of them when none is named) and compare them with what they must show and their golden traces."""
 
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    scenes: Scenes = ()
     """Names or folders of scenes."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the results to this file."""
 
 
@@ -38,7 +37,7 @@ class RunOptions:
 class BlessOptions:
     """Run scenes and make what they do now their golden traces; prints what changed."""
 
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    scenes: Scenes = ()
     """Names or folders of scenes."""
 
 
@@ -58,17 +57,13 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    if not words or words[0] not in NAMES:
-        if words and words[0] in ("-h", "--help"):
-            print(f"usage: wcsim scene {'|'.join(NAMES)} [options]")
-            return 0
-        raise ConfigError(f"wcsim scene needs a command, got {words[:1]}; expected one of: {', '.join(NAMES)}")
-    if words[0] == "list":
+    name = subcommand(words, "scene", {"run": RunOptions, "list": ListOptions, "bless": BlessOptions})
+    if name == "list":
         parse(ListOptions, words[1:], "scene list")
         return _list()
-    if words[0] == "run":
+    if name == "run":
         return _run(parse(RunOptions, words[1:], "scene run"))
-    return _bless(parse(BlessOptions, words[1:], "scene bless"))
+    return _bless(parse(BlessOptions, words[1:], "scene bless")) if name else 0
 
 
 def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:

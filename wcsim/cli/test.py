@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
 
-from wcsim.cli.common import Repeated, parse, words_of, write_json
+from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.config import RunConfig, load_run_config
-from wcsim.errors import ConfigError, TownError
+from wcsim.errors import TownError
+from wcsim.supervisor.profiles import profile
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.town import Town, content_hash, find_town
 
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.testing import TestResult
 
+MAX_STEPS = 1_000_000  # as in env.max_steps
+
+
 @dataclass
 class Options:
     """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines."""
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
     """What to test; the baselines follow, random, zero and stop are always added."""
     town: str = "monaco"
     """Towns, joined by commas."""
@@ -43,7 +47,7 @@ class Options:
     """Your own network as module:Class, for runs that were trained with it."""
     allow_train_town: bool = False
     """Test in a town of split train, or in the town that a run was trained in."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the result to this file."""
 
 
@@ -80,9 +84,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.testing import open_policy, run_test
 
-    if options.episodes < 1 or options.max_steps < 1:
-        raise ConfigError(f"--episodes {options.episodes} --max-steps {options.max_steps}: expected at least 1 of each")
-    towns = {town.name: town for town in (checked_town(name, options) for name in words_of(options.town))}
+    towns, profiles = check(options)
     config = _config(options)
     names = list(dict.fromkeys([*options.policies, *NAMES]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
@@ -96,7 +98,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         policies,
         make_env,
         towns=tuple(towns),
-        profiles=words_of(options.profile),
+        profiles=profiles,
         episodes=options.episodes,
         max_steps=options.max_steps,
         seed=options.seed,
@@ -104,6 +106,25 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         progress=lambda text: console.print(f"tested {text}", style="dim", highlight=False),
     )
     return results
+
+
+def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
+    """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
+    in_bounds("--episodes", options.episodes, 1, math.inf)
+    in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
+    profiles = tuple(profile(name).name for name in some_words("--profile", options.profile))
+    return _towns(options), profiles
+
+
+def _towns(options: Options) -> dict[str, Town]:
+    """The towns to test in, by name."""
+    towns: dict[str, Town] = {}
+    for name in some_words("--town", options.town):
+        town = checked_town(name, options)
+        other = towns.setdefault(town.name, town)
+        if other.folder != town.folder:
+            raise TownError(f"{other.folder} and {town.folder} are both named {town.name}; test one after the other")
+    return towns
 
 
 def checked_town(name: str, options: Options) -> Town:

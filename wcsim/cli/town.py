@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,20 +10,18 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.cli.common import parse, write_json
+from wcsim.cli.common import OutFile, OutFolder, check_folder, parse, subcommand, write_json
 from wcsim.errors import ConfigError
 from wcsim.towns.check import TownReport, check_town
 from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.town import find_town, list_towns
-
-NAMES = ("import", "list", "check")
 
 
 @dataclass
 class ImportOptions:
     """Import a town from an OpenStreetMap extract: streets, pavements, buildings, trees, and endless traffic."""
 
-    osm: Path
+    osm: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The extract: .osm, .osm.xml or .osm.xml.gz."""
     bbox: str
     """What to keep of it, in degrees: west,south,east,north."""
@@ -31,7 +29,7 @@ class ImportOptions:
     """The town's name."""
     split: Literal["train", "test"] = "train"
     """Whether networks may be trained in it, or only tested."""
-    out: Path | None = field(default=None)
+    out: OutFolder = None
     """Where to put it; default ./scenarios/sumo/NAME."""
     lefthand: bool = False
     """Traffic drives on the left."""
@@ -50,35 +48,36 @@ class ListOptions:
 class CheckOptions:
     """Check a town: can it be walked through, does its traffic find its way, is the ground without holes."""
 
-    town: Annotated[str, tyro.conf.Positional]
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
     """A town's name or folder."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write the result to this file."""
 
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    if not words or words[0] not in NAMES:
-        if words and words[0] in ("-h", "--help"):
-            print(f"usage: wcsim town {'|'.join(NAMES)} [options]")
-            return 0
-        raise ConfigError(f"wcsim town needs a command, got {words[:1]}; expected one of: {', '.join(NAMES)}")
-    if words[0] == "import":
+    name = subcommand(words, "town", {"import": ImportOptions, "list": ListOptions, "check": CheckOptions})
+    if name == "import":
         return _import(parse(ImportOptions, words[1:], "town import"))
-    if words[0] == "list":
+    if name == "list":
         parse(ListOptions, words[1:], "town list")
         return _list()
-    return _check(parse(CheckOptions, words[1:], "town check"))
+    return _check(parse(CheckOptions, words[1:], "town check")) if name else 0
 
 
 def _import(options: ImportOptions) -> int:
+    out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
+    bbox = _bbox(options.bbox)
+    check_folder("--out", out)
+    if not options.osm.is_file():
+        raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract (.osm[.gz])")
     town = import_town(
         ImportOrder(
             osm=options.osm,
-            bbox=_bbox(options.bbox),
+            bbox=bbox,
             name=options.name,
             split=options.split,
-            out=options.out if options.out is not None else Path("scenarios/sumo") / options.name,
+            out=out,
             lefthand=options.lefthand,
             seed=options.seed,
             source=options.source,

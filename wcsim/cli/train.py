@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from wcsim.cli.common import Repeated, parse, write_json
+from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import TownError
+from wcsim.supervisor.profiles import profile
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.town import Town, content_hash, find_town
 
@@ -24,7 +27,7 @@ class Options:
     """Town to train in; its split must be train."""
     preset: str = "quick"
     """Settings to begin with: quick or paper."""
-    config: Path | None = field(default=None)
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()
     """section.key=value, laid over both; may be given several times."""
@@ -34,13 +37,13 @@ class Options:
     """Your own reward term as module:Class, added to the paper's; may be given several times."""
     seed: int = 0
     """Seed of everything: equal seeds give equal weights."""
-    out: Path | None = field(default=None)
+    out: OutFolder = None
     """Run folder; default runs/TOWN-PRESET-SEED."""
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
     allow_test_town: bool = False
     """Train in a town that is meant for tests."""
-    json: Path | None = field(default=None)
+    json: OutFile = None
     """Write where the run is to this file."""
 
 
@@ -85,11 +88,16 @@ def train_in(
     from wcsim.agents.callbacks import TrainProgress  # torch is loaded here, not for --help
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.plugins import find_reward_term
+    from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
 
+    check_folder("--out", out)
+    find_network(config.learn.network)
+    profile(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
+    aided = config.learn.aid == "oracle"
     learning = config.model_copy(
-        update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": False})}
+        update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": aided})}
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"), TimeRemainingColumn())
     with Progress(*columns, console=Console(file=sys.stderr), transient=False) as bar:

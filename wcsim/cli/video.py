@@ -7,21 +7,24 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.console import Console
 from rich.progress import track
 
-from wcsim.cli.common import parse
+from wcsim.cli.common import check_output, in_bounds, parse
 from wcsim.view.stage import open_stage
+
+MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
 
 @dataclass
 class Options:
     """Film a chair that does what its user asks for: its camera beside a map."""
 
-    town: Annotated[str, tyro.conf.Positional] = "helsinki"
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name or folder."""
     seed: int = 0
     """Seed of the traffic and of the chair's place."""
-    out: Path = Path("video.webm")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
     """The video (WebM)."""
     seconds: float = 10.0
     """How long."""
@@ -32,8 +35,13 @@ class Options:
 def run(words: list[str]) -> int:
     """Film it."""
     options = parse(Options, words, "video")
+    check_output("--out", options.out, ".webm")
+    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
     with open_stage(options.town, options.seed, options.width) as stage, stage.film(options.out) as film:
-        for _ in track(range(round(options.seconds / stage.tick_s)), description="filming", transient=True):
+        frames = range(round(options.seconds / stage.tick_s))
+        for _ in track(frames, description="filming", console=console, transient=True, disable=quiet):
             film.add()
     print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s")
     return 0

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import pybullet
 
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
 from wcsim.physics.pose import euler, matrix, quaternion, rotate
+from wcsim.physics.quiet import pybullet
 from wcsim.types import F64, ActorKind, ActorState
 
 Vec3 = tuple[float, float, float]

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pybullet
 
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.errors import PhysicsError
@@ -24,6 +23,7 @@ from wcsim.physics.ghosts import MOST_IN_A_ROW, SUSPECT_N, Motion, Tyre, coast, 
 from wcsim.physics.imu import Imu
 from wcsim.physics.plant import PlantSpec, plant_spec, urdf
 from wcsim.physics.pose import Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.physics.quiet import pybullet
 from wcsim.types import F64, Contact, ImuFrame, Joystick, PlantState
 
 Vec3 = tuple[float, float, float]

@@ -14,9 +14,9 @@ from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
-import pybullet
 
 from wcsim.errors import PhysicsError
+from wcsim.physics.quiet import pybullet
 from wcsim.physics.soup import Soup, split, tidy
 from wcsim.types import F64, ClassId, StreetMesh
 

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import pybullet
-
 from wcsim.physics.pose import Quat, Vec3, added, matrix, rotate_back, turned
+from wcsim.physics.quiet import pybullet
 
 SUSPECT_N: Final = 2000.0  # a wheel carries less than 1000 N; below this a ghost does no harm
-SLACK_M: Final = 0.012  # between a point on the tyre and where the tyre is now
+SLACK_M: Final = 0.02  # what a link moves in a step beside its body
 MOST_IN_A_ROW: Final = 3
 
 
@@ -41,20 +40,27 @@ class Motion:
     joints: Sequence[tuple[float, float]]  # position and velocity of each turning joint
 
 
-def off_tyre(point_m: Vec3, tyre: Tyre) -> bool:
-    """Whether a point in the wheel's frame (y along the axle) lies off its cylinder.
+def off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
+    """Whether something cannot touch a wheel at a point with a normal, both in the wheel's frame (y along the axle).
 
-    >>> off_tyre((0.0, 0.02, -0.1), Tyre(radius_m=0.1, half_width_m=0.025))
-    False
-    >>> off_tyre((0.05, 0.04, -0.1), Tyre(radius_m=0.1, half_width_m=0.025))
-    True
+    What pushes a cylinder inwards along a normal touches it where that normal, turned round, leads out of it.
+
+    >>> tyre = Tyre(radius_m=0.1, half_width_m=0.025)
+    >>> off_tyre((0.0, 0.02, -0.1), (0.0, 0.0, 1.0), tyre), off_tyre((0.05, 0.02, -0.1), (0.0, 0.0, 1.0), tyre)
+    (False, True)
     """
     x, y, z = point_m
-    return abs(y) > tyre.half_width_m + SLACK_M or math.hypot(x, z) > tyre.radius_m + SLACK_M
+    if abs(y) > tyre.half_width_m + SLACK_M:
+        return True
+    radial = math.hypot(normal[0], normal[2])
+    if radial < 0.5:  # it pushes on the side of the wheel, where any place will do
+        return math.hypot(x, z) > tyre.radius_m + SLACK_M
+    reach = tyre.radius_m / radial
+    return math.hypot(x + reach * normal[0], z + reach * normal[2]) > SLACK_M
 
 
 def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, client: int) -> bool:
-    """Whether a contact point of PyBullet (3 link, 5 place on it) cannot have been on the wheel.
+    """Whether a contact point of PyBullet (3 link, 5 place on it, 7 normal) cannot have been on the wheel.
 
     The point is where things were before the step, the link where it is now: the body's way in the step lies between.
     """
@@ -62,7 +68,8 @@ def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, clie
     state = pybullet.getLinkState(body, point[3], computeForwardKinematics=1, physicsClientId=client)
     hub, was, place = state[0], before.p_W_m, point[5]
     to_place = [place[k] + now[k] - was[k] - hub[k] for k in range(3)]
-    return off_tyre(rotate_back(matrix(state[1]), *to_place), tyre)
+    rotation = matrix(state[1])
+    return off_tyre(rotate_back(rotation, *to_place), rotate_back(rotation, *point[7]), tyre)
 
 
 def coast(body: int, joints: Sequence[int], before: Motion, dt_s: float, client: int) -> None:

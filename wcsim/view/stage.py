@@ -126,7 +126,10 @@ class Film:
         self._stage = stage
         height = stage.camera.height_px
         stage.open_map(height)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
         self._writer = VideoWriter(path, 1.0 / stage.tick_s, (stage.camera.width_px + height, height))
 
     def add(self) -> None:

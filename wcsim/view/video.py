@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from wcsim.errors import ConfigError
+from wcsim.quiet import without_line
 from wcsim.types import U8
 from wcsim.view.map import MapView, map_view
 
@@ -45,7 +46,9 @@ class VideoWriter:
         self._padded = (size[0] + size[0] % 2, size[1] + size[1] % 2)
         self._writer: cv2.VideoWriter | None = None
         if path.parent.is_dir() and os.access(path.parent, os.W_OK):
-            self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded)
+            # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
+            with without_line(b"OpenCV: FFMPEG: tag"):
+                self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded)
         if self._writer is None or not self._writer.isOpened():
             self._drop()
             raise ConfigError(f"{path}: no video can be written there; choose a folder that exists and can be written")

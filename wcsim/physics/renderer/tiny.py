@@ -12,9 +12,9 @@ from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
-import pybullet
 
 from wcsim.errors import PhysicsError
+from wcsim.physics.quiet import pybullet
 from wcsim.physics.renderer.base import Images, Pinhole, check_images
 from wcsim.physics.renderer.instances import Instances, rotation_quaternion
 from wcsim.physics.renderer.paint import VARIANTS, class_paint_table, paint_table

@@ -1,0 +1,32 @@
+"""Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice."""
+
+from __future__ import annotations
+
+import torch
+
+from wcsim.agents.protocol import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.agents.replay import FrameSamples
+
+Tensors = dict[str, torch.Tensor]
+
+IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
+JOYSTICK_SIGNS = (-1.0, 1.0)
+
+
+def mirrored(batch: FrameSamples, actions: torch.Tensor) -> FrameSamples:
+    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
+    return batch._replace(
+        observations=_mirrored(batch.observations),
+        actions=actions[batch.actions.long()],
+        next_observations=_mirrored(batch.next_observations),
+        safe=None if batch.safe is None else batch.safe[:, actions],
+    )
+
+
+def _mirrored(observations: Tensors) -> Tensors:
+    out = dict(observations)
+    for key in (CLASS_KEY, DEPTH_KEY):
+        out[key] = observations[key].flip(-1)
+    for key, signs in ((IMU_KEY, IMU_SIGNS), (JOYSTICK_KEY, JOYSTICK_SIGNS)):
+        out[key] = observations[key] * observations[key].new_tensor(signs)
+    return out
