@@ -49,7 +49,7 @@ class CameraConfig(Model):
 class ImuConfig(Model):
     """The IMU and tilt sensor (definitions: docs/spec.md)."""
 
-    p_BI_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.45)
+    p_BI_m: tuple[Finite, Finite, Finite] = (0.18, 0.0, 0.50)  # under the seat, near the centre of mass
     lowpass_hz: Positive = 20.0
     saturation_mps2: Positive = 156.9  # +-16 g
     accel_noise_mps2: NotNegative = 0.02
@@ -156,7 +156,9 @@ class LearnConfig(Model):
     epsilon_hold: Annotated[int, Field(ge=1, le=100)] = 1  # steps that an explored offset from the stick is held
     aid: Literal["none", "oracle"] = "none"  # beyond the paper: safe actions from the privileged truth, in training
     aid_weight: NotNegative = 1.0
-    aid_share: Share = 0.25  # of each batch, from steps in which the user's command ends badly
+    aid_batch: Annotated[int, Field(ge=1, le=4096)] = 32
+    aid_share: Share = 0.5  # of the aid's batch, from steps in which some action ends badly
+    aid_relabel: Share = 0.5  # of the aid's batch, with another joystick than the user's
     mirror: bool = False  # batches are mirrored left to right half of the time
     checkpoint_every: Annotated[int, Field(ge=1)] = 5_000
     threads: Annotated[int, Field(ge=1, le=64)] = 1

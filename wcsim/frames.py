@@ -81,3 +81,8 @@ def net_from_world(p_W_m: F64, origin_m: tuple[float, float]) -> F64:
 def rad(angle_deg: float) -> float:
     """A configured angle (key `*_deg`) in radians."""
     return math.radians(angle_deg)
+
+
+def deg(angle_rad: float) -> float:
+    """An angle in degrees, for a file or a person."""
+    return math.degrees(angle_rad)

@@ -239,8 +239,8 @@ class PlantState(ComparesArrays):
     v_B_mps: F64  # (3,)
     w_B_radps: F64  # (3,)
     wheel_radps: F64  # (2,) left, right drive wheel
-    roll_rad: float
-    pitch_rad: float
+    roll_rad: float  # right side down positive
+    pitch_rad: float  # nose up positive
     yaw_rad: float
 
 

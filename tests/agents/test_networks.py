@@ -46,7 +46,7 @@ def q_net(height=60, width=80, **spec):
     return QNet(space(height, width), gym.spaces.Discrete(81), NetSpec(**spec))
 
 
-@pytest.mark.parametrize("network", ["small", "impala"])
+@pytest.mark.parametrize("network", ["small", "patch", "impala"])
 @pytest.mark.parametrize("size", [(60, 80), (240, 320), (24, 32), (33, 47)])
 def test_any_image_size_gives_a_value_for_each_action(network, size):
     net = q_net(*size, network=network)

@@ -8,6 +8,7 @@ import numpy as np
 
 from wcsim.agents.protocol import DEPTH_KEY, IMU_KEY, Observation
 from wcsim.config import CameraConfig, ChairConfig
+from wcsim.frames import rad
 from wcsim.supervisor.observation import decode_depth
 from wcsim.types import F64, Bool
 
@@ -69,11 +70,11 @@ class CorridorWatch:
 def viewing_rays(camera: CameraConfig) -> F64:
     """Directions in B per metre of depth (along the optical axis), (H * W, 3), row by row from the top left."""
     height, width = camera.height_px, camera.width_px
-    focal_px = width / 2.0 / math.tan(math.radians(camera.hfov_deg) / 2.0)
+    focal_px = width / 2.0 / math.tan(rad(camera.hfov_deg) / 2.0)
     right, down = np.meshgrid(
         (np.arange(width) + 0.5 - width / 2.0) / focal_px, (np.arange(height) + 0.5 - height / 2.0) / focal_px
     )
-    pitch, yaw = math.radians(camera.pitch_deg), math.radians(camera.yaw_deg)
+    pitch, yaw = rad(camera.pitch_deg), rad(camera.yaw_deg)
     ahead = math.cos(pitch) + down * math.sin(pitch)
     up = math.sin(pitch) - down * math.cos(pitch)
     x = ahead * math.cos(yaw) + right * math.sin(yaw)

@@ -15,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.config import RunConfig, load_run_config
-from wcsim.errors import ProtocolError
+from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.link import WorldLink, WorldOrder
 from wcsim.server.open_link import open_link
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import Judgement, judge, observation_of
 from wcsim.supervisor.observation import Observation, observation_space
+from wcsim.supervisor.profiles import profile
 from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.types import ClientSnapshot, Joystick, RewardTerms, SeatSpec
@@ -59,6 +60,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             ConfigError: The configuration cannot be used.
         """
         self.config = config if config is not None else load_run_config(preset, tuple(overrides))
+        profile(self.config.env.profile)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
         self.town = town
         self.render_mode = render_mode
         if render_mode == "rgb_array":
@@ -97,6 +101,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if self._link is None or self._now is None or self._now.first is not None:
             raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
         choice = int(action)
+        if not 0 <= choice < len(self._actions):
+            raise ProtocolError(f"action {choice} is not in the action set; expected 0 to {len(self._actions) - 1}")
         asked = self._now.user
         point = self._actions.points[choice]
         before = self._now

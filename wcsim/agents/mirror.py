@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
+from wcsim.agents.advice import AdviceBatch
 from wcsim.agents.protocol import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay import FrameSamples
 
 Tensors = dict[str, torch.Tensor]
 
@@ -13,14 +14,18 @@ IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
 JOYSTICK_SIGNS = (-1.0, 1.0)
 
 
-def mirrored(batch: FrameSamples, actions: torch.Tensor) -> FrameSamples:
+def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
         observations=_mirrored(batch.observations),
         actions=actions[batch.actions.long()],
         next_observations=_mirrored(batch.next_observations),
-        safe=None if batch.safe is None else batch.safe[:, actions],
     )
+
+
+def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor) -> AdviceBatch:
+    """The same for a batch of the training aid."""
+    return AdviceBatch(observations=_mirrored(batch.observations), safe=batch.safe[:, actions])
 
 
 def _mirrored(observations: Tensors) -> Tensors:

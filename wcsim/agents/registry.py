@@ -18,13 +18,14 @@ from collections.abc import Callable
 from torch import nn
 
 from wcsim.agents.nets.impala import ImpalaNet
+from wcsim.agents.nets.patch import PatchNet
 from wcsim.agents.nets.small import SmallNet
 from wcsim.agents.plugins import find_class
 from wcsim.errors import PolicyError
 
 NetworkClass = Callable[[tuple[int, int, int], int], nn.Module]
 
-NETWORKS: dict[str, NetworkClass] = {"small": SmallNet, "impala": ImpalaNet}
+NETWORKS: dict[str, NetworkClass] = {"small": SmallNet, "patch": PatchNet, "impala": ImpalaNet}
 
 
 def register(name: str, network: NetworkClass) -> None:

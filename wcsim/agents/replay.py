@@ -10,18 +10,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim import seeding
-from wcsim.agents.advice import AdviceRing
+from wcsim.agents.advice import AdviceBatch, AdviceRing
 from wcsim.agents.frames_store import frame_store
 from wcsim.agents.layout import layout_of
 from wcsim.types import F32, U8, Bool
@@ -38,19 +39,6 @@ class Chains:
     terminated: Bool  # (K,) the last step crashed: nothing comes after it
     last: I64  # (K,) absolute index of the last step
     ended: Bool  # (K,) the observation after the last step is kept beside the ring
-
-
-class FrameSamples(NamedTuple):
-    """A batch as Stable-Baselines3's `DictReplayBufferSamples` has it, and the advice beside it."""
-
-    observations: dict[str, torch.Tensor]
-    actions: torch.Tensor  # (B, 1) int64
-    next_observations: dict[str, torch.Tensor]
-    dones: torch.Tensor  # (B, 1)
-    rewards: torch.Tensor  # (B, 1) n-step returns, unscaled
-    discounts: torch.Tensor  # (B, 1)
-    safe: torch.Tensor | None = None  # (B, A) bool, which actions end well
-    advised: torch.Tensor | None = None  # (B,) bool, whether that is known
 
 
 class FrameReplay(ReplayBuffer):
@@ -74,7 +62,6 @@ class FrameReplay(ReplayBuffer):
         precrash_share: float = 0.0,
         precrash_window: int = 20,
         advice: bool = False,
-        danger_share: float = 0.0,
         seed: int = 0,
     ) -> None:
         # SB3's own constructor would allocate two uncompressed copies of every frame.
@@ -84,7 +71,6 @@ class FrameReplay(ReplayBuffer):
         self.buffer_size = rows = max(buffer_size // n_envs, n_step + 1, 2)
         self.n_step, self.gamma = n_step, gamma
         self.precrash_share, self.precrash_window = precrash_share, precrash_window
-        self.danger_share = danger_share
         self.layout = layout_of(observation_space)
         self.rng = seeding.generator(seed, "agent", "replay")
         self.frames = frame_store(rows, n_envs, self.layout.image_bytes)
@@ -147,12 +133,12 @@ class FrameReplay(ReplayBuffer):
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
-    ) -> FrameSamples:
+    ) -> DictReplayBufferSamples:
         """A batch of n-step transitions; rewards are unscaled returns. `env` is ignored: nothing is normalised."""
         return self.gather(*self.draw(batch_size))
 
     def draw(self, batch_size: int) -> tuple[I64, I64]:
-        """Start rows (absolute) and seats of a batch, shares of them from before crashes and from danger.
+        """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
 
         Raises ValueError when fewer than two steps are kept.
         """
@@ -166,27 +152,39 @@ class FrameReplay(ReplayBuffer):
         count = round(self.precrash_share * batch_size)
         if count > 0 and self.crashes:
             starts[:count], seats[:count] = self._before_crashes(count, first)
-        more = min(round(self.danger_share * batch_size), batch_size - count)
-        if more > 0 and self.advice is not None and self.advice.dangers:
-            starts[batch_size - more :], seats[batch_size - more :] = self.advice.draw(more, self.rng)
         return starts, seats
 
-    def gather(self, starts: I64, seats: I64) -> FrameSamples:
+    def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
         """The transitions that start at these rows."""
         chains = self.chains(starts, seats)
         rows = starts % self.buffer_size
         now = self.layout.split(self.frames.read(rows, seats), self.vectors[rows, seats])
         after = self._after(chains, seats)
-        safe, known = (None, None) if self.advice is None else self.advice.read(rows, seats)
-        return FrameSamples(
+        return DictReplayBufferSamples(
             observations={key: self.to_torch(value, copy=False) for key, value in now.items()},
             actions=self.to_torch(self.actions[rows, seats][:, None], copy=False),
             next_observations={key: self.to_torch(value, copy=False) for key, value in after.items()},
             dones=self.to_torch(chains.terminated.astype(np.float32)[:, None], copy=False),
             rewards=self.to_torch(chains.returns[:, None], copy=False),
             discounts=self.to_torch(chains.discounts[:, None], copy=False),
-            safe=None if safe is None else self.to_torch(safe, copy=False),
-            advised=None if known is None else self.to_torch(known, copy=False),
+        )
+
+    def sample_advice(self, count: int, tight_share: float) -> AdviceBatch | None:
+        """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
+
+        Raises ValueError when the memory was built without `advice`.
+        """
+        if self.advice is None:
+            raise ValueError("replay keeps no advice; build it with advice=True (learn.aid=oracle)")
+        drawn = self.advice.draw(count, tight_share, self.rng)
+        if drawn is None:
+            return None
+        index, seats = drawn
+        rows = index % self.buffer_size
+        seen = self.layout.split(self.frames.read(rows, seats), self.vectors[rows, seats])
+        return AdviceBatch(
+            observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
+            safe=self.to_torch(self.advice.safe(index, seats), copy=False),
         )
 
     def chains(self, starts: I64, seats: I64) -> Chains:
@@ -250,5 +248,3 @@ class FrameReplay(ReplayBuffer):
             self.after_end.pop((index, seat), None)
         while self.crashes and self.crashes[0][0] <= index:
             self.crashes.popleft()
-        if self.advice is not None:
-            self.advice.forget(index)

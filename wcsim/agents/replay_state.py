@@ -54,7 +54,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     for name in PER_STEP:
         getattr(replay, name)[rows] = arrays[name]
     if replay.advice is not None:
-        replay.advice.restore(arrays, total - size + np.arange(size), arrays["episode_step"] == 0)
+        replay.advice.restore(arrays, total - size + np.arange(size))
     _restore_frames(replay, arrays, rows)
     for (index, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
         replay.after_end[int(index), int(seat)] = (image, vector)

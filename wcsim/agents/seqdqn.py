@@ -19,17 +19,17 @@ import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from wcsim import seeding
-from wcsim.agents.aid import aid_loss
-from wcsim.agents.mirror import mirrored
+from wcsim.agents.aid import aid_loss, relabelled
+from wcsim.agents.mirror import mirrored, mirrored_advice
 from wcsim.agents.phases import Phase, PhasePlan
 from wcsim.agents.policy import QNet, SeqQPolicy
 from wcsim.agents.protocol import JOYSTICK_KEY
-from wcsim.agents.replay import FrameReplay, FrameSamples
+from wcsim.agents.replay import FrameReplay
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
@@ -48,6 +48,9 @@ class SeqSettings:
     epsilon_sigma: float = 0.5
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
     mirror: bool = False
+    aid_batch: int = 32
+    aid_share: float = 0.5
+    aid_relabel: float = 0.5
 
 
 class SeqDQN(DQN):
@@ -159,10 +162,13 @@ class SeqDQN(DQN):
         plan, step = self.plan, self.num_timesteps
         margin, aid = (0.0, 0.0) if plan is None else (plan.margin_weight(step), plan.aid_weight(step))
         for _ in range(gradient_steps):
-            batch: FrameSamples = buffer.sample(batch_size)  # type: ignore[assignment]
-            if self.settings.mirror and self.rng.random() < 0.5:
+            batch: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
+            if self._flips():
                 batch = mirrored(batch, self._mirror_map())
-            self._update(self.loss(batch, margin, aid))
+            loss = self.loss(batch, margin)
+            if aid > 0.0:
+                loss = loss + aid * self.advice_loss()
+            self._update(loss)
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
@@ -170,8 +176,8 @@ class SeqDQN(DQN):
         self.logger.record("train/margin_weight", margin)
         self.logger.record("train/aid_weight", aid)
 
-    def loss(self, batch: FrameSamples, margin: float, aid: float = 0.0) -> torch.Tensor:
-        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss and advice from the truth."""
+    def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
+        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss."""
         target = self.targets(batch)
         values = self.q_net(batch.observations)
         self.max_abs_q = float(values.detach().abs().max())
@@ -179,15 +185,10 @@ class SeqDQN(DQN):
         loss = functional.smooth_l1_loss(chosen, target)
         if margin > 0.0:
             loss = loss + margin * self.margin_loss(values, batch.observations)
-        if aid > 0.0 and batch.safe is not None and batch.advised is not None:
-            distances = self.q_net.distances(batch.observations[JOYSTICK_KEY])
-            rest = self.action_points.nearest((0.0, 0.0))
-            scale = self.settings.reward_scale
-            loss = loss + aid * aid_loss(values, distances, batch.safe, batch.advised, rest, scale)
         return loss
 
     @torch.no_grad()
-    def targets(self, batch: FrameSamples) -> torch.Tensor:
+    def targets(self, batch: DictReplayBufferSamples) -> torch.Tensor:
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
         if self.settings.double_q:
@@ -205,6 +206,28 @@ class SeqDQN(DQN):
         gap = distances - distances.gather(1, label) + MARGIN_OFFSET
         wanted = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
         return ((values + wanted).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
+
+    def advice_loss(self) -> torch.Tensor:
+        """Loss of a batch of advice from the truth (`agents/aid.py`), 0 while there is none."""
+        settings, buffer = self.settings, self.replay_buffer
+        advice = (
+            buffer.sample_advice(settings.aid_batch, settings.aid_share) if isinstance(buffer, FrameReplay) else None
+        )
+        if advice is None:
+            return torch.zeros((), device=self.device)
+        seen, points = advice.observations, self.action_points.points
+        wishes = relabelled(
+            seen[JOYSTICK_KEY].cpu().numpy(), advice.safe.cpu().numpy(), points, settings.aid_relabel, self.rng
+        )
+        advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
+        if self._flips():
+            advice = mirrored_advice(advice, self._mirror_map())
+        distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
+        rest = self.action_points.nearest((0.0, 0.0))
+        return aid_loss(self.q_net(advice.observations), distances, advice.safe, rest, settings.reward_scale)
+
+    def _flips(self) -> bool:
+        return self.settings.mirror and bool(self.rng.random() < 0.5)
 
     def _mirror_map(self) -> torch.Tensor:
         return torch.as_tensor(self.action_points.mirror, device=self.device)

@@ -29,7 +29,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
     ("crashes", "\ncrashes", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
-    ("crashes_per_km", "per\nkm", "{:.2f}"),
+    ("crashes_per_km", "crash\n/km", "{:.2f}"),
     ("speed_mps", "\nm/s", "{:.2f}"),
 )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim import frames
 from wcsim.bridge.seat import CHAIR_MIDDLE_M
 from wcsim.config import SceneExpect
 from wcsim.types import ActorState, ClientSnapshot, Snapshot
@@ -58,8 +59,8 @@ class SceneMeter:
             crashed=self._crashed,
             travelled_m=self._travelled_m,
             drop_m=self._drop_m,
-            max_roll_deg=math.degrees(self._roll_rad),
-            max_pitch_deg=math.degrees(self._pitch_rad),
+            max_roll_deg=frames.deg(self._roll_rad),
+            max_pitch_deg=frames.deg(self._pitch_rad),
             closest_actor_m=self._closest_m,
             standing_s=self._standing_s,
             actors_seen=len(self._seen),

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from wcsim.bridge.world import World
 from wcsim.cli.common import OutFile, in_bounds, parse, some_words, subcommand, write_json
@@ -138,7 +139,10 @@ def _camera(options: CameraOptions) -> int:
         in_bounds(f"--{option}", getattr(options, option), fewest, 1000)
     camera = CameraConfig()
     rows = {name: _compare(name, camera, options) for name in some_words("--towns", options.towns)}
-    table = Table("town", "rasteriser ms", "with colours", "TinyRenderer ms", "ratio", "same class", "same depth")
+    table = Table(
+        Column("\ntown", overflow="fold", min_width=12), "rasteriser\nms", "with\ncolours", "TinyRenderer\nms",
+        "\nratio", "same\nclass", "same\ndepth", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+    )  # fmt: skip
     for name, row in rows.items():
         cells = (row.ms_median, row.rgb_ms_median, row.tiny_ms_median, row.ratio_vs_tiny)
         table.add_row(

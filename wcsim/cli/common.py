@@ -80,7 +80,7 @@ def some_words(option: str, text: str) -> tuple[str, ...]:
 def in_bounds(option: str, value: float, low: float, high: float) -> None:
     """Raise ConfigError unless low <= value <= high; NaN is never in bounds."""
     if not low <= value <= high:
-        expected = f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
+        expected = f"{low} or more" if math.isinf(high) else f"{low} to {high}"
         raise ConfigError(f"{option} {value}: expected {expected}")
 
 

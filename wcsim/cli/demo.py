@@ -13,6 +13,8 @@ from wcsim.cli import test
 from wcsim.cli.common import OutFolder, Repeated, parse, write_json
 from wcsim.cli.train import checked_town, train_in
 from wcsim.config import load_run_config
+from wcsim.errors import TownError
+from wcsim.towns.town import Town, content_hash
 from wcsim.view.pictures import triptych, write_png
 from wcsim.view.stage import open_stage
 
@@ -45,26 +47,35 @@ def run(words: list[str]) -> int:
     trial = test.Options(
         town=options.test_town, episodes=options.episodes, max_steps=options.max_steps, seed=options.seed
     )
-    test.check(trial)  # before the training, not after it
+    school, tested = _towns(options.train_town, trial)
+    stage_town = next(iter(tested.values()))
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
-    console.print(f"[bold]1/3[/] training in {options.train_town} (Ctrl-C ends it early and keeps what was learned)")
+    console.print(f"[bold]1/3[/] training in {school.name} (Ctrl-C ends it early and keeps what was learned)")
     config = load_run_config("quick", options.set)
-    folder = train_in(
-        checked_town(options.train_town, False), config, out, options.seed, command=("wcsim", "demo", *words)
-    )
-    console.print(f"[bold]2/3[/] testing in {options.test_town}, which the network has never seen")
+    folder = train_in(school, config, out, options.seed, command=("wcsim", "demo", *words))
+    console.print(f"[bold]2/3[/] testing in {', '.join(tested)}, which the network has never seen")
     results = test.test_policies(replace(trial, policies=(str(folder), f"{folder}:phase1")))
     for result in results:
         console.print(result.table())
     write_json(folder / "test.json", test.as_json(results))
-    console.print(f"[bold]3/3[/] a picture from {options.test_town}")
-    picture = folder / f"{options.test_town}.png"
-    with open_stage(options.test_town, options.seed, 640) as stage:
+    console.print(f"[bold]3/3[/] a picture from {stage_town.name}")
+    picture = folder / f"{stage_town.name}.png"
+    with open_stage(str(stage_town.folder), options.seed, 640) as stage:
         shot = stage.busiest_moment(15.0)
     write_png(picture, triptych(shot.rgb, shot.class_id, shot.depth_m))
-    console.print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}", highlight=False)
+    print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}")
     console.print(f"done in {time.monotonic() - started:.0f} s; SIMULATION ONLY, no statement about a real street")
     return 0
+
+
+def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]:
+    """The town to train in and those to test in; what would be refused later is refused now."""
+    school = checked_town(train_town, False)
+    tested, _ = test.check(trial)
+    same = [town.name for town in tested.values() if content_hash(town) == content_hash(school)]
+    if same:
+        raise TownError(f"{same[0]} is the town {school.name} itself; expected another --test-town than --train-town")
+    return school, tested
 
 
 def free_folder(parent: Path, name: str) -> Path:

@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from wcsim.cli.common import OutFile, parse, write_json
 from wcsim.errors import WcsimError
@@ -59,7 +59,7 @@ def run(words: list[str]) -> int:
         lambda: _ticks(options.town, options.seed),
     )
     findings = [check() for check in checks]
-    table = Table("check", "", "found")
+    table = Table("check", "", Column("found", overflow="fold"))
     for item in findings:
         table.add_row(item.check, "ok" if item.ok else "FAILS", item.says)
     Console().print(table)

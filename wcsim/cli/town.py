@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from wcsim.cli.common import OutFile, OutFolder, check_folder, parse, subcommand, write_json
 from wcsim.errors import ConfigError
@@ -71,24 +73,38 @@ def _import(options: ImportOptions) -> int:
     check_folder("--out", out)
     if not options.osm.is_file():
         raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract (.osm[.gz])")
-    town = import_town(
-        ImportOrder(
-            osm=options.osm,
-            bbox=bbox,
-            name=options.name,
-            split=options.split,
-            out=out,
-            lefthand=options.lefthand,
-            seed=options.seed,
-            source=options.source,
+    with _fresh_folders(out.parent):
+        town = import_town(
+            ImportOrder(
+                osm=options.osm,
+                bbox=bbox,
+                name=options.name,
+                split=options.split,
+                out=out,
+                lefthand=options.lefthand,
+                seed=options.seed,
+                source=options.source,
+            )
         )
-    )
     print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
     return _report(check_town(town))
 
 
+@contextmanager
+def _fresh_folders(folder: Path) -> Iterator[None]:
+    """Leave no empty folders behind when the block fails."""
+    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        yield
+    except BaseException:
+        for place in fresh:
+            if place.is_dir() and not any(place.iterdir()):
+                place.rmdir()
+        raise
+
+
 def _list() -> int:
-    table = Table("town", "split", "folder")
+    table = Table("town", "split", Column("folder", overflow="fold"))
     for town in list_towns():
         table.add_row(town.name, town.split, str(town.folder))
     Console().print(table)

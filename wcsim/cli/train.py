@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from types import TracebackType
+from typing import Annotated, Self
 
 import tyro
 from rich.console import Console
@@ -99,18 +99,12 @@ def train_in(
     learning = config.model_copy(
         update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": aided})}
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(file=sys.stderr), transient=False) as bar:
-        task = bar.add_task("loading the town", total=config.learn.total_steps, says="")
+    with _Bar(config.learn.total_steps) as bar:
 
         def show(now: TrainProgress) -> None:
             kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-            bar.update(
-                task,
-                completed=now.step,
-                description=f"phase {now.phase}",
-                says=f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}",
-            )
+            says = f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
+            bar.show(now.step, f"phase {now.phase}", says)
 
         return train(
             config,
@@ -123,3 +117,32 @@ def train_in(
             command=command,
             resume=resume,
         )
+
+
+class _Bar:
+    """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
+
+    def __init__(self, total: int) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
+        silent = not self._console.is_terminal
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=self._console, disable=silent)
+        self._task = self._bar.add_task("loading the town", total=total, says="")
+        self._total, self._tenths = total, 0
+
+    def show(self, step: int, phase: str, says: str) -> None:
+        """Say how far it has come."""
+        self._bar.update(self._task, completed=step, description=phase, says=says)
+        tenths = 10 * step // self._total
+        if not self._console.is_terminal and tenths > self._tenths:
+            self._tenths = tenths
+            self._console.print(f"{phase}: {says}", soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self._bar.stop()

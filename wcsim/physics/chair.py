@@ -62,7 +62,7 @@ class Wheelchair:
         self._joints = [self._links[name] for name in _TURNING]  # the drive wheels first
         self._drives = self._joints[:2]
         self._tyres = _tyres(self._links, self.spec)
-        self._coasted = 0
+        self._coasted = self._ghosts = 0
         self._part = {index: name.split("_")[0] for name, index in self._links.items() if "swivel" not in name}
         self._rolling = frozenset(self._part)
         _set_dynamics(self.body_id, self._links, self.spec, engine.client)
@@ -77,6 +77,11 @@ class Wheelchair:
     def parked(self) -> bool:
         """Whether it is out of the way; then its substeps do nothing."""
         return self._parked
+
+    @property
+    def ghosts(self) -> int:
+        """How many steps were not taken because of a contact that cannot be, since the chair was made."""
+        return self._ghosts
 
     def place(self, p_W_m: F64, yaw_rad: float) -> None:
         """Stand at a point of the ground, level, at rest, everything forgotten.
@@ -236,6 +241,7 @@ class Wheelchair:
         if any(is_ghost(point, self.body_id, self._tyres[point[3]], self._before, client) for point in suspects):
             coast(self.body_id, self._joints, self._before, self._engine.step_s, client)
             self._coasted += 1
+            self._ghosts += 1
         else:
             self._coasted = 0
 

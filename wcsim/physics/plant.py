@@ -1,7 +1,7 @@
 """The wheelchair as rigid bodies: every number of a plant in one object, and its URDF text.
 
 Body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle. The numbers of the
-rear-wheel-drive chair are those of docs/spec.md ("The plant").
+rear-wheel-drive chair are typical of a powered chair for in- and outdoors with a grown-up user.
 """
 
 from __future__ import annotations

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.frames import wrap
+from wcsim.frames import rad, wrap
 from wcsim.supervisor.profiles import UserProfile
 from wcsim.types import ActorKind, ActorState, UserView
 
-HALF_VIEW_RAD = math.radians(80.0)
+HALF_VIEW_RAD = rad(80.0)
 PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
 FORGET_S = 10.0
 LONGEST_AWAY = 2.0  # times the mean

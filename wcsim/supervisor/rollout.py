@@ -12,6 +12,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.frames import rad
 from wcsim.types import F64, U8
 
 I64 = npt.NDArray[np.int64]
@@ -32,8 +33,8 @@ WHEEL_Y_M = (0.29, -0.29, 0.27, -0.27)
 KERB_STEP_CM = 5  # a wheel takes this much up or down
 DEEPENING_M = 0.03  # who already touches may move, if not closer
 ACTOR_MARGIN_M = 0.05
-LEAN_LIMIT = math.tan(math.radians(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
-PITCH_LIMIT = math.tan(math.radians(30.0))
+LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
+PITCH_LIMIT = math.tan(rad(30.0))
 GRAVITY_MPS2 = 9.81
 YAW_SLOWDOWN_S_PER_M = 0.6
 

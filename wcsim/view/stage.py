@@ -14,6 +14,7 @@ import numpy as np
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
+from wcsim.frames import rad
 from wcsim.towns.town import find_town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Command, SeatSpec, Snapshot
 from wcsim.view.map import MapView, map_view
@@ -103,7 +104,7 @@ class Stage:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
         plant = snapshot.clients[0].plant
         frame = snapshot.clients[0].sensors.cameras[0]
-        half = np.tan(np.radians(self._camera.hfov_deg) / 2)
+        half = np.tan(rad(self._camera.hfov_deg) / 2)
         ahead = np.array([np.cos(plant.yaw_rad), np.sin(plant.yaw_rad)])
         right = np.array([ahead[1], -ahead[0]])
         count = 0

@@ -1,0 +1,330 @@
+"""The environment as its users meet it: through `gymnasium.make`, Gymnasium's and Stable-Baselines3's checkers."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import wcsim
+from wcsim.agents.env import WheelchairEnv
+from wcsim.agents.plugins import find_reward_term
+from wcsim.errors import ConfigError, ProtocolError, TownError
+from wcsim.types import Events, PlantState, RewardTerms
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NO_WARMUP = "world.warmup_s=0"
+TINY = ("cameras.0.width_px=32", "cameras.0.height_px=24")
+INFO_KEYS = {
+    *("state", "user_action", "joystick_distance", "reward_terms", "truth", "warning", "intervening"),
+    *("events", "contacts", "progress_m", "speed_mps"),
+}
+NOT_AN_IMAGE = (
+    "It seems that your observation {} is an image but its `dtype` is (float32)",
+    "It seems that your observation space {} is an image but the upper and lower bounds are not in [0, 255]",
+)
+
+Shown = list[tuple[Any, ...]]
+"""Frames: an observation, and what else is compared."""
+
+
+@contextmanager
+def made(
+    town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any
+) -> Iterator[gymnasium.Env[Any, Any]]:
+    env = gymnasium.make(wcsim.ENV_ID, town=str(town), overrides=(NO_WARMUP, *sized, *overrides), **more)
+    try:
+        yield env
+    finally:
+        env.close()
+
+
+def drive(env: gymnasium.Env[Any, Any], steps: int, seed: int | None) -> Shown:
+    """What a user sees of an episode that is driven by actions which depend on nothing but the step."""
+    observation, info = env.reset(seed=seed)
+    seen = [(observation, 0.0, False, False, info["state"])]
+    for step in range(steps):
+        observation, reward, terminated, truncated, info = env.step(action_at(step, env.action_space.n))
+        seen.append((observation, reward, terminated, truncated, info["state"]))
+        if terminated or truncated:
+            observation, info = env.reset()
+            seen.append((observation, 0.0, False, False, info["state"]))
+    return seen
+
+
+def action_at(step: int, actions: int) -> int:
+    return (7 * step + 44) % actions
+
+
+def equal(one: Shown, other: Shown) -> bool:
+    return len(one) == len(other) and all(
+        a[1:] == b[1:] and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+def warnings_of(town: Path, checker: Any, *overrides: str) -> list[str]:
+    """What a checker warns of, in pictures of the size that the presets use."""
+    with warnings.catch_warnings(record=True) as caught, made(town, *overrides, sized=()) as env:
+        warnings.simplefilter("always")
+        checker(env.unwrapped)
+    return [str(item.message) for item in caught]
+
+
+@pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
+def test_checkers_find_nothing_in_the_compact_form(corner, checker):
+    assert warnings_of(corner, checker) == []
+
+
+def test_checkers_find_nothing_in_table_3_but_that_floats_are_no_stored_images(corner):
+    form = 'env.observation="table3"'
+    assert warnings_of(corner, check_env, form) == []
+    told = warnings_of(corner, sb3_check_env, form)
+    expected = [text.format(name) for name in ("depth", "segmentation") for text in NOT_AN_IMAGE]
+    assert len(told) == len(expected)
+    assert all(got.startswith(text) for got, text in zip(told, expected, strict=True))
+
+
+@pytest.mark.parametrize("form", ["compact", "table3"])
+def test_observations_lie_in_their_space_and_are_the_callers_own(corner, form):
+    with made(corner, f'env.observation="{form}"') as env:
+        seen = [item[0] for item in drive(env, 12, seed=5)]
+        assert all(env.observation_space.contains(observation) for observation in seen)
+        before = {key: value.copy() for key, value in seen[3].items()}
+        drive(env, 5, seed=6)
+        assert all(np.array_equal(seen[3][key], before[key]) for key in before)
+
+
+def test_one_seed_is_one_episode_and_another_seed_another(corner):
+    with made(corner) as env:
+        first = drive(env, 25, seed=5)
+        assert equal(first, drive(env, 25, seed=5))
+        assert not equal(first, drive(env, 25, seed=6))
+    with made(corner, seed=5) as env:
+        assert equal(first, drive(env, 25, seed=None))
+
+
+def test_two_envs_at_once_are_what_each_is_alone(corner):
+    """The second world lives in a process of its own; nobody can tell from what it does."""
+    steps, seeds, cut = 30, (11, 12), "env.max_steps=20"
+
+    def make(seed: int) -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(wcsim.ENV_ID, town=str(corner), overrides=(NO_WARMUP, *TINY, cut), seed=seed)
+
+    alone = []
+    for seed in seeds:
+        with made(corner, cut, seed=seed) as env:
+            alone.append(drive(env, steps, seed=None))
+    assert not equal(*alone)
+    both = DummyVecEnv([lambda seed=seed: make(seed) for seed in seeds])
+    try:
+        together = both_driven(both, steps)
+    finally:
+        both.close()
+    for seen, got in zip(alone, together, strict=True):
+        assert equal(as_vec_env_shows(seen), got)
+
+
+def both_driven(vec: DummyVecEnv, steps: int) -> tuple[Shown, Shown]:
+    """(observation, reward, done) of both seats, frame by frame."""
+    observations, rewards, dones = vec.reset(), np.zeros(2, np.float32), np.zeros(2, bool)
+    frames = []
+    for step in range(steps + 1):
+        frames.append(({key: value.copy() for key, value in observations.items()}, rewards.copy(), dones.copy()))
+        observations, rewards, dones, _ = vec.step(np.full(2, action_at(step, vec.action_space.n)))
+    one, other = ([({key: v[i] for key, v in o.items()}, r[i], d[i]) for o, r, d in frames] for i in range(2))
+    return one, other
+
+
+def as_vec_env_shows(seen: Shown) -> Shown:
+    """A vectorised environment shows the next episode's first frame together with the reward of the last step."""
+    out = []
+    for k, (observation, reward, terminated, truncated, _) in enumerate(seen):
+        if not (k and (seen[k - 1][2] or seen[k - 1][3])):
+            ended = terminated or truncated
+            out.append((seen[k + 1][0] if ended else observation, np.float32(reward), ended))
+    return out
+
+
+def test_gymnasiums_own_vector_environments_work(corner):
+    overrides = (NO_WARMUP, *TINY, "env.max_steps=4")
+    vec = gymnasium.make_vec(
+        wcsim.ENV_ID, num_envs=2, vectorization_mode="sync", town=str(corner), overrides=overrides
+    )
+    try:
+        vec.reset(seed=3)
+        for _ in range(6):
+            observations, rewards, _, truncated, info = vec.step(np.array([44, 44]))
+        assert observations["depth"].shape == (2, 1, 24, 32)
+        assert rewards.shape == truncated.shape == (2,)
+        assert set(info) >= {"state", "events"}
+    finally:
+        vec.close()
+
+
+def test_an_episode_is_cut_after_max_steps_and_the_next_one_is_there_already(corner):
+    with made(corner, "env.max_steps=6") as env:
+        env.reset(seed=2)
+        for step in range(1, 7):
+            _, _, terminated, truncated, info = env.step(40)
+            assert not terminated
+            assert truncated == (step == 6)
+            assert info["events"].step == step
+        assert info["events"].truncated
+        world = env.unwrapped._link._world
+        tick = world.snapshot.tick
+        _, info = env.reset()
+        assert world.snapshot.tick == tick
+        assert (info["events"].episode, info["events"].step) == (1, 0)
+        env.step(40)
+        assert world.snapshot.tick == tick + 1
+
+
+def test_reset_in_the_middle_of_an_episode_begins_the_next_without_a_tick(corner):
+    with made(corner) as env:
+        env.reset(seed=2)
+        env.step(40)
+        world = env.unwrapped._link._world
+        tick = world.snapshot.tick
+        _, info = env.reset()
+        assert (world.snapshot.tick, info["events"].episode, info["events"].step) == (tick, 1, 0)
+        assert env.step(40)[4]["events"].step == 1
+
+
+def test_step_out_of_turn_says_so(corner):
+    with made(corner, "env.max_steps=1") as env:
+        bare = env.unwrapped
+        with pytest.raises(ProtocolError, match="call reset"):
+            bare.step(0)
+        bare.reset(seed=1)
+        bare.step(0)
+        with pytest.raises(ProtocolError, match="call reset"):
+            bare.step(0)
+        bare.reset()
+        bare.step(0)
+        bare.close()
+        bare.close()
+        with pytest.raises(ProtocolError, match="call reset"):
+            bare.step(0)
+
+
+def test_a_closed_env_can_be_reset_again(corner):
+    with made(corner) as env:
+        first = drive(env, 5, seed=1)
+        env.unwrapped.close()
+        assert equal(first, drive(env, 5, seed=1))
+
+
+def test_info_says_what_is_promised(corner):
+    with made(corner) as env:
+        _, info = env.reset(seed=1)
+        assert set(info) == INFO_KEYS
+        assert info["reward_terms"] is None
+        _, reward, _, _, info = env.step(info["user_action"])
+        assert set(info) == INFO_KEYS
+        assert isinstance(info["state"], PlantState)
+        assert isinstance(info["events"], Events)
+        assert isinstance(info["reward_terms"], RewardTerms)
+        assert info["truth"] is None
+        assert reward == pytest.approx(info["reward_terms"].total)
+        assert 0.0 <= info["joystick_distance"] <= 2.0 ** 1.5
+
+
+def test_doing_what_the_user_asks_for_is_following_and_the_opposite_is_intervening(corner):
+    with made(corner, 'env.profile="competent"') as env:
+        _, info = env.reset(seed=1)
+        for _ in range(20):
+            _, reward, _, _, info = env.step(info["user_action"])
+            assert info["joystick_distance"] <= 0.1768
+            assert not info["intervening"]
+            assert reward == 1.0
+        _, _, _, _, info = env.step(0)  # full left and back, while the user drives ahead
+        assert info["joystick_distance"] > 0.1768
+        assert info["intervening"]
+
+
+def test_truth_is_there_when_it_is_asked_for(corner):
+    with made(corner, "env.truth=true") as env:
+        _, info = env.reset(seed=1)
+        for _ in range(15):
+            _, _, _, _, info = env.step(info["user_action"])
+        assert info["truth"].safe_actions.shape == (env.action_space.n,)
+        assert info["progress_m"] == info["truth"].progress_m > 0.0
+        assert info["warning"] == info["truth"].danger
+
+
+def test_render_shows_the_camera_in_colours(corner):
+    with made(corner, render_mode="rgb_array") as env:
+        env.reset(seed=1)
+        env.step(40)
+        picture = env.render()
+        assert picture.shape == (24, 32, 3)
+        assert picture.dtype == np.uint8
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+    with made(corner) as env:
+        env.reset(seed=1)
+        assert env.unwrapped.render() is None
+
+
+def test_colours_change_nothing_but_the_picture(corner):
+    with made(corner) as env:
+        plain = drive(env, 8, seed=4)
+    with made(corner, render_mode="rgb_array") as env:
+        assert equal(plain, drive(env, 8, seed=4))
+
+
+def test_an_own_reward_term_is_added(corner, monkeypatch):
+    monkeypatch.chdir(EXAMPLES)
+    with made(corner, reward_terms=(find_reward_term("own_reward:Gentle"),)) as env:
+        _, info = env.reset(seed=1)
+        total, before = 0.0, info["state"].v_B_mps[0]
+        for _ in range(15):
+            _, reward, _, _, info = env.step(info["user_action"])
+            terms, after = info["reward_terms"], info["state"].v_B_mps[0]
+            assert terms.extra == pytest.approx(-0.1 * abs(after - before))
+            paper = terms.base + terms.joystick + terms.accel + terms.tilt + terms.crash
+            assert reward == pytest.approx(paper + terms.extra)
+            total, before = total + terms.extra, after
+        assert total < -0.05
+
+
+@pytest.mark.parametrize(("actions", "size"), [("square81", 81), ("disc69", 69)])
+def test_action_sets_have_their_size(corner, actions, size):
+    with made(corner, f'env.actions="{actions}"') as env:
+        assert env.action_space == gymnasium.spaces.Discrete(size)
+        _, info = env.reset(seed=1)
+        assert 0 <= info["user_action"] < size
+        env.step(size - 1)
+
+
+@pytest.mark.parametrize("action", [-1, 81, 1000])
+def test_an_action_out_of_the_set_is_refused_and_nothing_moves(corner, action):
+    with made(corner) as env:
+        env.unwrapped.reset(seed=1)
+        with pytest.raises(ProtocolError, match="0 to 80"):
+            env.unwrapped.step(action)
+        assert env.unwrapped.step(40)[4]["events"].step == 1
+
+
+def test_wrong_settings_are_named_before_a_world_is_made():
+    for wrong, told in (
+        ({"preset": "nope"}, "unknown preset 'nope'; expected one of: paper, quick"),
+        ({"overrides": ("env.colour=1",)}, "unknown key 'env.colour'"),
+        ({"overrides": ('env.profile="nobody"',)}, "unknown user profile 'nobody'; expected one of: competent"),
+        ({"render_mode": "human"}, "expected 'rgb_array'"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            WheelchairEnv(**wrong)
+    env = gymnasium.make(wcsim.ENV_ID, town="nowhere")
+    with pytest.raises(TownError, match="nowhere"):
+        env.reset(seed=1)
+    env.close()

@@ -1,0 +1,53 @@
+"""The command line in this process, in an empty folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from wcsim.cli.main import main
+
+QUICK = ("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, which the commands run in."""
+    place = tmp_path / "here"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    monkeypatch.setenv("COLUMNS", "80")
+    return place
+
+
+@pytest.fixture
+def wcsim(folder: Path, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Run `wcsim WORDS` in this process; capfd sees what native code writes too."""
+
+    def run(*words: object) -> Result:
+        capfd.readouterr()
+        code = main([str(word) for word in words])
+        out, err = capfd.readouterr()
+        return Result(code=code, out=out, err=err)
+
+    return run
+
+
+def files_in(folder: Path) -> set[str]:
+    """Everything below a folder, hidden files among it."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}

@@ -1,0 +1,269 @@
+"""Whatever a user gets wrong: exit code 2, one or two lines that say what to do, and nothing half-written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import QUICK, Result, files_in
+from tests.cli.towns import FAULTS, TINY_BBOX, broken, tiny_osm
+
+SHORT_TRAINING = (*QUICK, "--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4")
+BELOW_A_FILE = "file/x"
+"""A place that cannot be written: below a file. (A folder without write permission stops nobody who is root.)"""
+
+
+def refused(result: Result, *told: str) -> None:
+    """The command ended as it must after a mistake of its user."""
+    assert result.code == 2, result
+    lines = result.err.strip().splitlines()
+    assert 1 <= len(lines) <= 2, result.err
+    assert lines[0].startswith("wcsim: ")
+    assert "Traceback" not in result.err
+    assert result.out == ""
+    for text in told:
+        assert text in result.err, result.err
+
+
+# --- options ---
+
+OPTIONS = {
+    "nonsense": ("unknown command 'nonsense'", "demo, train"),
+    "town": ("needs a command", "import, list, check"),
+    "town sell": ("'sell'", "import, list, check"),
+    "scene dance": ("'dance'", "run, list, bless"),
+    "bench press": ("'press'", "tick, camera"),
+    "train --seed -1": ("--seed -1", "0 to 2147483647"),
+    "train --seed 2147483648": ("--seed 2147483648",),
+    "test --seed -7": ("--seed -7",),
+    "snapshot --seed -1": ("--seed -1",),
+    "doctor --seed -1": ("--seed -1",),
+    "train --preset huge": ("unknown preset 'huge'", "paper, quick"),
+    "test --preset huge": ("unknown preset 'huge'", "paper, quick"),
+    "train --network huge": ("unknown network 'huge'", "small"),
+    "train --network nowhere:Net": ("'nowhere'", "not found"),
+    "train --reward nowhere": ("'nowhere'", "module:Class"),
+    "train --set learn": ("'learn'", "section.key=value"),
+    "train --set learn.speed=3": ("unknown key 'learn.speed'",),
+    "train --set lern.gamma=0.9": ("unknown key 'lern'",),
+    "train --set learn.gamma=1.5": ("learn.gamma", "less than 1", "got 1.5"),
+    "train --set learn.total_steps=0": ("learn.total_steps", "got 0"),
+    "train --set world.substeps=1": ("world.substeps",),
+    "train --set cameras.3.width_px=64": ("cameras",),
+    "train --set env.profile=saint": ("unknown user profile 'saint'", "competent"),
+    "test --set world.tick_s=nan": ("world.tick_s",),
+    "test --episodes 0": ("--episodes 0", "1 or more"),
+    "test --episodes -3": ("--episodes -3",),
+    "test --max-steps 0": ("--max-steps 0",),
+    "test --profile saint": ("unknown user profile 'saint'", "competent"),
+    "test --profile ,": ("--profile ','", "joined by commas"),
+    "test --town ,": ("--town ','", "joined by commas"),
+    "test nobody": ("nobody is not a run", "wcsim train"),
+    "test nobody:final": ("nobody is not a run",),
+    "test follow:early": ("'early'", "phase1"),
+    "bench tick --chairs two": ("'two'", "whole numbers"),
+    "bench tick --chairs 0": ("--chairs 0",),
+    "bench tick --ticks 0": ("--ticks 0",),
+    "bench tick --width 1": ("--width 1",),
+    "bench camera --poses 0": ("--poses 0",),
+    "bench camera --towns ,": ("--towns",),
+    "snapshot --width 9": ("9 pixels", "64 to 1920"),
+    "snapshot --seconds nan": ("--seconds nan",),
+    "snapshot --seconds -1": ("--seconds -1",),
+    "snapshot --out picture.jpg": ("picture.jpg", ".png"),
+    "video --seconds 0": ("--seconds 0",),
+    "video --seconds inf": ("--seconds inf",),
+    "video --out film.mp4": ("film.mp4", ".webm"),
+    "scene run nowhere": ("unknown scene 'nowhere'", "pedestrian-crossing"),
+    "demo --episodes 0": ("--episodes 0",),
+    "demo --test-town nowhere": ("unknown town 'nowhere'", "monaco"),
+    "demo --test-town helsinki": ("helsinki is a training town",),
+}
+
+
+@pytest.mark.parametrize("words", OPTIONS, ids=lambda words: words.replace(" ", "_"))
+def test_wrong_options_are_refused_at_once(wcsim, folder, words):
+    refused(wcsim(*words.split()), *OPTIONS[words])
+    assert files_in(folder) == set()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("train --bogus 1", "train --seed abc", "train --seed", "test --episodes many", "town check", "town list x"),
+        *("town import --name x", "snapshot a b", "doctor --json"),
+    ],
+)
+def test_what_the_parser_refuses_ends_with_2_too(wcsim, folder, words):
+    result = wcsim(*words.split())
+    assert result.code == 2
+    assert "wcsim" in result.err
+    assert "Traceback" not in result.err
+    assert files_in(folder) == set()
+
+
+# --- towns ---
+
+
+@pytest.mark.parametrize(
+    "words", ["train --town {}", "test --town {}", "town check {}", "snapshot {}", "video {}", "bench tick --town {}"]
+)
+def test_an_unknown_town_is_answered_with_the_known_ones(wcsim, folder, words):
+    refused(wcsim(*words.format("atlantis").split()), "unknown town 'atlantis'", "helsinki, manhattan, monaco")
+    assert files_in(folder) == set()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_broken_towns_are_refused_whoever_opens_them(wcsim, folder, corner, fault):
+    town = broken(corner, fault, folder.parent / "broken")
+    for words in (("train", "--town"), ("test", "--town"), ("snapshot",), ("town", "check")):
+        refused(wcsim(*words, town), FAULTS[fault][1])
+    assert files_in(folder) == set()
+
+
+def test_training_and_test_towns_are_kept_apart(wcsim, folder):
+    refused(wcsim("train", "--town", "monaco"), "monaco is a test town", "--allow-test-town")
+    refused(wcsim("test", "--town", "helsinki"), "helsinki is a training town", "--allow-train-town")
+    assert files_in(folder) == set()
+
+
+def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_path):
+    assert wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
+    renamed = broken(corner, "unknown-key", tmp_path / "renamed")
+    (renamed / "town.toml").write_text('name = "elsewhere"\nsplit = "test"\n')
+    refused(wcsim("test", "run", "--town", renamed), "elsewhere itself", "--allow-train-town")
+
+
+def test_two_towns_of_one_name_are_not_mixed_up(wcsim, folder, corner, tmp_path):
+    other = broken(corner, "unknown-key", tmp_path / "other")
+    (other / "town.toml").write_text((corner / "town.toml").read_text())
+    refused(wcsim("test", "--town", f"{corner},{other}"), "both named")
+
+
+# --- files ---
+
+
+def test_configuration_files_are_checked(wcsim, folder, corner):
+    for text, told in (
+        ("[learn]\nspeed = 3\n", "unknown key 'learn.speed'"),
+        ("[learn]\ngamma = 2.0\n", "learn.gamma"),
+        ("[learn\n", "is not TOML"),
+        ("learn = 3\n", "learn"),
+    ):
+        Path("own.toml").write_text(text)
+        refused(wcsim("train", "--town", corner, "--config", "own.toml"), "own.toml", told)
+    refused(wcsim("train", "--town", corner, "--config", "missing.toml"), "missing.toml", "cannot be read")
+    assert files_in(folder) == {"own.toml"}
+
+
+def test_a_run_folder_that_is_none_is_refused(wcsim, folder, corner):
+    Path("notes").mkdir()
+    Path("notes/manifest.json").write_text("{}")
+    Path("list").mkdir()
+    Path("list/manifest.json").write_text("[]")
+    Path("list/config.json").write_text("{}")
+    before = files_in(folder)
+    for name in ("notes", "list", "notes:phase1"):
+        refused(wcsim("test", name, "--town", corner))
+    assert files_in(folder) == before
+
+
+def test_training_never_writes_over_anything(wcsim, folder, corner):
+    Path("full").mkdir()
+    Path("full/thesis.tex").write_text("irreplaceable")
+    Path("plain").write_text("a file")
+    for out in ("full", "plain"):
+        refused(wcsim("train", "--town", corner, "--out", out, *SHORT_TRAINING), out)
+    refused(wcsim("train", "--town", corner, "--out", "new", "--resume", *SHORT_TRAINING), "new")
+    assert files_in(folder) == {"full", "full/thesis.tex", "plain"}
+    assert Path("full/thesis.tex").read_text() == "irreplaceable"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "train --town {town} --out file/run",
+        "train --town {town} --json file/x.json",
+        "test --town {town} --json file/x.json",
+        "town check {town} --json file/x.json",
+        "town check {town} --json .",
+        "bench tick --town {town} --json file/x.json",
+        "doctor --town {town} --json file/x.json",
+        "snapshot {town} --out file/x.png",
+        "video {town} --out file/x.webm",
+        "town import --osm file --bbox 1,1,2,2 --name x --out file/x",
+    ],
+)
+def test_places_that_cannot_be_written_are_named_before_the_work(wcsim, folder, corner, words):
+    Path("file").write_text("a file, not a folder")
+    refused(wcsim(*words.format(town=corner).split()), "--out" if "--out" in words else "--json")
+    assert files_in(folder) == {"file"}
+
+
+def test_a_place_that_turns_out_to_be_closed_is_named_after_the_work(wcsim, folder, corner):
+    """/proc says that root may write, and refuses it."""
+    for words in (
+        ("snapshot", corner, "--seconds", "0", "--width", "64", "--out", "/proc/nowhere/x.png"),
+        ("video", corner, "--seconds", "0.1", "--width", "64", "--out", "/proc/nowhere/x.webm"),
+    ):
+        refused(wcsim(*words), "/proc/nowhere")
+
+
+# --- imports ---
+
+
+@pytest.mark.parametrize(
+    ("bbox", "told"),
+    [
+        ("25,60,25.1", "west,south,east,north"),
+        ("a,b,c,d", "west,south,east,north"),
+        ("25.1,60,25,60.1", "west < east"),
+        ("25,60.1,25.1,60", "south < north"),
+        ("nan,nan,nan,nan", "--bbox"),
+        ("-190,60,25.1,61", "globe"),
+        ("4.9,59.9,5.0,60.1", "bounding box"),  # somewhere else
+    ],
+)
+def test_wrong_bounding_boxes_are_refused(wcsim, folder, bbox, told):
+    Path("tiny.osm").write_text(tiny_osm())
+    refused(wcsim("town", "import", "--osm", "tiny.osm", f"--bbox={bbox}", "--name", "tiny"), told)
+    assert files_in(folder) == {"tiny.osm"}
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "not well-formed XML"),
+        (b"<!DOCTYPE html><html><body>503</body></html>", "document type definition"),
+        (b"<html><body>503</body></html>", "not an OpenStreetMap extract"),
+        (b"<osm version='0.6'></osm>", "not an OpenStreetMap extract"),
+        (b"<osm version='0.6'><way id='1'", "not well-formed XML"),
+        (b"\x1f\x8b\x08\x00broken", "cannot be read"),
+        (b"\xff\xfe\x00", ""),
+    ],
+)
+def test_what_is_no_extract_is_refused(wcsim, folder, content, told):
+    Path("area.osm").write_bytes(content)
+    refused(wcsim("town", "import", "--osm", "area.osm", "--bbox", TINY_BBOX, "--name", "tiny"), "area.osm", told)
+    assert files_in(folder) == {"area.osm"}
+
+
+def test_an_import_needs_a_file_and_a_plain_name(wcsim, folder):
+    rest = ("--bbox", TINY_BBOX)
+    refused(wcsim("town", "import", "--osm", "missing.osm", *rest, "--name", "tiny"), "missing.osm", "no such file")
+    Path("tiny.osm").write_text(tiny_osm())
+    refused(wcsim("town", "import", "--osm", "tiny.osm", *rest, "--name", "../up"), "'../up'", "letters")
+    Path("tiny.osm.pbf").write_bytes(b"\0\0")
+    refused(wcsim("town", "import", "--osm", "tiny.osm.pbf", *rest, "--name", "tiny"), "osmium")
+    assert files_in(folder) == {"tiny.osm", "tiny.osm.pbf"}
+
+
+def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
+    Path("tiny.osm").write_text(tiny_osm())
+    Path("home").mkdir()
+    Path("home/thesis.tex").write_text("irreplaceable")
+    words = ("town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "tiny", "--out", "home")
+    refused(wcsim(*words), "home is not empty")
+    assert json.dumps(sorted(files_in(folder))) == '["home", "home/thesis.tex", "tiny.osm"]'

@@ -1,0 +1,217 @@
+"""What the commands do when all is well, in a folder of the user's own."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from tests.cli.conftest import QUICK, files_in
+from tests.cli.towns import TINY_BBOX, tiny_osm
+from wcsim.cli import doctor
+
+ROW_KEYS = {
+    *("policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "free_share", "kpi2_mean_steps"),
+    *("crashes", "km", "crashes_per_km", "speed_mps"),
+}
+TOWN_KEYS = {
+    *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable", "mesh_faults"),
+}
+COLUMNS = 80
+
+
+def read(path: str) -> Any:
+    """A JSON file; a NaN in it is a fault."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} in {path}")
+
+    return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def fits(text: str) -> bool:
+    """Whether a table can be read at 80 columns: nothing wider, nothing cut off."""
+    return max(len(line.rstrip()) for line in text.splitlines()) <= COLUMNS and "…" not in text
+
+
+@pytest.fixture
+def tiny(wcsim, folder) -> Path:
+    """A test town imported from a tiny extract."""
+    Path("tiny.osm.gz").write_bytes(gzip.compress(tiny_osm().encode()))
+    words = ("--bbox", TINY_BBOX, "--name", "tiny", "--split", "test", "--out", "towns/tiny")
+    made = wcsim("town", "import", "--osm", "tiny.osm.gz", *words)
+    assert (made.code, made.err) == (0, "")
+    assert "sumo-gui -c towns/tiny/tiny.sumocfg" in made.out
+    return Path("towns/tiny")
+
+
+def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):
+    told = wcsim("town", "list")
+    assert (told.code, told.err) == (0, "")
+    shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", told.out)
+    assert shown == [("helsinki", "train"), ("manhattan", "test"), ("monaco", "test")]
+    assert fits(told.out)
+    Path("scenarios/sumo").mkdir(parents=True)
+    Path("scenarios/sumo/bay-corner").symlink_to(corner)
+    assert "pedestrian-crossing" in wcsim("town", "list").out
+
+
+def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
+    told = wcsim("town", "check", corner, "--json", "new/check.json")
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    report = read("new/check.json")
+    assert set(report) >= TOWN_KEYS
+    assert (report["town"], report["unroutable"], report["mesh_faults"]) == ("pedestrian-crossing", 0, 0)
+    assert report["crossings"] >= 1 <= report["walkingareas"]
+    assert 0.0 < report["walkable_largest_share"] <= 1.0
+    assert "pedestrian" in report["classes"]
+    assert files_in(folder) == {"new", "new/check.json"}
+    assert Path("new/check.json").stat().st_mode & 0o044, "a result is for others to read too"
+
+
+def test_an_imported_town_can_be_checked_seen_and_tested_in(wcsim, folder, tiny):
+    assert {"tiny.sumocfg", "tiny.net.xml.gz", "tiny.rou.xml.gz", "town.toml", "LICENSE-DATA"} <= files_in(tiny)
+    assert wcsim("town", "check", tiny, "--json", "check.json").code == 0
+    report = read("check.json")
+    assert (report["town"], report["unroutable"], report["mesh_faults"]) == ("tiny", 0, 0)
+    assert report["crossings"] >= 12
+    assert report["walkable_largest_share"] > 0.95
+    assert {"passenger", "pedestrian", "bicycle"} <= set(report["classes"])
+    words = ("--episodes", "1", "--max-steps", "20", "--set", "world.warmup_s=20", "--json", "test.json")
+    assert wcsim("test", "--town", tiny, *words).code == 0
+    assert read("test.json")["town"] == "tiny"
+
+
+def test_scene_list_says_what_each_shows(wcsim):
+    told = wcsim("scene", "list")
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    assert {"kerb-drop", "pedestrian-crossing"} <= set(re.findall(r"│ ([\w-]+)", told.out))
+
+
+def test_test_writes_what_is_promised(wcsim, folder, corner):
+    words = ("--episodes", "2", "--max-steps", "15", "--profile", "slow,tremor", "--seed", "4", "--json", "t.json")
+    told = wcsim("test", "follow", "--town", corner, *words, *QUICK)
+    assert told.code == 0
+    assert fits(told.out)
+    for text in ("slow user, seed 4", "tremor user, seed 4", "SIMULATION ONLY", "KPI 1", "KPI 2", "m/s"):
+        assert text in told.out
+    result = read("t.json")
+    assert (result["town"], result["seed"], result["profile"]) == ("pedestrian-crossing", 4, "slow,tremor")
+    rows = result["rows"]
+    assert [row["policy"] for row in rows] == ["follow", "random", "zero", "stop"] * 2
+    for row in rows:
+        assert set(row) >= ROW_KEYS
+        assert row["episodes"] == 2
+        assert row["kpi2_mean_steps"] <= 15
+        assert 0.0 <= row["kpi1_mean"] <= math.sqrt(8.0)
+        assert row["crashes_per_km"] is None, "a few metres say nothing about crashes per kilometre"
+    follow, random = rows[0], rows[1]
+    assert follow["kpi1_within"] > 0.9 > random["kpi1_within"]
+    again = wcsim("test", "follow", "--town", corner, *words, *QUICK)
+    assert again.code == 0
+    assert read("t.json") == result, "equal seeds give equal results"
+
+
+def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path):
+    run = tmp_path / "a-run-with-a-long-name-in-a-deep-folder" / "helsinki-paper-1"
+    small = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
+    trained = wcsim("train", "--town", corner, "--out", run, "--json", "train.json", *small)
+    assert trained.code == 0
+    assert read("train.json") == {"run": str(run), "town": "pedestrian-crossing", "seed": 0}
+    words = ("--town", corner, "--allow-train-town", "--episodes", "1", "--max-steps", "5")
+    told = wcsim("test", run, f"{run}:phase1", run / "policies" / "final", *words, "--json", "t.json")
+    assert told.code == 0
+    assert fits(told.out)
+    shown = "".join(re.sub(r"(\s+-?[\d.%-]+){9}$", "", line).strip() for line in told.out.splitlines())
+    for name in (str(run), f"{run}:phase1", str(run / "policies" / "final")):
+        assert name in shown
+    assert len(read("t.json")["rows"]) == 7
+
+
+def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
+    told = wcsim("bench", "tick", "--town", corner, "--ticks", "20", "--width", "64", "--chairs", "1,2", "--json", "b")
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    result = read("b")
+    assert set(result) == {"1", "2"}
+    for row in result.values():
+        assert row["ticks_per_s"] > 1.0
+        assert {"sumo", "physics", "render"} <= set(row["share"])
+        assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
+
+
+def test_bench_camera_gives_the_ratio(wcsim, folder, corner):
+    words = ("--towns", corner, "--poses", "1", "--rounds", "1", "--actors", "5", "--json", "c.json")
+    told = wcsim("bench", "camera", *words)
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    result = read("c.json")
+    assert result["ratio_vs_tiny"] > 5.0
+    assert 0.0 < result["ms_median"] < 100.0
+
+
+def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
+    told = wcsim("snapshot", corner, "--seed", "2", "--seconds", "1", "--width", "96", "--out", "new/shot.png")
+    assert (told.code, told.err) == (0, "")
+    assert told.out.startswith("new/shot.png: ")
+    picture = cv2.imread("new/shot.png")
+    assert picture.shape == (72, 3 * 96, 3)
+    assert picture.std() > 5.0
+    assert files_in(folder) == {"new", "new/shot.png"}
+
+
+def test_video_holds_all_its_frames(wcsim, folder, corner):
+    told = wcsim("video", corner, "--seconds", "1.5", "--width", "80", "--out", "new/film.webm")
+    assert (told.code, told.err) == (0, "")
+    film = cv2.VideoCapture("new/film.webm")
+    frames = []
+    while True:
+        there, frame = film.read()
+        if not there:
+            break
+        frames.append(frame)
+    film.release()
+    assert len(frames) == 15
+    assert frames[0].shape == (60, 80 + 60, 3)
+    assert (frames[0] != frames[-1]).any()
+    assert files_in(folder) == {"new", "new/film.webm"}
+
+
+def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
+    monkeypatch.setattr(doctor, "TICK_SECONDS", 0.2)
+    told = wcsim("doctor", "--town", corner, "--json", "d.json")
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    found = read("d.json")
+    assert set(found) == {"python", "packages", "sumo", "threads", "shared memory", "tick rate"}
+    assert all(item["ok"] for item in found.values())
+
+
+def test_doctor_says_what_fails(wcsim, folder):
+    told = wcsim("doctor", "--town", "atlantis")
+    assert told.code == 2
+    assert "FAILS" in told.out
+    assert "unknown town 'atlantis'" in told.out
+
+
+def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
+    small = ("learn.total_steps=40", "learn.phase1_steps=20", "world.warmup_s=5", "cameras.0.width_px=40")
+    words = [word for text in small for word in ("--set", text)]
+    told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
+    assert told.code == 0
+    assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
+        *("runs/demo", "runs/demo:phase1", "follow", "random", "zero", "stop")
+    ]
+    assert cv2.imread("runs/demo/tiny.png").shape == (480, 3 * 640, 3)
+    refused = wcsim("demo", "--train-town", corner, "--test-town", corner)
+    assert refused.code == 2
+    assert "itself" in refused.err
+    assert not Path("runs/demo-2").exists()

@@ -1,0 +1,71 @@
+"""What the commands say of themselves."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from wcsim.cli.main import SUBCOMMANDS
+
+ROOT = Path(__file__).parents[2]
+NESTED = {
+    "town": ("import", "list", "check"),
+    "scene": ("run", "list", "bless"),
+    "bench": ("tick", "camera"),
+}
+PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]
+COMMANDS = [(name,) for name in PLAIN] + [(name, word) for name, words in NESTED.items() for word in words]
+
+
+def test_help_lists_exactly_the_commands_that_exist(wcsim):
+    told = wcsim("--help")
+    assert told.code == 0
+    listed = re.findall(r"^  (\w+) ", told.out, flags=re.MULTILINE)
+    assert listed == [item.name for item in SUBCOMMANDS]
+    files = {path.stem for path in (ROOT / "wcsim" / "cli").glob("*.py")} - {"__init__", "main", "common"}
+    assert set(listed) == files
+    assert max(len(line) for line in told.out.splitlines()) <= 100
+    assert wcsim().out == wcsim("help").out == told.out
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_command_explains_itself(wcsim, words):
+    told = wcsim(*words, "--help")
+    assert (told.code, told.err) == (0, "")
+    assert f"usage: wcsim {' '.join(words)}" in told.out
+    assert "{None}" not in told.out
+
+
+@pytest.mark.parametrize("name", sorted(NESTED))
+def test_commands_with_commands_of_their_own_list_them(wcsim, name):
+    told = wcsim(name, "--help")
+    assert told.code == 0
+    assert tuple(re.findall(r"^  (\w+) +\w", told.out, flags=re.MULTILINE)) == NESTED[name]
+
+
+def test_chance_has_a_seed_and_results_have_a_file(wcsim):
+    for words in COMMANDS:
+        told = wcsim(*words, "--help").out
+        assert ("--seed INT" in told) == (words not in {("town", "list"), ("town", "check")} and words[0] != "scene")
+        has_result = words in {("train",), ("test",), ("doctor",), ("town", "check"), ("scene", "run")}
+        assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
+
+
+def test_version(wcsim):
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert wcsim("--version").out.strip() == version
+
+
+def test_help_loads_no_torch_and_no_simulator():
+    code = (
+        "import sys; from wcsim.cli.main import SUBCOMMANDS, main; main(['--help']);"
+        "main(['test', '--help']); main(['train', '--help']);"
+        "print([m for m in ('torch', 'libsumo') if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"

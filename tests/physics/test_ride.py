@@ -1,0 +1,63 @@
+"""Ride quality on the mesh of a real town: level pavement must feel level."""
+
+import math
+
+import numpy as np
+import pytest
+
+from wcsim.config import ChairConfig, ImuConfig
+from wcsim.physics.chair import Wheelchair
+from wcsim.physics.engine import Engine
+from wcsim.towns.street import load_street
+from wcsim.towns.town import find_town
+from wcsim.types import Joystick
+
+AROUND_M = np.array([(x, y) for x in np.linspace(-1.6, 1.6, 9) for y in np.linspace(-1.6, 1.6, 9)])
+EDGES = 40
+WARM_TICKS = 26  # until it cruises
+
+
+def felt_on_level_ground(engine: Engine, bare: Engine, chair: Wheelchair, way: np.ndarray) -> list[np.ndarray]:
+    """Low-passed acceleration, tick by tick, where the ground is level, of a chair that drives along a polyline."""
+    arc = np.r_[0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T))]
+    at = lambda s: np.array([np.interp(s, arc, way[:, 0]), np.interp(s, arc, way[:, 1])])  # noqa: E731
+    start, ahead, reached, felt = at(1.0), at(2.0), 1.0, []
+    chair.place(np.r_[start, bare.ray_down(start[None])], math.atan2(*(ahead - start)[::-1]))
+    for tick in range(int(6.0 * min(arc[-1] - 3.0, 30.0))):
+        state = chair.state()
+        while reached < arc[-1] and np.hypot(*(at(reached) - state.p_WB_m[:2])) < 1.5:
+            reached += 0.1
+        gap = at(reached) - state.p_WB_m[:2]
+        turn = -1.2 * math.remainder(math.atan2(gap[1], gap[0]) - state.yaw_rad, 2 * math.pi)
+        chair.command(Joystick(min(max(turn, -1.0), 1.0), 1.0))
+        samples = []
+        for _ in range(24):
+            chair.before_step()
+            engine.step()
+            chair.after_step()
+            samples.append(chair._imu._stage2)
+        chair.end_tick(None)
+        if chair.contacts():
+            break
+        level = np.ptp(bare.ray_down(state.p_WB_m[:2] + AROUND_M)) < 1e-6
+        if level and tick >= WARM_TICKS and abs(turn) < 0.15:
+            felt.append(np.array(samples))
+    return felt
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("town", ["helsinki", "monaco"])
+def test_level_pavement_of_a_real_town_feels_level(town):
+    street = load_street(find_town(town))
+    ways = [edge.points_W_m for edge in street.walk.edges if np.hypot(*np.diff(edge.points_W_m, axis=0).T).sum() > 15.0]
+    with Engine(1 / 240) as engine, Engine(1 / 240) as bare:
+        engine.add_street(street.mesh)
+        bare.add_street(street.mesh)
+        chair = Wheelchair(engine, ChairConfig(), ImuConfig(), seat=0)
+        felt: list[np.ndarray] = []
+        for k in np.random.default_rng(3).choice(len(ways), min(EDGES, len(ways)), replace=False):
+            felt += felt_on_level_ground(engine, bare, chair, ways[k])
+    everything = np.concatenate(felt)
+    assert len(felt) > 500
+    assert math.sqrt((everything**2).sum(axis=1).mean()) < 0.2  # 0.5 is allowed
+    assert np.abs(everything).max() < 5.0
