@@ -158,6 +158,7 @@ class LearnConfig(Model):
     aid_weight: NotNegative = 1.0
     aid_batch: Annotated[int, Field(ge=1, le=4096)] = 32
     aid_share: Share = 0.5  # of the aid's batch, from steps in which some action ends badly
+    aid_ahead: Annotated[int, Field(ge=0, le=50)] = 0  # steps before it ends badly in which an action is unsafe already
     aid_relabel: Share = 0.5  # of the aid's batch, with another joystick than the user's
     mirror: bool = False  # batches are mirrored left to right half of the time
     checkpoint_every: Annotated[int, Field(ge=1)] = 5_000

@@ -55,6 +55,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             aid_batch=learn.aid_batch,
             aid_share=learn.aid_share,
             aid_relabel=learn.aid_relabel,
+            aid_ahead=learn.aid_ahead,
         ),
         plan=phase_plan(learn),
         seed=seed,

@@ -169,8 +169,10 @@ class FrameReplay(ReplayBuffer):
             discounts=self.to_torch(chains.discounts[:, None], copy=False),
         )
 
-    def sample_advice(self, count: int, tight_share: float) -> AdviceBatch | None:
+    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> AdviceBatch | None:
         """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
+
+        An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already.
 
         Raises ValueError when the memory was built without `advice`.
         """
@@ -184,8 +186,17 @@ class FrameReplay(ReplayBuffer):
         seen = self.layout.split(self.frames.read(rows, seats), self.vectors[rows, seats])
         return AdviceBatch(
             observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
-            safe=self.to_torch(self.advice.safe(index, seats), copy=False),
+            safe=self.to_torch(self._safe_ahead(self.advice, index, seats, ahead), copy=False),
         )
+
+    def _safe_ahead(self, advice: AdviceRing, index: I64, seats: I64, ahead: int) -> Bool:
+        safe = advice.safe(index, seats)
+        at = index
+        for _ in range(ahead):
+            goes_on = ~self.ended[at % self.buffer_size, seats] & (at < self.total - 1)
+            at = np.where(goes_on, at + 1, at)
+            safe &= advice.safe(at, seats)
+        return safe
 
     def chains(self, starts: I64, seats: I64) -> Chains:
         """Follow each start for up to n steps, to the end of its chain or the newest row whose successor is known."""

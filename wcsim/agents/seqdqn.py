@@ -51,6 +51,7 @@ class SeqSettings:
     aid_batch: int = 32
     aid_share: float = 0.5
     aid_relabel: float = 0.5
+    aid_ahead: int = 0
 
 
 class SeqDQN(DQN):
@@ -210,9 +211,9 @@ class SeqDQN(DQN):
     def advice_loss(self) -> torch.Tensor:
         """Loss of a batch of advice from the truth (`agents/aid.py`), 0 while there is none."""
         settings, buffer = self.settings, self.replay_buffer
-        advice = (
-            buffer.sample_advice(settings.aid_batch, settings.aid_share) if isinstance(buffer, FrameReplay) else None
-        )
+        advice = None
+        if isinstance(buffer, FrameReplay):
+            advice = buffer.sample_advice(settings.aid_batch, settings.aid_share, settings.aid_ahead)
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, points = advice.observations, self.action_points.points

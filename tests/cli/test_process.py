@@ -1,0 +1,88 @@
+"""The command as a process of its own: what lands on the terminal, pipes that close, and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = (sys.executable, "-m", "wcsim")
+
+
+def start(folder: Path, *words: object, **more: object) -> subprocess.Popen[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "80"}
+    return subprocess.Popen(
+        [*COMMAND, *(str(word) for word in words)],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **more,
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("snapshot", "atlantis"), "unknown town 'atlantis'"),
+        (("test", "no-run", "--town", "monaco"), "no-run is not a run"),
+        (("scene", "run", "nothing"), "unknown scene 'nothing'"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_a_mistake_is_one_line_and_code_2(tmp_path, words, told):
+    child = start(tmp_path, *words)
+    out, err = child.communicate(timeout=60)
+    assert (child.returncode, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("wcsim: ")
+    assert told in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [("snapshot", "--out", "x.png"), ("video", "--out", "x.webm")], ids=lambda w: w[0])
+def test_pictures_and_videos_come_without_chatter(tmp_path, corner, words):
+    child = start(tmp_path, *words[:1], corner, "--seconds", "0.3", "--width", "64", *words[1:])
+    out, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (0, "")
+    assert out.startswith(words[-1])
+    assert out.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [("town", "list"), ("town", "--help"), ("test", "--help"), ("--help",)], ids=" ".join)
+def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
+    with start(tmp_path, *words) as child:
+        child.stdout.close()
+        assert child.stderr.read() == ""
+        assert child.wait(timeout=60) in (1, 141)
+
+
+def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
+    total = 400
+    words = (
+        *("train", "--town", corner, "--out", "run"),
+        *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=100", "--set", "learn.train_every=20"),
+        *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
+    )
+    child = start(tmp_path, *words)
+    while f"/{total} steps" not in child.stderr.readline():
+        assert child.poll() is None
+    child.send_signal(signal.SIGINT)
+    out, err = child.communicate(timeout=120)
+    assert child.returncode == 0, err
+    assert "Traceback" not in err
+    assert "--resume" in err
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert manifest["status"] == "interrupted"
+    assert 0 < manifest["steps"] < total
+    assert (tmp_path / "run" / "policies" / "final" / "policy.json").is_file()
+    child = start(tmp_path, *words, "--resume")
+    out, err = child.communicate(timeout=120)
+    assert child.returncode == 0, err
+    assert out.startswith("run folder: run")
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
