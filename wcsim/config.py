@@ -54,7 +54,6 @@ class ImuConfig(Model):
     saturation_mps2: Positive = 156.9  # +-16 g
     accel_noise_mps2: NotNegative = 0.02
     gyro_noise_radps: NotNegative = 0.001
-    accel_gravity_removed_for_reward: bool = True
 
 
 class ChairConfig(Model):
@@ -88,7 +87,6 @@ class WorldConfig(Model):
     reaction_s: NotNegative = 0.7
     brake_mps2: Positive = 4.5
     clear_spawn_m: Positive = 2.0
-    rebuild_after_ticks: Annotated[int, Field(ge=0)] = 0
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
@@ -157,6 +155,7 @@ class LearnConfig(Model):
     aid: Literal["none", "oracle"] = "none"  # beyond the paper: safe actions from the privileged truth, in training
     aid_weight: NotNegative = 1.0
     aid_batch: Annotated[int, Field(ge=1, le=4096)] = 32
+    aid_margin: NotNegative = 1.0  # joystick distance by which an unsafe action must lose more than a safe one
     aid_share: Share = 0.5  # of the aid's batch, from steps in which some action ends badly
     aid_ahead: Annotated[int, Field(ge=0, le=50)] = 0  # steps before it ends badly in which an action is unsafe already
     aid_relabel: Share = 0.5  # of the aid's batch, with another joystick than the user's

@@ -104,6 +104,19 @@ def test_observations_lie_in_their_space_and_are_the_callers_own(corner, form):
         assert all(np.array_equal(seen[3][key], before[key]) for key in before)
 
 
+def test_two_lines_are_enough_for_a_real_town():
+    env = gymnasium.make(wcsim.ENV_ID, town="helsinki", overrides=("world.warmup_s=10",))
+    try:
+        observation, info = env.reset(seed=1)
+        assert observation["seg"].shape == observation["depth"].shape == (1, 60, 80)
+        assert len(np.unique(observation["seg"])) >= 3
+        assert env.action_space == gymnasium.spaces.Discrete(81)
+        _, reward, terminated, truncated, _ = env.step(info["user_action"])
+        assert (reward, terminated, truncated) == (1.0, False, False)
+    finally:
+        env.close()
+
+
 def test_one_seed_is_one_episode_and_another_seed_another(corner):
     with made(corner) as env:
         first = drive(env, 25, seed=5)

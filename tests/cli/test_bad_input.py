@@ -158,6 +158,11 @@ def test_configuration_files_are_checked(wcsim, folder, corner):
     assert files_in(folder) == {"own.toml"}
 
 
+def test_a_run_that_never_began_leaves_no_folder(wcsim, folder, corner):
+    refused(wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING, "--set", "env.observation=table3"), "compact")
+    assert files_in(folder) == set()
+
+
 def test_a_run_folder_that_is_none_is_refused(wcsim, folder, corner):
     Path("notes").mkdir()
     Path("notes/manifest.json").write_text("{}")

@@ -63,10 +63,11 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
 
 
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
-    total = 400
+    total = 240
     words = (
         *("train", "--town", corner, "--out", "run"),
-        *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=100", "--set", "learn.train_every=20"),
+        *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=60", "--set", "learn.train_every=20"),
+        *("--set", "learn.network=small", "--set", "learn.batch_size=4", "--set", "learn.learning_starts=40"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     )
     child = start(tmp_path, *words)

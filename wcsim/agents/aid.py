@@ -13,12 +13,11 @@ from torch.nn import functional
 from wcsim.types import F32, F64, Bool
 
 OFFSET = 0.4  # joystick distance that the margin adds to the distance between two actions
-UNSAFE = 1.0  # the same for an action that ends badly
 HALF_CELL = 0.125  # of the actions' lattice
 
 
 def aid_loss(
-    values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, rest: int, scale: float
+    values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, rest: int, scale: float, unsafe: float
 ) -> torch.Tensor:
     """How far the safe action nearest to the user's joystick is from beating the others by a margin.
 
@@ -30,12 +29,13 @@ def aid_loss(
         safe: (B, A) bool, which actions end well. Where none does, the teacher chooses `rest`.
         rest: Index of the stick at rest, which brakes.
         scale: Of the reward; margins are joystick distances times this.
+        unsafe: Joystick distance that the margin adds for an action that ends badly.
 
     Returns:
         A scalar, 0 when every row has its teacher's action ahead by the margins.
     """
     label = teacher_actions(distances, safe, rest)[:, None]
-    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + OFFSET + UNSAFE * ~safe
+    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + OFFSET + unsafe * ~safe
     margin = (scale * margin).scatter(1, label, 0.0)
     behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
     dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)

@@ -56,6 +56,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             aid_share=learn.aid_share,
             aid_relabel=learn.aid_relabel,
             aid_ahead=learn.aid_ahead,
+            aid_margin=learn.aid_margin,
         ),
         plan=phase_plan(learn),
         seed=seed,

@@ -52,6 +52,7 @@ class SeqSettings:
     aid_share: float = 0.5
     aid_relabel: float = 0.5
     aid_ahead: int = 0
+    aid_margin: float = 1.0
 
 
 class SeqDQN(DQN):
@@ -225,7 +226,8 @@ class SeqDQN(DQN):
             advice = mirrored_advice(advice, self._mirror_map())
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         rest = self.action_points.nearest((0.0, 0.0))
-        return aid_loss(self.q_net(advice.observations), distances, advice.safe, rest, settings.reward_scale)
+        values = self.q_net(advice.observations)
+        return aid_loss(values, distances, advice.safe, rest, settings.reward_scale, settings.aid_margin)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -99,7 +102,7 @@ def train_in(
     learning = config.model_copy(
         update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": aided})}
     )
-    with _Bar(config.learn.total_steps) as bar:
+    with _Bar(config.learn.total_steps) as bar, _gone_if_nothing_came_of_it(out):
 
         def show(now: TrainProgress) -> None:
             kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
@@ -117,6 +120,21 @@ def train_in(
             command=command,
             resume=resume,
         )
+
+
+@contextmanager
+def _gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
+    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved."""
+    fresh = not run.exists()
+    try:
+        yield
+    except BaseException:
+        metrics = run / "metrics.csv"
+        episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+        saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
+        if fresh and episodes < 1 and not saved:
+            shutil.rmtree(run, ignore_errors=True)
+        raise
 
 
 class _Bar:

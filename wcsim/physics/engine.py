@@ -136,10 +136,6 @@ class Engine:
             for soup in _street_parts(vertices, chosen):
                 self._add_soup(soup, role)
 
-    def add_static(self, vertices_W_m: F64, faces: npt.NDArray[np.integer], role: Role) -> int:
-        """Add one concave body of vertices (V, 3) and faces (F, 3) with friction 1; returns its id."""
-        return self._add_soup(Soup(vertices_m=np.asarray(vertices_W_m, np.float64), faces=np.asarray(faces)), role)
-
     def _add_soup(self, soup: Soup, role: Role) -> int:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_MESH,

@@ -21,7 +21,6 @@ STATIC_MARGIN_M = 0.2
 MOVING_MARGIN_M = 0.3
 STOP_GAP_M = 0.4  # left in front of the footplate
 MEET_S = 3.5  # whom the chair meets later than this is left alone
-CREEP_MPS = 0.15
 
 EDGE_MARGIN_M = 0.12  # between the chair's side and a kerb or wall that it drives along on purpose
 ROOM_STEP_M = 0.1

@@ -10,7 +10,6 @@ import numpy as np
 
 from wcsim.types import F64, ActorState, Route, SignalState, WalkGraph, WayKind
 
-GREEN = frozenset("Gg")
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
 SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count

@@ -1,0 +1,52 @@
+"""The built wheel, away from the checkout: everything that the commands need is inside."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel as pip would lay it out."""
+    place = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(place), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    with zipfile.ZipFile(next(place.glob("*.whl"))) as wheel:
+        wheel.extractall(place / "site")
+    return place / "site"
+
+
+def run(unpacked: Path, folder: Path, *words: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(unpacked), "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+    command = [sys.executable, "-m", "wcsim", *words]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_towns_and_scenes_are_inside(unpacked, tmp_path):
+    towns = run(unpacked, tmp_path, "town", "list")
+    for name in ("helsinki", "manhattan", "monaco"):
+        assert str(unpacked / "wcsim" / "scenarios" / "sumo" / name) in towns
+    shipped = {path.parent.name for path in (ROOT / "scenarios" / "sumo" / "scenes").glob("*/scene.toml")}
+    scenes = run(unpacked, tmp_path, "scene", "list")
+    assert all(name in scenes for name in shipped)
+
+
+def test_every_file_that_is_no_code_is_inside(unpacked):
+    data = {path.relative_to(ROOT) for path in (ROOT / "wcsim").rglob("*") if path.is_file()}
+    data = {path for path in data if "__pycache__" not in path.parts}
+    data |= {Path("wcsim") / path.relative_to(ROOT) for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
+    assert {path for path in data if not (unpacked / path).is_file()} == set()
+
+
+def test_a_shipped_town_opens(unpacked, tmp_path):
+    assert "faults in the mesh" in run(unpacked, tmp_path, "town", "check", "manhattan")
