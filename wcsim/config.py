@@ -133,6 +133,7 @@ class LearnConfig(Model):
     head: Literal["residual", "plain"] = "residual"
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
     learning_rate: Positive = 3e-4
+    learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero
     batch_size: Annotated[int, Field(ge=1, le=4096)] = 32
     replay_frames: Annotated[int, Field(ge=100)] = 50_000
     learning_starts: Annotated[int, Field(ge=0)] = 500

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -166,6 +169,30 @@ def as_vec_env_shows(seen: Shown) -> Shown:
             ended = terminated or truncated
             out.append((seen[k + 1][0] if ended else observation, np.float32(reward), ended))
     return out
+
+
+def test_ctrl_c_is_not_for_the_second_world(corner):
+    """At a terminal it reaches every process of the group."""
+    with made(corner) as env, made(corner) as second:
+        env.reset(seed=1)
+        second.reset(seed=1)
+        second.unwrapped._link._child.send_signal(signal.SIGINT)
+        for _ in range(3):
+            assert second.step(44)[4]["events"].step == env.step(44)[4]["events"].step
+
+
+def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(corner):
+    code = (
+        "import gymnasium, wcsim\n"
+        f"make = lambda: gymnasium.make(wcsim.ENV_ID, town={str(corner)!r}, overrides=({NO_WARMUP!r},))\n"
+        "one, two = make(), make()\n"
+        "one.reset(seed=1); two.reset(seed=1)\n"
+        "two.unwrapped._link._child.kill(); two.unwrapped._link._child.wait()\n"
+        "two.step(44)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert done.stderr.strip().splitlines()[-1].startswith("wcsim.errors.LinkClosedError: the world process ended")
 
 
 def test_gymnasiums_own_vector_environments_work(corner):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.worlds import follow, hashes, open_world
+from wcsim.bridge.sumo import world_in_this_process
 from wcsim.bridge.world import World
-from wcsim.errors import ProtocolError, WorldInUseError
+from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec
 
 
@@ -63,6 +64,12 @@ def test_every_actor_near_a_chair_has_a_body_and_no_other(corner):
                 seen.add(actor.kind)
                 assert np.abs(bodies[actor.id][0][:2] - actor.p_W_m[:2]).max() < 0.05
         assert {ActorKind.CAR, ActorKind.PEDESTRIAN} <= seen
+
+
+def test_a_world_that_cannot_begin_leaves_nothing_behind(corner):
+    with pytest.raises(ConfigError, match="nobody"):
+        open_world(corner, spec=SeatSpec(profile="nobody"))
+    assert not world_in_this_process()
 
 
 def test_a_command_for_another_tick_is_refused(corner):

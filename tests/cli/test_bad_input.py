@@ -52,6 +52,7 @@ OPTIONS = {
     "train --set learn.total_steps=0": ("learn.total_steps", "got 0"),
     "train --set world.substeps=1": ("world.substeps",),
     "train --set cameras.3.width_px=64": ("cameras",),
+    "train --set env.profile=ataxic": ("ataxic", "held out"),
     "train --set env.profile=saint": ("unknown user profile 'saint'", "competent"),
     "test --set world.tick_s=nan": ("world.tick_s",),
     "test --episodes 0": ("--episodes 0", "1 or more"),
@@ -159,7 +160,8 @@ def test_configuration_files_are_checked(wcsim, folder, corner):
 
 
 def test_a_run_that_never_began_leaves_no_folder(wcsim, folder, corner):
-    refused(wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING, "--set", "env.observation=table3"), "compact")
+    words = ("--out", "run", *SHORT_TRAINING, "--set", "env.observation=table3")
+    refused(wcsim("train", "--town", corner, *words), "compact")
     assert files_in(folder) == set()
 
 

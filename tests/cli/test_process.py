@@ -31,7 +31,6 @@ def start(folder: Path, *words: object, **more: object) -> subprocess.Popen[str]
     ("words", "told"),
     [
         (("snapshot", "atlantis"), "unknown town 'atlantis'"),
-        (("test", "no-run", "--town", "monaco"), "no-run is not a run"),
         (("scene", "run", "nothing"), "unknown scene 'nothing'"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
@@ -63,11 +62,11 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
 
 
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
-    total = 240
+    total = 300
     words = (
         *("train", "--town", corner, "--out", "run"),
-        *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=60", "--set", "learn.train_every=20"),
-        *("--set", "learn.network=small", "--set", "learn.batch_size=4", "--set", "learn.learning_starts=40"),
+        *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=40", "--set", "learn.train_every=10"),
+        *("--set", "learn.network=small", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     )
     child = start(tmp_path, *words)

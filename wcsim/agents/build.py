@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from stable_baselines3.common.type_aliases import GymEnv
 
 from wcsim.agents.phases import PhasePlan
 from wcsim.agents.policy import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.seqdqn import SeqDQN, SeqSettings
 from wcsim.config import LearnConfig, RunConfig
+from wcsim.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FadingRate:
+    """A learning rate that falls linearly to zero over the last share of a run, so that the last policy is settled.
+
+    >>> [FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
+    [1.0, 1.0, 0.5, 0.0]
+    """
+
+    rate: float
+    fade: float
+
+    def __call__(self, left: float) -> float:
+        """The rate when the share `left` of all steps is still to be done."""
+        return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
 
 
 def net_spec(config: RunConfig) -> NetSpec:
@@ -39,8 +58,18 @@ def phase_plan(learn: LearnConfig) -> PhasePlan:
 
 
 def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
-    """A fresh learner. Raises PolicyError when the network or the observation space does not fit."""
-    learn = config.learn
+    """A fresh learner.
+
+    Raises:
+        PolicyError: The network or the observation space does not fit.
+        ConfigError: `learn.mirror` with a camera that sees left and right differently.
+    """
+    learn, camera = config.learn, config.cameras[0]
+    if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
+        raise ConfigError(
+            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
+            "because its pictures are mirrored: set learn.mirror=false"
+        )
     return SeqDQN(
         SeqQPolicy,
         env,
@@ -60,7 +89,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         ),
         plan=phase_plan(learn),
         seed=seed,
-        learning_rate=learn.learning_rate,
+        learning_rate=FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
         buffer_size=learn.replay_frames,
         learning_starts=max(learn.learning_starts, 2),
         batch_size=learn.batch_size,

@@ -172,7 +172,8 @@ class FrameReplay(ReplayBuffer):
     def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> AdviceBatch | None:
         """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
 
-        An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already.
+        An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already, as long as
+        another one is left.
 
         Raises ValueError when the memory was built without `advice`.
         """
@@ -195,7 +196,8 @@ class FrameReplay(ReplayBuffer):
         for _ in range(ahead):
             goes_on = ~self.ended[at % self.buffer_size, seats] & (at < self.total - 1)
             at = np.where(goes_on, at + 1, at)
-            safe &= advice.safe(at, seats)
+            both = safe & advice.safe(at, seats)
+            safe = np.where(both.any(axis=1, keepdims=True), both, safe)
         return safe
 
     def chains(self, starts: I64, seats: I64) -> Chains:

@@ -2,9 +2,9 @@
 
 On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
 gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
-advice from the truth in the second (`aid`), exploration near the user's joystick, and random draws from a generator of
-its own. `learn`, callbacks, logger, `save`,
-`load` and `EvalCallback` are SB3's. Sequences of length 1 only: the networks have no recurrent memory yet.
+advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
+from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. Sequences of
+length 1 only: the networks have no recurrent memory yet.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class SeqSettings:
     exploration: Literal["local", "uniform"] = "local"
     epsilon_sigma: float = 0.5
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
-    mirror: bool = False
-    aid_batch: int = 32
+    mirror: bool = False  # batches are mirrored left to right half of the time
+    aid_batch: int = 32  # this and the following: see LearnConfig
     aid_share: float = 0.5
     aid_relabel: float = 0.5
     aid_ahead: int = 0
@@ -218,16 +218,14 @@ class SeqDQN(DQN):
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, points = advice.observations, self.action_points.points
-        wishes = relabelled(
-            seen[JOYSTICK_KEY].cpu().numpy(), advice.safe.cpu().numpy(), points, settings.aid_relabel, self.rng
-        )
+        sticks = seen[JOYSTICK_KEY].cpu().numpy()
+        wishes = relabelled(sticks, points, settings.aid_relabel, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
             advice = mirrored_advice(advice, self._mirror_map())
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
-        rest = self.action_points.nearest((0.0, 0.0))
         values = self.q_net(advice.observations)
-        return aid_loss(values, distances, advice.safe, rest, settings.reward_scale, settings.aid_margin)
+        return aid_loss(values, distances, advice.safe, settings.reward_scale, settings.aid_margin)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

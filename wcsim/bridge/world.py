@@ -52,7 +52,11 @@ class World:
         self._engine: Engine | None = None
         self.snapshot: Snapshot
         self._sumo = SumoSession(self._options(seed))
-        self._begin(seed)
+        try:
+            self._begin(seed)
+        except BaseException:
+            self.close()
+            raise
 
     def tick(self, commands: Sequence[Command]) -> Snapshot:
         """Carry the world from tick n to n + 1, with one command of tick n for every seat, in seat order."""

@@ -132,8 +132,9 @@ def _news(trace: Path, golden: Path) -> str:
 
 
 def _words(facts: SceneFacts) -> str:
+    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.actors_seen else "nobody near"
     return (
         f"{'crash' if facts.crashed else 'no crash'}, {facts.travelled_m:.1f} m, drop {facts.drop_m:.2f} m, "
         f"roll {facts.max_roll_deg:.1f} deg, pitch {facts.max_pitch_deg:.1f} deg, "
-        f"closest {facts.closest_actor_m:.2f} m, standing {facts.standing_s:.1f} s, {facts.actors_seen} actors"
+        f"{nearest}, standing {facts.standing_s:.1f} s, {facts.actors_seen} actors"
     )

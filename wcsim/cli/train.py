@@ -16,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.config import RunConfig, load_run_config
-from wcsim.errors import TownError
-from wcsim.supervisor.profiles import profile
+from wcsim.errors import ConfigError, TownError
+from wcsim.supervisor.profiles import HELD_OUT, profile
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.town import Town, content_hash, find_town
 
@@ -55,6 +55,11 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "train")
     overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
     config = load_run_config(options.preset, overrides, options.config)
+    if config.env.profile in HELD_OUT:
+        raise ConfigError(
+            f"profile {config.env.profile} is held out of training, so that tests can ask how a network does with a "
+            "user it has never met; expected another env.profile"
+        )
     town = checked_town(options.town, options.allow_test_town)
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
     command = ("wcsim", "train", *words)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import weakref
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -27,8 +28,8 @@ class ProcessLink:
 
     def __init__(self, order: WorldOrder) -> None:
         """Start the process and open the world; raises what opening it in this process would raise."""
-        self._folder = tempfile.TemporaryDirectory(prefix="wcsim-")
-        endpoint = f"ipc://{Path(self._folder.name) / 'world'}"
+        folder = tempfile.TemporaryDirectory(prefix="wcsim-")
+        endpoint = f"ipc://{Path(folder.name) / 'world'}"
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PAIR)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -37,7 +38,8 @@ class ProcessLink:
         self._child = subprocess.Popen(
             [sys.executable, "-m", "wcsim.server.world_process", endpoint], stdin=subprocess.DEVNULL
         )
-        self._open = True
+        # Also when nobody closes the link: ZeroMQ would else wait for ever at the end of a process whose world died.
+        self._end = weakref.finalize(self, _end, self._socket, self._context, self._child, folder)
         request = m.Open(
             protocol=m.PROTOCOL,
             town=order.town,
@@ -69,18 +71,7 @@ class ProcessLink:
 
     def close(self) -> None:
         """Ask the process to end, wait for it, and end it when it does not; a second call does nothing."""
-        if not self._open:
-            return
-        self._open = False
-        try:
-            self._socket.send(m.encode(m.Leave()), zmq.NOBLOCK)
-            self._child.wait(timeout=5.0)
-        except (zmq.ZMQError, subprocess.TimeoutExpired):
-            self._child.kill()
-            self._child.wait()
-        self._socket.close()
-        self._context.term()
-        self._folder.cleanup()
+        self._end()
 
     def __enter__(self) -> Self:
         return self
@@ -91,24 +82,43 @@ class ProcessLink:
         self.close()
 
     def _ask(self, request: m.Request, timeout_s: float) -> ClientSnapshot:
-        if not self._open:
+        if not self._end.alive:
             raise LinkClosedError("this link is closed; make a new one")
+        self._wait(zmq.POLLOUT, timeout_s)
         self._socket.send(m.encode(request))
-        reply = m.decode_reply(self._receive(timeout_s))
+        self._wait(zmq.POLLIN, timeout_s)
+        reply = m.decode_reply(self._socket.recv())
         if isinstance(reply, m.Failure):
             m.raise_failure(reply)
         if not isinstance(reply, m.Frame):
             raise ProtocolError(f"the world answered {type(reply).__name__}; expected a frame")
         return reply.client
 
-    def _receive(self, timeout_s: float) -> bytes:
-        """The next message; watches the child, because a ZeroMQ peer that dies is silent."""
+    def _wait(self, event: int, timeout_s: float) -> None:
+        """Until the socket can send or receive; watches the child, because a ZeroMQ peer that dies is silent."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
-            if self._socket.poll(POLL_MS):
-                return bytes(self._socket.recv())
-            if self._child.poll() is not None and not self._socket.poll(0):
+            if self._socket.poll(POLL_MS, event):
+                return
+            if self._child.poll() is not None and not self._socket.poll(0, event):
                 raise LinkClosedError(
                     f"the world process ended with code {self._child.returncode}; its messages above say why"
                 )
         raise LinkTimeoutError(f"the world process did not answer within {timeout_s:g} s; open another link")
+
+
+def _end(
+    socket: zmq.Socket[bytes],
+    context: zmq.Context[zmq.Socket[bytes]],
+    child: subprocess.Popen[bytes],
+    folder: tempfile.TemporaryDirectory[str],
+) -> None:
+    try:
+        socket.send(m.encode(m.Leave()), zmq.NOBLOCK)
+        child.wait(timeout=5.0)
+    except (zmq.ZMQError, subprocess.TimeoutExpired):
+        child.kill()
+        child.wait()
+    socket.close()
+    context.term()
+    folder.cleanup()

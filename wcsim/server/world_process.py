@@ -7,6 +7,7 @@ ends when it is told to, or when its parent has gone.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 import zmq
@@ -22,6 +23,8 @@ POLL_MS = 1000
 def main() -> int:
     """Serve one client until it leaves."""
     parent = os.getppid()
+    # Ctrl-C at a terminal reaches the whole group; what it means is for the client to say, who still needs the world.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with zmq.Context() as context, context.socket(zmq.PAIR) as socket:
         socket.setsockopt(zmq.LINGER, 1000)
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_MESSAGE_BYTES)

@@ -15,6 +15,10 @@ from wcsim.errors import ConfigError
 SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
 
 
+HELD_OUT = ("ataxic",)
+"""Profiles that no network is trained with."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UserProfile:
     """Parameters of one simulated user."""
