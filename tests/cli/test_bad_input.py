@@ -52,6 +52,7 @@ OPTIONS = {
     "train --set learn.total_steps=0": ("learn.total_steps", "got 0"),
     "train --set world.substeps=1": ("world.substeps",),
     "train --set cameras.3.width_px=64": ("cameras",),
+    "train --set learn.device=tpu": ("learn.device", "expected cpu"),
     "train --set env.profile=ataxic": ("ataxic", "held out"),
     "train --set env.profile=saint": ("unknown user profile 'saint'", "competent"),
     "test --set world.tick_s=nan": ("world.tick_s",),

@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim import seeding
-from wcsim.agents.build import build_model
+from wcsim.agents.build import build_model, checked_device
 from wcsim.agents.callbacks import EpisodeMetrics, Every, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.export import save_policy
@@ -62,7 +62,9 @@ def train(
     Raises:
         InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
         PolicyError: The folder is not empty, or cannot be resumed.
+        ConfigError: The device cannot be used.
     """
+    checked_device(config.learn.device)
     run = _open(config, out, seed, town, town_sha256, command, resume)
     with _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
