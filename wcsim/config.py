@@ -112,6 +112,13 @@ class RewardConfig(Model):
     crash: NotNegative = 100.0
     body_on_ground_Ns: NotNegative = 20.0
 
+    @model_validator(mode="after")
+    def _windows_are_open(self) -> RewardConfig:
+        windows = (self.accel_window_mps2, self.roll_window_deg, self.pitch_window_deg)
+        if any(low >= high for low, high in (*windows, (self.max_follow_distance, self.max_distance))):
+            raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
+        return self
+
 
 class EnvConfig(Model):
     """What the agent sees and does."""
@@ -177,6 +184,15 @@ class RunConfig(Model):
     reward: RewardConfig = RewardConfig()
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> RunConfig:
+        if self.imu.saturation_mps2 <= self.reward.accel_window_mps2[1]:
+            raise ValueError(
+                f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
+                f"{self.reward.accel_window_mps2}; expected a higher saturation"
+            )
+        return self
 
     @model_validator(mode="after")
     def _cameras_have_names_of_their_own(self) -> RunConfig:

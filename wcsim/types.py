@@ -7,7 +7,7 @@ arrays in them are read-only by convention, and those of a `Snapshot` are valid 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from enum import Enum, IntEnum
 from typing import Literal
 
@@ -87,8 +87,8 @@ class ClassId(IntEnum):
 # --- the street as it stands ---
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreetMesh:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreetMesh(ComparesArrays):
     """Everything that stands still, as one triangle soup for wheels and cameras alike.
 
     Triangles are sorted by chunk; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses only vertices
@@ -102,8 +102,8 @@ class StreetMesh:
     chunk_faces: I32  # (C + 1,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreetGrid:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreetGrid(ComparesArrays):
     """The same street seen straight from above, as rasters for quick questions (oracle, spawn, walking people).
 
     Cell (row, col) covers x from origin_W_m[0] + col * cell_m and y from origin_W_m[1] + row * cell_m.
@@ -144,8 +144,8 @@ class WayKind(Enum):
     CROSSING = "crossing"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WalkEdge:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkEdge(ComparesArrays):
     """One piece of the walking network, passable both ways."""
 
     sumo_id: str
@@ -158,16 +158,16 @@ class WalkEdge:
     tls_links: tuple[int, ...] = ()  # indices of its signals in that light's state string
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WalkGraph:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkGraph(ComparesArrays):
     """Where a wheelchair may drive: pavements, walking areas and crossings, as nodes and edges."""
 
     nodes_W_m: F64  # (N, 2)
     edges: tuple[WalkEdge, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Route:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Route(ComparesArrays):
     """A way for the simulated user: a polyline over the walk graph."""
 
     points_W_m: F64  # (K, 2)
@@ -211,6 +211,11 @@ class SignalState:
 
 
 # --- the wheelchair ---
+
+
+def chair_actor_id(seat: int) -> str:
+    """The name under which others meet the wheelchair of a seat."""
+    return f"w:{seat}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,8 +295,8 @@ class SensorFrame:
 # --- the user, the truth, the judgement ---
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UserView:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UserView(ComparesArrays):
     """What the simulated user may know: made by World, read by `supervisor/user.py` once a tick."""
 
     time_s: float
@@ -326,6 +331,7 @@ class Events:
     truncated: bool
     arrived: bool
     gave_up: bool
+    progress_m: float = 0.0  # along the route during this tick
     jam_teleports: int = 0
 
 
@@ -372,10 +378,6 @@ class RewardTerms:
     def total(self) -> float:
         """Sum of all terms."""
         return self.base + self.joystick + self.accel + self.tilt + self.crash + self.extra
-
-    def with_extra(self, extra: float) -> RewardTerms:
-        """The same terms with the user's own."""
-        return replace(self, extra=extra)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

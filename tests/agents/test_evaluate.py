@@ -103,7 +103,7 @@ def test_the_environment_is_closed_when_a_policy_fails():
     class Broken:
         name = "broken"
 
-        def reset(self):
+        def begin(self):
             raise RuntimeError("no")
 
     with pytest.raises(RuntimeError):

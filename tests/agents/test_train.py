@@ -190,10 +190,14 @@ def test_wrong_folders_are_explained(run, tmp_path):
     with pytest.raises(PolicyError, match="not a run"):
         open_run(tmp_path)
     with pytest.raises(PolicyError, match="another configuration"):
-        train(config(gamma=0.5), street, path, 5, resume=True)
+        train(config(gamma=0.5), street, path, 5, town="toy", town_sha256="00", resume=True)
+    with pytest.raises(PolicyError, match="another town_sha256"):
+        train(config(), street, path, 5, town="other", town_sha256="01", resume=True)
+    with pytest.raises(PolicyError, match="another rewards"):
+        train(config(), street, path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True)
     with pytest.raises(PolicyError, match="unknown stage"):
         policy_path(f"{path}:best")
-    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), 1, "t", "", ()))
+    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), 1, "t", "", (), ()))
     with pytest.raises(PolicyError, match="it has: none"):
         policy_path(str(fresh.path))
     (fresh.path / "manifest.json").write_text("{")
@@ -259,7 +263,7 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
 
 
 def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
-    run = create_run(tmp_path / "r", config(), make_manifest(config(), 1, "t", "ab", ("wcsim", "train")))
+    run = create_run(tmp_path / "r", config(), make_manifest(config(), 1, "t", "ab", (), ("wcsim", "train")))
     digest = run.manifest_sha256()
     run = run.with_status("interrupted", 7)
     assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)

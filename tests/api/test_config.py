@@ -32,6 +32,9 @@ def test_a_camera_is_reached_by_its_number():
         ("world.tick_s=0.05x", "world.tick_s"),
         ("world.substeps=1", "physics step"),
         ("nothing.here=1", "nothing"),
+        ("reward.accel_window_mps2=[40.0, 20.0]", "low < high"),
+        ("reward.max_follow_distance=3.0", "low < high"),
+        ("imu.saturation_mps2=10.0", "saturation"),
     ],
 )
 def test_a_wrong_override_says_what_is_wrong(override, says):

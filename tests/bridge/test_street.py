@@ -65,6 +65,13 @@ def test_the_order_comes_after_the_reaction_time_and_is_taken_back_once():
     assert street.react((actor(),), (chair(15.0, 9.0),)) == ()
 
 
+def test_who_was_held_is_let_go_when_the_chair_is_respawned_elsewhere():
+    street = StreetReaction(WorldConfig(reaction_s=0.0, attention_share=1.0), seed=1)
+    assert street.react((actor(),), (chair(12.0),))[0].speed_mps > 0.0
+    assert [order.speed_mps for order in street.react((), (chair(900.0),))] == [-1.0]
+    assert street.react((), (chair(900.0),)) == ()
+
+
 def test_attention_is_a_property_of_the_actor_and_of_the_seed():
     config = WorldConfig(reaction_s=0.0, attention_share=0.5)
     cars = tuple(actor(name=f"v:{i}") for i in range(200))

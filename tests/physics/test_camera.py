@@ -95,14 +95,15 @@ def test_a_slower_camera_repeats_its_image_and_reset_wakes_it(mesh):
         assert rig.shoot(0, 7, plant(), (), ())[1].taken_tick == 7
 
 
-def test_frames_outlive_one_more_shot_of_their_camera(mesh):
+def test_frames_outlive_two_more_shots_of_their_camera(mesh):
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
         first = rig.shoot(0, 0, plant(), (), ())[0]
         kept = first.depth_m.copy()
         rig.shoot(0, 1, plant(x=50.0, yaw=0.5), (), ())
-        rig.shoot(1, 1, plant(x=50.0, yaw=1.0), (), ())
+        rig.shoot(0, 2, plant(x=50.0, yaw=0.7), (), ())
+        rig.shoot(1, 2, plant(x=50.0, yaw=1.0), (), ())
         assert np.array_equal(first.depth_m, kept)
-        rig.shoot(0, 2, plant(x=50.0, yaw=0.5), (), ())
+        rig.shoot(0, 3, plant(x=50.0, yaw=0.5), (), ())
         assert not np.array_equal(first.depth_m, kept)
 
 
@@ -112,10 +113,11 @@ def test_images_go_into_given_buffers_also_when_they_are_repeated(mesh):
         a, b = new_images(40, 30, True), new_images(40, 30, True)
         first = rig.shoot(0, 0, plant(), (), (), SeatBuffers(images=(a,)))[0]
         again = rig.shoot(0, 1, plant(), (), (), SeatBuffers(images=(b,)))[0]
-        assert first.depth_m is a.depth_m and again.depth_m is b.depth_m and again.taken_tick == 0
+        assert np.may_share_memory(first.depth_m, a.depth_m) and np.may_share_memory(again.depth_m, b.depth_m)
+        assert again.taken_tick == 0
         for name in ("depth_m", "class_id", "rgb"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
-        assert again.rgb is b.rgb
+        assert np.may_share_memory(again.rgb, b.rgb)
         with pytest.raises(ConfigError, match="new_images"):
             rig.shoot(0, 2, plant(), (), (), SeatBuffers(images=(new_images(41, 30, True),)))
 

@@ -172,8 +172,8 @@ def test_two_chairs_collide():
             for chair, found in zip(chairs, touched, strict=True):
                 chair.end_tick(None)
                 found |= {(contact.kind, contact.actor_id, contact.cause) for contact in chair.contacts()}
-    assert touched[0] == {("wheelchair", "wheelchair.1", "own")}
-    assert touched[1] == {("wheelchair", "wheelchair.0", "other")}
+    assert touched[0] == {("wheelchair", "w:1", "own")}
+    assert touched[1] == {("wheelchair", "w:0", "other")}
 
 
 @pytest.mark.parametrize("start_m", [-3.5, -3.488, -3.476])  # where within a substep the car arrives

@@ -133,7 +133,7 @@ def test_joystick_distance_ends_at_the_window(a, b, c, d):
 
 def test_empty_window_is_refused():
     with pytest.raises(ConfigError, match="low < high"):
-        accel_term(np.ones(3), RewardConfig(accel_window_mps2=(40.0, 20.0)))
+        intensity(1.0, 40.0, 20.0)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +23,9 @@ class Follow:
     actions: ActionSet
     name: str = "follow"
 
+    def begin(self) -> None:
+        """Nothing is remembered."""
+
     def reset(self) -> None:
         """Nothing is remembered."""
 
@@ -38,6 +41,9 @@ class Zero:
     actions: ActionSet
     name: str = "zero"
 
+    def begin(self) -> None:
+        """Nothing is remembered."""
+
     def reset(self) -> None:
         """Nothing is remembered."""
 
@@ -47,13 +53,21 @@ class Zero:
         return self.actions.nearest((0.0, 0.0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Random:
     """Any action, drawn from a generator of its own."""
 
     actions: ActionSet
-    rng: np.random.Generator
+    seed: int
     name: str = "random"
+    rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """The same draws in every test."""
+        self.rng = seeding.generator(self.seed, "agent", "random")
 
     def reset(self) -> None:
         """The generator goes on from episode to episode."""
@@ -76,6 +90,9 @@ class Stop:
     watch: CorridorWatch
     name: str = "stop"
 
+    def begin(self) -> None:
+        """Nothing is remembered."""
+
     def reset(self) -> None:
         """Nothing is remembered."""
 
@@ -93,7 +110,7 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "follow":
         return Follow(actions=actions)
     if name == "random":
-        return Random(actions=actions, rng=seeding.generator(seed, "agent", "random"))
+        return Random(actions=actions, seed=seed)
     if name == "zero":
         return Zero(actions=actions)
     if name == "stop":

@@ -59,6 +59,20 @@ class SeqCallback(BaseCallback):
         return True
 
 
+class JamWatch(SeqCallback):
+    """Reports every tick in which SUMO took vehicles out of a jam."""
+
+    def __init__(self, report: Callable[[int, int], None]) -> None:
+        super().__init__()
+        self.report = report
+
+    def _on_step(self) -> bool:
+        jammed = [info["events"].jam_teleports for info in self.locals["infos"] if info.get("events") is not None]
+        if any(jammed):
+            self.report(self.learner.num_timesteps, max(jammed))
+        return True
+
+
 class EpisodeMetrics(SeqCallback):
     """Writes a row of metrics.csv at the end of each episode."""
 

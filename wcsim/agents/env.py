@@ -8,6 +8,7 @@ only hands out the frame that is already there; `reset(seed=s)` makes the whole 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -141,7 +142,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     def _with_own_terms(self, judged: Judgement, before: ClientSnapshot) -> RewardTerms:
         if not self._terms or self._now is None:
             return judged.reward
-        return judged.reward.with_extra(sum(term.reward(before, self._now) for term in self._terms))
+        return replace(judged.reward, extra=sum(term.reward(before, self._now) for term in self._terms))
 
     def _info(self, snapshot: ClientSnapshot, terms: RewardTerms | None, distance: float) -> dict[str, Any]:
         plant = snapshot.plant
@@ -151,11 +152,11 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             "joystick_distance": distance,
             "reward_terms": terms,
             "truth": snapshot.truth,
-            "warning": snapshot.truth is not None and snapshot.truth.danger,
+            "warning": snapshot.truth.danger if snapshot.truth else None,
             "intervening": distance > self.config.reward.max_follow_distance + DISTANCE_TOLERANCE,
             "events": snapshot.events,
             "contacts": snapshot.contacts,
-            "progress_m": snapshot.truth.progress_m if snapshot.truth else 0.0,
+            "progress_m": snapshot.events.progress_m,
             "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),
         }
 

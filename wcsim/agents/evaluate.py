@@ -59,6 +59,7 @@ def evaluate(
     if episodes < 1 or max_steps < 1:
         raise ConfigError(f"episodes={episodes}, max_steps={max_steps}; expected at least 1 of each")
     meter = KpiMeter()
+    policy.begin()
     for episode in range(episodes):
         observation, info = env.reset(seed=seed) if episode == 0 else env.reset()
         policy.reset()

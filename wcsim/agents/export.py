@@ -36,6 +36,9 @@ class NetPolicy:
         self.file = file
         self.net.set_training_mode(False)
 
+    def begin(self) -> None:
+        """Nothing is remembered between steps."""
+
     def reset(self) -> None:
         """Nothing is remembered between steps."""
 

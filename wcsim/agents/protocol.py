@@ -19,6 +19,9 @@ class Policy(Protocol):
     def name(self) -> str:
         """How tables call it."""
 
+    def begin(self) -> None:
+        """Forget everything: a test starts, and nothing that was driven before may be seen in it."""
+
     def reset(self) -> None:
         """Forget everything of the episode before."""
 

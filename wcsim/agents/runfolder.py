@@ -39,6 +39,7 @@ class Manifest:
     town: str
     town_sha256: str
     config_sha256: str
+    rewards: tuple[str, ...]
     command: tuple[str, ...]
     versions: dict[str, str]
     git_revision: str
@@ -79,13 +80,16 @@ class RunFolder:
             file.write(json.dumps({"event": kind, **values}, allow_nan=False) + "\n")
 
 
-def make_manifest(config: RunConfig, seed: int, town: str, town_sha256: str, command: Sequence[str]) -> Manifest:
+def make_manifest(
+    config: RunConfig, seed: int, town: str, town_sha256: str, rewards: Sequence[str], command: Sequence[str]
+) -> Manifest:
     """A manifest for a run that starts now."""
     return Manifest(
         seed=seed,
         town=town,
         town_sha256=town_sha256,
         config_sha256=config.digest(),
+        rewards=tuple(rewards),
         command=tuple(command),
         versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
         git_revision=git_revision(),
@@ -107,7 +111,7 @@ def open_run(path: Path) -> RunFolder:
     """Open an existing run. Raises PolicyError when the folder is not a run or a file in it is damaged."""
     data, config = _read_json(path, MANIFEST), _read_json(path, CONFIG)
     try:
-        fields = {**data, "command": tuple(data["command"])}
+        fields = {**data, "command": tuple(data["command"]), "rewards": tuple(data["rewards"])}
         return RunFolder(path=path, config=parse(RunConfig, config, str(path / CONFIG)), manifest=Manifest(**fields))
     except (TypeError, KeyError) as error:
         raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None

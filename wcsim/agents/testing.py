@@ -21,6 +21,9 @@ from wcsim.errors import PolicyError
 MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
 Progress = Callable[[str], None]
 
+CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
+"""What makes the same street look different to a network."""
+
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
     ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
@@ -108,6 +111,12 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
         raise PolicyError(
             f"policy {name!r} wants {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
             f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it on its own"
+        )
+    other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    if other or file.net.classes != config.env.classes:
+        raise PolicyError(
+            f"policy {name!r} was trained with another camera or class form than this test has "
+            f"({', '.join(other) or 'env.classes'} differ): test it on its own"
         )
     policy.name = name
     return policy

@@ -15,12 +15,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim import seeding
 from wcsim.agents.build import build_model, checked_device
-from wcsim.agents.callbacks import EpisodeMetrics, Every, StopRequest, StopWhenAsked, TrainProgress
+from wcsim.agents.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.export import save_policy
 from wcsim.agents.metrics import MetricsFile
 from wcsim.agents.phases import PhaseSwitch
-from wcsim.agents.runfolder import METRICS, RunFolder, create_run, make_manifest, open_run
+from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, make_manifest, open_run
 from wcsim.agents.seqdqn import SeqDQN
 from wcsim.config import RunConfig
 from wcsim.errors import InterruptedRunError, PolicyError
@@ -40,6 +40,7 @@ def train(
     *,
     town: str = "",
     town_sha256: str = "",
+    rewards: Sequence[str] = (),
     command: Sequence[str] = (),
     resume: bool = False,
 ) -> Path:
@@ -52,7 +53,8 @@ def train(
         seed: Of networks, exploration, replay and the environment. Equal seeds on equal machines give equal weights.
         progress: Called every 50 steps.
         town: Name of the training town, for the manifest.
-        town_sha256: Its content hash.
+        town_sha256: Hash of its streets.
+        rewards: Names of the user's own reward terms, for the manifest.
         command: The command that started the run.
         resume: Go on from the newest sound checkpoint; the environment begins a new episode.
 
@@ -65,7 +67,7 @@ def train(
         ConfigError: The device cannot be used.
     """
     checked_device(config.learn.device)
-    run = _open(config, out, seed, town, town_sha256, command, resume)
+    run = _open(out, config, make_manifest(config, seed, town, town_sha256, rewards, command), resume)
     with _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
@@ -95,6 +97,7 @@ class _Session:
         self.callbacks: list[BaseCallback] = [
             self.episodes,
             self.switch,
+            JamWatch(lambda step, vehicles: self.run.event("jam", step=step, teleported=vehicles)),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
             Every(PROGRESS_EVERY, self._report),
             StopWhenAsked(request),
@@ -172,14 +175,15 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _open(
-    config: RunConfig, out: Path, seed: int, town: str, town_sha256: str, command: Sequence[str], resume: bool
-) -> RunFolder:
+def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFolder:
+    """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards."""
     if not resume:
-        return create_run(out, config, make_manifest(config, seed, town, town_sha256, command))
+        return create_run(out, config, wanted)
     run = open_run(out)
-    if run.config != config or run.manifest.seed != seed:
-        raise PolicyError(f"{out} was made with another configuration or seed; resume with its own")
+    kept = ("seed", "town_sha256", "rewards")
+    other = [key for key in kept if getattr(run.manifest, key) != getattr(wanted, key)]
+    if run.config != config or other:
+        raise PolicyError(f"{out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return run
 
 

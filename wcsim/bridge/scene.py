@@ -102,4 +102,4 @@ def _run(world: World, scene: SceneFile, writer: TraceWriter) -> SceneFacts:
 
 
 def _joystick(client: ClientSnapshot, wanted: SceneSeat) -> Joystick:
-    return Joystick(*wanted.joystick) if wanted.joystick is not None else client.user
+    return Joystick(*wanted.joystick) if wanted.joystick is not None else (client.first or client).user

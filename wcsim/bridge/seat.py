@@ -36,6 +36,7 @@ from wcsim.types import (
     StreetGrid,
     Truth,
     UserView,
+    chair_actor_id,
 )
 
 CHAIR_SIZE_LWH_M = (1.10, 0.62, 1.25)
@@ -71,7 +72,7 @@ class Seat:
         self._seed = 0
         self._episode = -1
         self._step = 0
-        self._progress_m = 0.0
+        self._progress_m = self._progressed_m = 0.0
 
     @property
     def spawned(self) -> bool:
@@ -107,6 +108,8 @@ class Seat:
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
         """Show the user the street."""
         self.user.look(self._view(time_s, others, signals))
+        self._progressed_m = self.user.route_progress_m - self._progress_m
+        self._progress_m = self.user.route_progress_m
 
     def next_destination(self) -> None:
         """After an arrival, or when the user gave up: the episode goes on to another place."""
@@ -133,13 +136,12 @@ class Seat:
             truncated=not first and not reason and self._step >= self.spec.max_steps,
             arrived=not first and self.user.arrived,
             gave_up=not first and self.user.gave_up,
+            progress_m=0.0 if first else self._progressed_m,
             jam_teleports=jam_teleports,
         )
 
     def truth(self, others: Sequence[ActorState]) -> Truth | None:
         """Danger and safe actions on the true geometry, when the seat asked for them."""
-        progress_m = self.user.route_progress_m - self._progress_m
-        self._progress_m = self.user.route_progress_m
         if not self.spec.truth:
             return None
         plant = self.chair.state()
@@ -149,7 +151,7 @@ class Seat:
             danger=seen.danger,
             safe_actions=seen.safe_actions,
             clearance_m=seen.clearance_m,
-            progress_m=progress_m,
+            progress_m=self._progressed_m,
         )
 
     def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:
@@ -175,7 +177,7 @@ class Seat:
         ahead = np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad), 0.0])
         left = np.array([-ahead[1], ahead[0], 0.0])
         return ActorState(
-            id=f"w:{self.index}",
+            id=chair_actor_id(self.index),
             kind=ActorKind.WHEELCHAIR,
             p_W_m=plant.p_WB_m + CHAIR_MIDDLE_M * ahead,
             yaw_rad=plant.yaw_rad,

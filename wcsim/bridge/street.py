@@ -91,8 +91,14 @@ class StreetReaction:
             if watch.seen_for_s >= self._reaction_s(actor) and self._looks(actor):
                 watch.held = True
                 orders.append(SpeedOrder(actor=actor, speed_mps=limit_mps))
+        orders += [SpeedOrder(actor=w.actor, speed_mps=-1.0) for w in self._out_of_sight(yaw_rad)]
         self._watched, self._yaw_rad = watched, yaw_rad
         return tuple(orders)
+
+    def _out_of_sight(self, seen: Iterable[str]) -> list[_Watch]:
+        """Held actors that no chair is near any more (one that was respawned elsewhere, say): they are let go."""
+        names = set(seen)
+        return [watch for name, watch in self._watched.items() if watch.held and name not in names]
 
     def _reaction_s(self, actor: ActorState) -> float:
         return 0.0 if actor.kind is ActorKind.PEDESTRIAN else self._config.reaction_s

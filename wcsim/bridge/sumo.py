@@ -57,6 +57,15 @@ def world_in_this_process() -> bool:
     return bool(libsumo.isLoaded())
 
 
+def refuse_second_world() -> None:
+    """Raise WorldInUseError while a simulation is loaded in this process."""
+    if world_in_this_process():
+        raise WorldInUseError(
+            "this process holds a SUMO world already, and libsumo allows one a process; "
+            "close it first, or put this world in a process of its own (wcsim.server.process_link)"
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SumoOptions:
     """What a world overrides of a scenario's own options."""
@@ -96,11 +105,7 @@ class SumoSession:
 
     def __init__(self, options: SumoOptions) -> None:
         """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
-        if world_in_this_process():
-            raise WorldInUseError(
-                "this process holds a SUMO world already, and libsumo allows one a process; "
-                "close it first, or put this world in a process of its own (wcsim.server.process_link)"
-            )
+        refuse_second_world()
         self._options = options
         self._bodies: dict[str, _Body] = {}
         self._teleports = 0
@@ -118,7 +123,7 @@ class SumoSession:
         jammed = libsumo.simulation.getStartingTeleportIDList()
         self._teleports = len(jammed)
         for name in sorted(jammed):
-            log.info("jam: %s stood for %g s and was teleported", name, self._options.jam_teleport_s)
+            log.warning("jam: %s stood for %g s and was teleported", name, self._options.jam_teleport_s)
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""

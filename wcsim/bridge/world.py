@@ -7,6 +7,7 @@ them one tick late); bodies, sensors and pictures all show tick n + 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
 
@@ -18,7 +19,7 @@ from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import ChairInStreet, StreetReaction
-from wcsim.bridge.sumo import SumoOptions, SumoSession
+from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
@@ -41,6 +42,7 @@ class World:
 
         Raises TownError for a net that cannot be used, WorldInUseError while another world lives in this process.
         """
+        refuse_second_world()
         validate_net(town.net)
         self.town = town
         self.config = config
@@ -48,11 +50,12 @@ class World:
         self.seats = tuple(Seat(i, spec, config, self.street) for i, spec in enumerate(specs))
         self.stopwatch = Stopwatch()
         self.epoch = -1
-        self._rig = CameraRig(self.street.mesh, config.cameras, len(specs))
         self._engine: Engine | None = None
         self.snapshot: Snapshot
-        self._sumo = SumoSession(self._options(seed))
+        self._held = ExitStack()
         try:
+            self._rig = self._held.enter_context(CameraRig(self.street.mesh, config.cameras, len(specs)))
+            self._sumo = self._held.enter_context(SumoSession(self._options(seed)))
             self._begin(seed)
         except BaseException:
             self.close()
@@ -60,7 +63,7 @@ class World:
 
     def tick(self, commands: Sequence[Command]) -> Snapshot:
         """Carry the world from tick n to n + 1, with one command of tick n for every seat, in seat order."""
-        self._react()
+        self._react(commands)
         self._step()
         self._mirror()
         self._drive(commands)
@@ -74,14 +77,13 @@ class World:
 
     def respawn(self, seat: int) -> ClientSnapshot:
         """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody."""
-        client = self._first(self.seats[seat])
+        (client,) = self._open_episodes((self.seats[seat],))
         self.snapshot = self._published(tuple(client if c.seat == seat else c for c in self.snapshot.clients))
         return client
 
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
-        self._sumo.close()
-        self._rig.close()
+        self._held.close()
         if self._engine is not None:
             self._engine.close()
             self._engine = None
@@ -94,7 +96,8 @@ class World:
 
     # --- the five lines ---
 
-    def _react(self) -> None:
+    def _react(self, commands: Sequence[Command]) -> None:
+        self._check(commands)
         with self.stopwatch.measure("react"):
             for order in self._street.react(self._actors, tuple(self._in_street(seat) for seat in self.seats)):
                 self._sumo.command_speed(order.actor, order.speed_mps)
@@ -112,9 +115,6 @@ class World:
             self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
-        if [(c.seat, c.tick) for c in commands] != [(seat.index, self._tick) for seat in self.seats]:
-            got = [(c.seat, c.tick) for c in commands]
-            raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
         dt_s = self.config.world.tick_s / self.config.world.substeps
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
@@ -130,12 +130,10 @@ class World:
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
-        clients = []
-        for seat in self.seats:
-            client = self._client(seat)
-            ended = client.events.crashed or client.events.truncated
-            clients.append(replace(client, first=self._first(seat)) if ended else client)
-        self.snapshot = self._published(tuple(clients))
+        clients = tuple(self._client(seat) for seat in self.seats)
+        ended = tuple(self.seats[c.seat] for c in clients if c.events.crashed or c.events.truncated)
+        first = {client.seat: client for client in self._open_episodes(ended)}
+        self.snapshot = self._published(tuple(replace(c, first=first.get(c.seat)) for c in clients))
         return self.snapshot
 
     # --- what they need ---
@@ -156,17 +154,24 @@ class World:
         self._bodies = BodyPool(self._engine)
         for seat in self.seats:
             seat.build(self._engine, seed)
-        clients = tuple(self._first(seat) for seat in self.seats)
-        self._read_street()
-        self.snapshot = self._published(clients)
+        self.snapshot = self._published(self._open_episodes(self.seats))
 
-    def _first(self, seat: Seat) -> ClientSnapshot:
-        """Begin the seat's next episode and see it for the first time."""
-        seat.spawn(self._taken)
-        self._rig.reset(seat.index)
-        self._read_street()
-        seat.look(self._sumo.time_s(), self._others(seat), self._signals)
-        return self._seen(seat, first=True)
+    def _check(self, commands: Sequence[Command]) -> None:
+        """Refuse commands for another tick before anything has moved. Raises ProtocolError."""
+        got = [(c.seat, c.tick) for c in commands]
+        if got != [(seat.index, self._tick) for seat in self.seats]:
+            raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
+
+    def _open_episodes(self, seats: Sequence[Seat]) -> tuple[ClientSnapshot, ...]:
+        """Begin the next episode of these seats: all are placed before any of them looks around."""
+        for seat in seats:
+            seat.spawn(self._taken)
+            self._rig.reset(seat.index)
+        if seats:
+            self._read_street()
+        for seat in seats:
+            seat.look(self._sumo.time_s(), self._others(seat), self._signals)
+        return tuple(self._seen(seat, first=True) for seat in seats)
 
     def _client(self, seat: Seat) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
@@ -243,3 +248,11 @@ class World:
         if self._engine is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._engine
+
+
+def as_users_wish(snapshot: Snapshot) -> tuple[Command, ...]:
+    """Commands that give every user what the joystick says: the baseline `follow`, without the grid of actions."""
+    return tuple(
+        Command(seat=client.seat, tick=snapshot.tick, joystick=(client.first or client).user)
+        for client in snapshot.clients
+    )

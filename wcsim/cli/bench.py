@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 
-from wcsim.bridge.world import World
+from wcsim.bridge.world import World, as_users_wish
 from wcsim.cli.common import OutFile, in_bounds, parse, some_words, subcommand, write_json
 from wcsim.config import CameraConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -22,7 +22,7 @@ from wcsim.physics.renderer.scatter import scatter
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.towns.street import load_street
 from wcsim.towns.town import find_town
-from wcsim.types import Command, SeatSpec, Snapshot
+from wcsim.types import SeatSpec
 
 MAX_CHAIRS = 64
 MANY = 1_000_000
@@ -100,12 +100,12 @@ def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
     config = _sized(load_run_config("quick"), options.width)
     with World(find_town(options.town), config, (SeatSpec(),) * chairs, options.seed) as world:
         for _ in range(50):
-            _follow(world)
+            world.tick(as_users_wish(world.snapshot))
         world.stopwatch.take()
         spent_s, actors = [], []
         for _ in range(options.ticks):
             start = time.perf_counter()
-            snapshot = _follow(world)
+            snapshot = world.tick(as_users_wish(world.snapshot))
             spent_s.append(time.perf_counter() - start)
             actors.append(len(snapshot.actors))
         stages = world.stopwatch.take()
@@ -118,15 +118,6 @@ def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
         "actors_mirrored": float(np.mean(actors)),
         "share": share,
     }
-
-
-def _follow(world: World) -> Snapshot:
-    """One tick in which every chair does what its user asks for."""
-    commands = tuple(
-        Command(seat=client.seat, tick=world.snapshot.tick, joystick=(client.first or client).user)
-        for client in world.snapshot.clients
-    )
-    return world.tick(commands)
 
 
 def _sized(config: RunConfig, width: int) -> RunConfig:

@@ -13,8 +13,8 @@ from wcsim.cli import test
 from wcsim.cli.common import OutFolder, Repeated, parse, write_json
 from wcsim.cli.train import checked_town, train_in
 from wcsim.config import load_run_config
-from wcsim.errors import TownError
-from wcsim.towns.town import Town, content_hash
+from wcsim.errors import InterruptedRunError, TownError
+from wcsim.towns.town import Town, streets_hash
 from wcsim.view.pictures import triptych, write_png
 from wcsim.view.stage import open_stage
 
@@ -52,7 +52,11 @@ def run(words: list[str]) -> int:
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
     console.print(f"[bold]1/3[/] training in {school.name} (Ctrl-C ends it early and keeps what was learned)")
     config = load_run_config("quick", options.set)
-    folder = train_in(school, config, out, options.seed, command=("wcsim", "demo", *words))
+    try:
+        folder = train_in(school, config, out, options.seed, command=("wcsim", "demo", *words))
+    except InterruptedRunError as stop:
+        console.print(f"{stop}", highlight=False)
+        folder = out
     console.print(f"[bold]2/3[/] testing in {', '.join(tested)}, which the network has never seen")
     results = test.test_policies(replace(trial, policies=(str(folder), f"{folder}:phase1")))
     for result in results:
@@ -72,7 +76,7 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
     """The town to train in and those to test in; what would be refused later is refused now."""
     school = checked_town(train_town, False)
     tested, _ = test.check(trial)
-    same = [town.name for town in tested.values() if content_hash(town) == content_hash(school)]
+    same = [town.name for town in tested.values() if streets_hash(town) == streets_hash(school)]
     if same:
         raise TownError(f"{same[0]} is the town {school.name} itself; expected another --test-town than --train-town")
     return school, tested

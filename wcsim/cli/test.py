@@ -15,7 +15,7 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import TownError
 from wcsim.supervisor.profiles import profile
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.town import Town, content_hash, find_town
+from wcsim.towns.town import Town, find_town, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.testing import TestResult
@@ -141,7 +141,7 @@ def checked_town(name: str, options: Options) -> Town:
             f"{town.name} is a training town; expected a town of split test (wcsim town list). "
             "Choose another --town, or say --allow-train-town"
         )
-    digest = content_hash(town)
+    digest = streets_hash(town)
     for policy in options.policies:
         manifest = None if is_baseline(policy) else run_of(policy)
         if manifest is not None and manifest.town_sha256 == digest:

@@ -19,7 +19,7 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
 from wcsim.supervisor.profiles import HELD_OUT, profile
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.town import Town, content_hash, find_town
+from wcsim.towns.town import Town, find_town, streets_hash
 
 
 @dataclass
@@ -115,13 +115,14 @@ def train_in(
             bar.show(now.step, f"phase {now.phase}", says)
 
         return train(
-            config,
+            learning,
             lambda: WheelchairEnv(str(town.folder), config=learning, reward_terms=terms),
             out,
             seed,
             show,
             town=town.name,
-            town_sha256=content_hash(town),
+            town_sha256=streets_hash(town),
+            rewards=rewards,
             command=command,
             resume=resume,
         )

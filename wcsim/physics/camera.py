@@ -25,6 +25,8 @@ from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.types import F64, ActorState, CameraFrame, PlantState, StreetMesh
 
+BUFFERS = 3  # a camera's images in turn, see CameraRig
+
 # Axes of a camera that looks along x of its mount: x right, y down, z forward, each in the mount's frame.
 _R_CM = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -38,9 +40,9 @@ class SeatBuffers:
 
 @dataclass(slots=True)
 class _Shutter:
-    """What one camera of one seat took last, and its two buffers in turn."""
+    """What one camera of one seat took last, and its buffers in turn."""
 
-    buffers: tuple[Images, Images]
+    buffers: tuple[Images, ...]
     turn: int = 0
     last: CameraFrame | None = None
 
@@ -54,9 +56,10 @@ class _Cast:
 
 
 class CameraRig:
-    """The cameras of all seats: one geometry, one renderer of each kind, two buffers a camera.
+    """The cameras of all seats: one geometry, one renderer of each kind, three buffers a camera.
 
-    The arrays of a frame stay valid until the second new image of that camera after it.
+    The arrays of a frame stay valid until the third new image of that camera after it: a tick that ends an episode
+    takes two, and what was seen before it must still stand when the tick is judged.
     """
 
     def __init__(self, mesh: StreetMesh, cameras: tuple[CameraConfig, ...], seats: int) -> None:
@@ -78,7 +81,7 @@ class CameraRig:
         self._renderers: dict[str, Renderer] = {name: _renderer(name, self.store) for name in names}
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = tuple(mount(camera) for camera in cameras)
-        self._shutters = [tuple(_Shutter(_two_buffers(camera)) for camera in cameras) for _ in range(seats)]
+        self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
         self._cast = _Cast()
 
     def __enter__(self) -> CameraRig:
@@ -140,16 +143,14 @@ class CameraRig:
     ) -> CameraFrame:
         camera = self.cameras[index]
         if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
-            if own is not None and own.depth_m is not shutter.last.depth_m:
+            if own is not None and not np.may_share_memory(own.depth_m, shutter.last.depth_m):
                 shutter.last = _copied(shutter.last, own)
             return shutter.last
         out = own if own is not None else shutter.buffers[shutter.turn]
-        shutter.turn = 1 - shutter.turn
+        shutter.turn = (shutter.turn + 1) % BUFFERS
         T_CW = camera_matrix(T_WB, self._mounts[index])
         self._renderers[camera.renderer].render(self._pinholes[index], T_CW, instances, out)
-        shutter.last = CameraFrame(
-            name=camera.name, taken_tick=tick, depth_m=out.depth_m, class_id=out.class_id, rgb=out.rgb
-        )
+        shutter.last = _frame(camera.name, tick, out)
         return shutter.last
 
     def _actors(self, actors: Sequence[ActorState]) -> Instances:
@@ -242,9 +243,19 @@ def _renderer(name: str, store: GeometryStore) -> Renderer:
     return renderer
 
 
-def _two_buffers(camera: CameraConfig) -> tuple[Images, Images]:
-    size = camera.width_px, camera.height_px
-    return new_images(*size, camera.rgb), new_images(*size, camera.rgb)
+def _new_buffers(camera: CameraConfig) -> tuple[Images, ...]:
+    return tuple(new_images(camera.width_px, camera.height_px, camera.rgb) for _ in range(BUFFERS))
+
+
+def _frame(name: str, taken_tick: int, images: Images) -> CameraFrame:
+    """A frame over the buffers that cannot be written to: what a camera took is for looking at."""
+    depth_m, class_id = images.depth_m.view(), images.class_id.view()
+    rgb = None if images.rgb is None else images.rgb.view()
+    depth_m.setflags(write=False)
+    class_id.setflags(write=False)
+    if rgb is not None:
+        rgb.setflags(write=False)
+    return CameraFrame(name=name, taken_tick=taken_tick, depth_m=depth_m, class_id=class_id, rgb=rgb)
 
 
 def _copied(frame: CameraFrame, own: Images) -> CameraFrame:
@@ -253,6 +264,4 @@ def _copied(frame: CameraFrame, own: Images) -> CameraFrame:
     np.copyto(own.class_id, frame.class_id)
     if own.rgb is not None and frame.rgb is not None:
         np.copyto(own.rgb, frame.rgb)
-    return CameraFrame(
-        name=frame.name, taken_tick=frame.taken_tick, depth_m=own.depth_m, class_id=own.class_id, rgb=own.rgb
-    )
+    return _frame(frame.name, frame.taken_tick, own)

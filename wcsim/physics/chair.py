@@ -24,7 +24,7 @@ from wcsim.physics.imu import Imu
 from wcsim.physics.plant import PlantSpec, plant_spec, urdf
 from wcsim.physics.pose import Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.physics.quiet import pybullet
-from wcsim.types import F64, Contact, ImuFrame, Joystick, PlantState
+from wcsim.types import F64, Contact, ImuFrame, Joystick, PlantState, chair_actor_id
 
 Vec3 = tuple[float, float, float]
 PLACE_LIFT_M: Final = 0.001  # the street's collision margin
@@ -43,7 +43,7 @@ class Wheelchair:
         engine: Where it lives.
         chair: Plant and limits of the drive.
         imu: The sensor.
-        seat: Number of the seat; its actor id in contacts of other chairs is `wheelchair.<seat>`.
+        seat: Number of the seat; its actor id in contacts of other chairs is `chair_actor_id(seat)`.
 
     Raises:
         ConfigError: `chair.plant` is unknown.
@@ -268,7 +268,7 @@ class Wheelchair:
         tag = BodyTag(
             role=Role.CHAIR,
             kind=Role.CHAIR.value,
-            actor_id=f"wheelchair.{self.seat}",
+            actor_id=chair_actor_id(self.seat),
             p_W_m=self._p_com_W_m,
             v_W_mps=self._v_W_mps,
             yaw_rate_radps=self._w_W_radps[2],

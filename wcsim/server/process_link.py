@@ -104,6 +104,7 @@ class ProcessLink:
                 raise LinkClosedError(
                     f"the world process ended with code {self._child.returncode}; its messages above say why"
                 )
+        self.close()  # a late answer must not be taken for the answer to the next question
         raise LinkTimeoutError(f"the world process did not answer within {timeout_s:g} s; open another link")
 
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from wcsim.frames import rad
+from wcsim.jit import exact_kernel
 from wcsim.types import F64, U8
 
 I64 = npt.NDArray[np.int64]
@@ -44,7 +44,7 @@ AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
 V_MAX, REVERSE, ACCEL, DECEL, YAW_ACCEL, JERK, W_MAX = range(7)
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def roll_out(
     state: F64,
     commands: F64,
@@ -81,7 +81,7 @@ def roll_out(
     return first_s
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def free_distance(state: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
     nearest = _static_gap(state[0], state[1], state[2], clearance_dm, origin_m, cell_m, np.inf)
@@ -105,7 +105,7 @@ def free_distance(state: F64, clearance_dm: U8, origin_m: F64, cell_m: float, ac
     return max(0.0, nearest)
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _one(
     state: F64,
     command: F64,
@@ -151,7 +151,7 @@ def _one(
     return np.inf
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _follow_speed(v: float, a: float, v_wanted: float, limits: F64) -> tuple[float, float]:
     """Speed and acceleration one step later: limited acceleration, limited jerk, no overshoot."""
     gap = v_wanted - v
@@ -167,7 +167,7 @@ def _follow_speed(v: float, a: float, v_wanted: float, limits: F64) -> tuple[flo
     return v + move, a
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _falls(now: I64, before: I64, before2: I64, vw: float) -> bool:
     """A wheel met a step (within two samples, so that a raster's soft edge counts), or the chair leans too far."""
     for j in range(4):
@@ -178,7 +178,7 @@ def _falls(now: I64, before: I64, before2: I64, vw: float) -> bool:
     return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _touches(
     x: float,
     y: float,
@@ -202,7 +202,7 @@ def _touches(
     return False
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _set_margins(state: F64, actors: F64) -> None:
     """Others get a small margin, except those who stand within it already: they would forbid every move."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
@@ -213,7 +213,7 @@ def _set_margins(state: F64, actors: F64) -> None:
         other[AMARGIN] = 0.0 if near else ACTOR_MARGIN_M
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _static_gap(
     x: float, y: float, yaw: float, clearance_dm: U8, origin_m: F64, cell_m: float, far_m: float
 ) -> float:
@@ -235,7 +235,7 @@ def _static_gap(
     return gap
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: float) -> float:
     """The raster between its cell centres, in metres."""
     col = (x - origin_m[0]) / cell_m - 0.5
@@ -250,7 +250,7 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
     return float(0.1 * ((1.0 - fr) * low + fr * high))
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _wheel_heights(
     x: float, y: float, yaw: float, height_cm: U8, origin_m: F64, cell_m: float, out: I64
 ) -> None:
@@ -265,7 +265,7 @@ def _wheel_heights(
         out[j] = height_cm[row, col]
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _overlap(cx: float, cy: float, cos: float, sin: float, ox: float, oy: float, other: F64, margin: float) -> bool:
     """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
     half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
@@ -285,7 +285,7 @@ def _overlap(cx: float, cy: float, cos: float, sin: float, ox: float, oy: float,
     return bool(abs(dy * ocos - dx * osin) <= half_w + HALF_LENGTH_M * cross + HALF_WIDTH_M * along)
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _corners_to_box(
     ax: float, ay: float, acos: float, asin: float, al: float, aw: float,
     bx: float, by: float, bcos: float, bsin: float, bl: float, bw: float,

@@ -82,12 +82,12 @@ class SimulatedUser:
         self.profile = profile
         self.arrived = False
         self.gave_up = False
-        self._rng = rng
+        attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
         self._limits = (v_max_mps, yaw_rate_max_radps)
         self._delay_s = profile.reaction_s + profile.lag_s
         self._street = street
-        self._perception = Perception(profile, rng)
-        self._hand = SwitchHand(profile) if profile.discrete else Hand(profile, rng)
+        self._perception = Perception(profile, attention_rng)
+        self._hand = SwitchHand(profile) if profile.discrete else Hand(profile, hand_rng)
         self._stick = Joystick(0.0, 0.0)
         self._intent = Joystick(0.0, 0.0)
         self._time_s: float | None = None

@@ -5,24 +5,34 @@ from __future__ import annotations
 from typing import cast
 
 import cv2
-import numba
 import numpy as np
 import shapely
 from shapely import Polygon
 
+from wcsim.errors import TownError
+from wcsim.jit import exact_kernel
 from wcsim.towns.ground import Ground
 from wcsim.types import F64, U8, ClassId, StreetGrid
 
 CELL_M = 0.1
 FAR_DM = 255
+MAX_CELLS = 300_000_000  # three bytes each while a town is loaded, and more while it is built
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
 
 def build_grid(ground: Ground, footprints: list[Polygon]) -> StreetGrid:
-    """Ground height and class at the middle of each cell, and the distance to the nearest solid footprint."""
+    """Ground height and class at the middle of each cell, and the distance to the nearest solid footprint.
+
+    Raises TownError for a town too large to be held as one grid.
+    """
     xy_m = ground.vertices_W_m[:, :2]
     origin_m = np.floor(xy_m.min(axis=0))
     cols, rows = (int(n) for n in np.ceil((xy_m.max(axis=0) - origin_m) / CELL_M))
+    if rows * cols > MAX_CELLS:
+        raise TownError(
+            f"the town spans {cols * CELL_M / 1000:.1f} x {rows * CELL_M / 1000:.1f} km; expected at most "
+            f"{MAX_CELLS * CELL_M**2 / 1e6:.0f} km2: clip it with netconvert --keep-edges.in-boundary"
+        )
     height_cm = np.zeros((rows, cols), dtype=np.uint8)  # centimetres above z = 0
     ground_class = np.full((rows, cols), ClassId.VOID, dtype=np.uint8)
     triangles = ground.vertices_W_m[ground.faces].copy()
@@ -38,7 +48,7 @@ def build_grid(ground: Ground, footprints: list[Polygon]) -> StreetGrid:
     )
 
 
-@numba.njit(cache=True)
+@exact_kernel
 def _fill(triangles: F64, classes: U8, height_cm: U8, ground_class: U8) -> None:
     """Write every cell whose middle lies in a triangle (borders belong to the later one)."""
     rows, cols = height_cm.shape

@@ -135,12 +135,12 @@ def _build(order: ImportOrder, work: Path) -> None:
 
 def _write_demand(order: ImportOrder, work: Path, net: Net, ways: tuple[Way, ...]) -> None:
     """Write the flows, without the walking ways on which people get stuck."""
-    for _ in range(ROUNDS):
+    for trials_left in reversed(range(ROUNDS + 1)):
         if not ways:
             raise TownError(f"town {order.name}: no way through it can be routed; take a larger area")
         text = flows_text(net, ways, order.seed, order.traffic)
         write_gzip(work / f"{order.name}.rou.xml.gz", text.encode())
-        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways)
+        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways) if trials_left else ()
         if not stuck:
             return
         ways = tuple(way for way in ways if way not in stuck)

