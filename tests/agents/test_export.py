@@ -14,7 +14,7 @@ from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents import files, registry
 from wcsim.agents.build import build_model
 from wcsim.agents.export import WEIGHTS, load_policy, save_policy
-from wcsim.agents.nets.small import SmallNet
+from wcsim.agents.nets.strided import SmallNet
 from wcsim.agents.policy_file import POLICY_JSON
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
@@ -122,7 +122,7 @@ def test_a_folder_that_is_no_policy_is_explained(tmp_path):
 
 def test_a_policy_cannot_choose_which_code_runs(tmp_path, monkeypatch):
     (tmp_path / "strange_net_c.py").write_text(
-        "from wcsim.agents.nets.small import SmallNet as Net\nfrom pathlib import Path\nPath('ran').touch()\n"
+        "from wcsim.agents.nets.strided import SmallNet as Net\nfrom pathlib import Path\nPath('ran').touch()\n"
     )
     monkeypatch.chdir(tmp_path)
     folder = save_policy(tmp_path / "p", learner(), CAMERA)

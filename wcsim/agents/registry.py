@@ -18,8 +18,7 @@ from collections.abc import Callable
 from torch import nn
 
 from wcsim.agents.nets.impala import ImpalaNet
-from wcsim.agents.nets.patch import PatchNet
-from wcsim.agents.nets.small import SmallNet
+from wcsim.agents.nets.strided import PatchNet, SmallNet
 from wcsim.agents.plugins import find_class
 from wcsim.errors import PolicyError
 
