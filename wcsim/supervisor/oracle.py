@@ -71,11 +71,11 @@ class Oracle:
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, actor_table(plant, actors, FAR_M))
+        return self._clearance(plant, actor_table(plant, actors))
 
     def assess(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> Assessment:
         """All answers at once; cheaper than three calls."""
-        table = actor_table(plant, actors, FAR_M)
+        table = actor_table(plant, actors)
         own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table)
         return Assessment(
@@ -114,7 +114,7 @@ def shaped(joysticks: F64, chair: ChairConfig) -> F64:
     return np.ascontiguousarray(joysticks * scale[:, None], dtype=np.float64)
 
 
-def actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = 0.0) -> F64:
+def actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M) -> F64:
     """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`)."""
     x, y, z = plant.p_WB_m.tolist()
     rows = []
