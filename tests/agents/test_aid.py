@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim.agents.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.advice import AdviceBatch
-from wcsim.agents.aid import OFFSET, aid_loss, relabelled, teacher_actions
+from wcsim.agents.aid import MARGIN_OFFSET, aid_loss, relabelled, teacher_actions
 from wcsim.agents.build import build_model
 from wcsim.agents.mirror import mirrored, mirrored_advice
 from wcsim.agents.replay import FrameReplay
@@ -67,7 +67,7 @@ def test_the_loss_by_hand():
     values, safe, stick = g.normal(size=81), g.random(81) < 0.7, (0.3, 0.6)
     gap = ACTIONS.distances(np.array([stick]))[0]
     label = int(np.where(safe, gap, np.inf).argmin())
-    behind = values + 0.05 * (np.maximum(gap - gap[label], 0) + OFFSET + 3.0 * ~safe) - values[label]
+    behind = values + 0.05 * (np.maximum(gap - gap[label], 0) + MARGIN_OFFSET + 3.0 * ~safe) - values[label]
     behind[label] = 0.0
     behind = np.maximum(behind, 0)
     expected = behind.max() + behind[~safe].mean()

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from wcsim.types import F32, F64
 
-OFFSET = 0.4  # joystick distance that the margin adds to the distance between two actions
+MARGIN_OFFSET = 0.4  # joystick distance that a margin adds to the distance between two actions
 HALF_CELL = 0.125  # of the actions' lattice
 
 
@@ -35,7 +35,7 @@ def aid_loss(
         A scalar, 0 when every row has its teacher's action ahead by the margins.
     """
     label = teacher_actions(distances, safe)[:, None]
-    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + OFFSET + unsafe * ~safe
+    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
     margin = (scale * margin).scatter(1, label, 0.0)
     behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
     dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)

@@ -1,7 +1,8 @@
 """Checkpoints of a learner: weights, target, optimiser, replay, counters and random states, in safetensors and JSON.
 
-Taken between rollouts, where every step is stored. A world cannot be saved, so a resumed run begins a new episode; all
-that the learner holds is restored exactly. A damaged checkpoint is passed over for the one before it.
+Taken between rollouts, where every step is stored. A world cannot be saved, so a resumed run begins a new episode and
+with it a new exploration offset; everything else that the learner holds is restored exactly. A damaged checkpoint is
+passed over for the one before it.
 """
 
 from __future__ import annotations

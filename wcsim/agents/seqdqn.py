@@ -24,7 +24,7 @@ from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from wcsim import seeding
-from wcsim.agents.aid import aid_loss, relabelled
+from wcsim.agents.aid import MARGIN_OFFSET, aid_loss, relabelled
 from wcsim.agents.mirror import mirrored, mirrored_advice
 from wcsim.agents.phases import Phase, PhasePlan
 from wcsim.agents.policy import QNet, SeqQPolicy
@@ -33,7 +33,6 @@ from wcsim.agents.replay import FrameReplay
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
-MARGIN_OFFSET = 0.4  # joystick distance that the margin adds to the distance between two actions
 MAX_SKIPPED = 10  # updates in a row with a loss that is not finite
 
 

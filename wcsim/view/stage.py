@@ -67,15 +67,15 @@ class Stage:
         """Begin a video of what comes."""
         return Film(self, path)
 
-    def picture(self) -> tuple[CameraFrame, U8]:
+    def picture(self, chart: MapView) -> tuple[CameraFrame, U8]:
         """The camera's frame of now, and the map around the chair."""
         return self._world.snapshot.clients[0].sensors.cameras[0], map_view(
-            self._map, self._world.snapshot, 0, self._world.seats[0].route
+            chart, self._world.snapshot, 0, self._world.seats[0].route
         )
 
-    def open_map(self, size_px: int) -> None:
-        """Make the map; only videos need one."""
-        self._map = MapView(self._world.street.mesh, size_px, MAP_SPAN_M)
+    def open_map(self, size_px: int) -> MapView:
+        """A map of the town for `picture`; only videos need one."""
+        return MapView(self._world.street.mesh, size_px, MAP_SPAN_M)
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
@@ -124,7 +124,7 @@ class Film:
     def __init__(self, stage: Stage, path: Path) -> None:
         self._stage = stage
         height = stage.camera.height_px
-        stage.open_map(height)
+        self._map = stage.open_map(height)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -134,7 +134,7 @@ class Film:
     def add(self) -> None:
         """Drive one tick and add its picture."""
         snapshot = self._stage.go_on()
-        frame, chart = self._stage.picture()
+        frame, chart = self._stage.picture(self._map)
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
