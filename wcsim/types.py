@@ -306,7 +306,7 @@ class UserView(ComparesArrays):
     route: Route
     actors: tuple[ActorState, ...]  # those within the user's sight, other wheelchairs among them
     signals: tuple[SignalState, ...]
-    obstacles_W_m: F64  # (n, 3) x, y, radius of static things near the way
+    obstacles_W_m: F64  # (n, 4) x, y, radius of static things near the way, number of the thing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -113,7 +113,7 @@ class Sim:
             route=self.route,
             actors=self.actors,
             signals=self.signals,
-            obstacles_W_m=self.obstacles,
+            obstacles_W_m=np.c_[self.obstacles, np.arange(len(self.obstacles))],
         )
 
     def tick(self) -> None:

@@ -24,7 +24,7 @@ def view(time_s=0.0, actors=(), obstacles=(), yaw=0.0) -> UserView:
         route=ROUTE,
         actors=tuple(actors),
         signals=(),
-        obstacles_W_m=np.array(obstacles, float).reshape(-1, 3),
+        obstacles_W_m=np.c_[np.array(obstacles, float).reshape(-1, 3), np.arange(len(obstacles))],
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim import seeding
-from wcsim.bridge.sight import obstacles_on_way
+from wcsim.bridge.sight import ObstacleWatch
 from wcsim.config import RunConfig
 from wcsim.physics.camera import CameraRig
 from wcsim.physics.chair import Wheelchair
@@ -94,6 +94,7 @@ class Seat:
         self._progress_m = 0.0
         self.chair.place(start.p_W_m, start.yaw_rad)
         self.user = self._new_user()
+        self._obstacles = ObstacleWatch(self._street.grid)
         self._follow(start.route)
 
     def after_substep(self, dt_s: float) -> None:
@@ -215,7 +216,7 @@ class Seat:
             route=self.route,
             actors=tuple(a for a in others if float(((a.p_W_m[:2] - here) ** 2).sum()) < SIGHT_M**2),
             signals=signals,
-            obstacles_W_m=obstacles_on_way(self._street.grid, self.route, self.user.route_progress_m),
+            obstacles_W_m=self._obstacles.on_way(self.route, self.user.route_progress_m),
         )
 
     def _fixed_start(self, spec: StartSpec) -> Start:

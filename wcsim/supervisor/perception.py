@@ -90,9 +90,8 @@ class Perception:
 
     def _obstacles(self, view: UserView) -> list[tuple[float, float, float]]:
         noticed = []
-        for x, y, r in view.obstacles_W_m.tolist():
-            # Keyed by metre cell: the list may be made anew every tick, with centres that shift a little.
-            if self._notices(f"o{round(x)},{round(y)}", x, y, self._profile.see_m + r, view):
+        for x, y, r, thing in view.obstacles_W_m.tolist():
+            if self._notices(f"o{int(thing)}", x, y, self._profile.see_m + r, view):
                 noticed.append((x, y, r))
         return noticed
 
