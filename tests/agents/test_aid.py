@@ -32,14 +32,6 @@ SPACE = gym.spaces.Dict(
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 def distances(*sticks):
     return torch.as_tensor(ACTIONS.distances(np.array(sticks)), dtype=torch.float32)
 

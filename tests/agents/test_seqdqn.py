@@ -21,14 +21,6 @@ CAMERA = toy_camera(24, 32)
 SMALL = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 def model(seed=0, envs=1, **learn):
     config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**SMALL, **learn}))
     return build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA)] * envs), seed)

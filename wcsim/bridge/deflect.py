@@ -7,8 +7,9 @@ walkable ground that is clear of solid things and of others, and goes back to no
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -46,8 +47,8 @@ class Deflection:
             if actor.kind is not ActorKind.PEDESTRIAN:
                 continue
             now = self._offsets.get(actor.id, np.zeros(2))
-            others = [(place, PERSON_APART_M) for name, place in places.items() if name != actor.id]
-            others += [(chair.p_W_m, CHAIR_APART_M) for chair in chairs]
+            people = ((place, PERSON_APART_M) for name, place in places.items() if name != actor.id)
+            others = chain(people, ((chair.p_W_m, CHAIR_APART_M) for chair in chairs))  # few persons ever look at them
             moved = self._moved(actor.p_W_m[:2], now, self._wish(actor, now, chairs), others)
             if moved.any():
                 offsets[actor.id] = moved
@@ -76,7 +77,7 @@ class Deflection:
             wish = free[0] * left if free else now
         return np.asarray(wish, np.float64)
 
-    def _moved(self, from_W_m: F64, now: F64, wish: F64, others: Sequence[tuple[F64, float]]) -> F64:
+    def _moved(self, from_W_m: F64, now: F64, wish: F64, others: Iterable[tuple[F64, float]]) -> F64:
         """One tick's step towards the wish, unless it leads too near to somebody or off the walkable ground."""
         way = wish - now
         length_m = float(np.hypot(*way))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -102,4 +102,4 @@ def facts_line(facts: SceneFacts) -> str:
 
 def facts_of(facts: SceneFacts) -> dict[str, bool | float]:
     """Facts by name, for a JSON file."""
-    return {name: getattr(facts, name) for name in SceneFacts.__dataclass_fields__}
+    return asdict(facts)

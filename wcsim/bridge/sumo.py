@@ -8,7 +8,7 @@ not). Nothing but `ActorState` and `SignalState` leaves this file.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +128,7 @@ class SumoSession:
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
         self.step()  # a drain step: libsumo can crash when it is loaded over pending commands
-        self._options = SumoOptions(**{**_fields(self._options), "seed": seed})
+        self._options = replace(self._options, seed=seed)
         self._bodies.clear()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
 
@@ -226,7 +226,3 @@ class SumoSession:
                 f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; "
                 f"open it in sumo-gui, or run `wcsim town check {self._options.sumocfg.parent}`"
             ) from None
-
-
-def _fields(options: SumoOptions) -> dict[str, Any]:
-    return {name: getattr(options, name) for name in SumoOptions.__dataclass_fields__}

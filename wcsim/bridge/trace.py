@@ -12,7 +12,7 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -93,7 +93,7 @@ class TraceWriter:
 
     def __init__(self, path: Path, header: TraceHeader) -> None:
         self._file = path.open("wb")
-        self._put(json.dumps({"magic": MAGIC, **_fields(header)}).encode())
+        self._put(json.dumps({"magic": MAGIC, **asdict(header)}).encode())
 
     def append(self, record: TickRecord) -> None:
         """Write one tick."""
@@ -163,7 +163,3 @@ def _tick(payload: bytes) -> TickRecord:
         actors=numbers[actors_at:].reshape(-1, 8),
         state_hash=head["hash"],
     )
-
-
-def _fields(header: TraceHeader) -> dict[str, str | int | float]:
-    return {name: getattr(header, name) for name in TraceHeader.__dataclass_fields__}
