@@ -16,7 +16,7 @@ BUDGET_S = {
     "bridge": 100,
     "cli": 100,
     "physics": 100,
-    "scenes": 60,
+    "scenes": 100,
     "server": 60,
     "supervisor": 40,
     "towns": 120,

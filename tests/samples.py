@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from wcsim.types import ClassId, Route, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
+from wcsim.types import ClassId, OneTile, Route, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
 
 KERB_M = 0.12
 X_M = np.array([-20.0, 0.0, 20.0, 36.56, 38.0, 42.0, 43.44, 60.0, 80.0, 100.0])
@@ -53,7 +53,7 @@ def strip_street() -> Street:
                 quad(*((low0, low1, top1, top0) if side > 0 else (low1, low0, top0, top1)), kerb)
     parts.append(_box((50.0, 9.0, 0.12), (70.0, 19.0, 9.0), ClassId.BUILDING))
     parts.append(_box((25.0, 6.6, 0.12), (25.2, 6.8, 5.0), ClassId.POLE))
-    return Street(mesh=_mesh(parts), grid=_grid(), walk=strip_walk())
+    return Street(tiles=OneTile(_mesh(parts)), grid=_grid(), walk=strip_walk())
 
 
 def _box(low, high, cls):
@@ -91,7 +91,6 @@ def _grid() -> StreetGrid:
         origin_W_m=(x0, y0),
         cell_m=CELL_M,
         height_cm=np.rint(height * 100).astype(np.uint8),
-        z_base_m=0.0,
         ground_class=cls.astype(np.uint8),
         clearance_dm=clear.astype(np.uint8),
     )

@@ -82,7 +82,7 @@ class WorldConfig(Model):
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
-    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] = 300.0
+    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
     attention_share: Share = 0.95
     reaction_s: NotNegative = 0.7
     brake_mps2: Positive = 4.5
@@ -257,49 +257,11 @@ class TownFile(Model):
     lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     chair_ways: tuple[Literal["sidewalk", "crossing", "cycleway", "shared"], ...] = ("sidewalk", "crossing", "shared")
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None
+    sumocfg: str = ""  # where the scenario lies, when it is not the only .sumocfg beside this file
     source: str = ""
     attribution: str = ""
+    rebuild: str = ""  # the command that makes the town again from what its folder holds
     hashes: dict[str, str] = {}
-
-
-class SceneSeat(Model):
-    """Where a scene puts a wheelchair and what drives it."""
-
-    start_m: tuple[Finite, Finite]  # net coordinates
-    heading_deg: Finite  # SUMO's: clockwise from north
-    goal_m: tuple[Finite, Finite] | None = None
-    profile: str = "competent"
-    joystick: tuple[Annotated[float, Field(ge=-1, le=1)], Annotated[float, Field(ge=-1, le=1)]] | None = None
-
-
-Window = tuple[Finite, Finite]
-
-
-class SceneExpect(Model):
-    """What a scene must show: each window holds the lowest and highest value that is right."""
-
-    crashed: bool | None = None
-    travelled_m: Window | None = None
-    drop_m: Window | None = None
-    max_roll_deg: Window | None = None
-    max_pitch_deg: Window | None = None
-    closest_actor_m: Window | None = None
-    standing_s: Window | None = None
-    actors_seen: Window | None = None
-
-
-class SceneFile(Model):
-    """`scene.toml`: a short regression scene with a fixed seed."""
-
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    shows: str
-    seed: Annotated[int, Field(ge=0)]
-    duration_s: Annotated[float, Field(gt=0.0, le=60.0)]
-    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
-    warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
-    attention_share: Share = 1.0
-    seats: tuple[SceneSeat, ...]
-    expect: SceneExpect = SceneExpect()
 
 
 M = TypeVar("M", bound=Model)

@@ -4,6 +4,7 @@
     ├── ConfigError                 a file or option holds something that cannot be used
     ├── TownError                   a town, net or scene is missing, broken or refused
     ├── SumoError                   SUMO or one of its tools failed
+    ├── HookError                   a user's own step hook cannot be used, or failed
     ├── PhysicsError                the physics engine refused a body or left the finite numbers
     ├── WorldInUseError             this process holds a world already
     ├── LinkError                   the world at the other end of a link
@@ -31,6 +32,10 @@ class TownError(WcsimError):
 
 class SumoError(WcsimError):
     """Raised when SUMO or one of its tools failed."""
+
+
+class HookError(WcsimError):
+    """Raised when a user's own step hook cannot be made, or failed in a step."""
 
 
 class PhysicsError(WcsimError):

@@ -7,33 +7,30 @@ arrays in them are read-only by convention, and those of a `Snapshot` are valid 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from enum import Enum, IntEnum
+from dataclasses import dataclass
+from enum import Enum
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
-
-F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
-I32 = npt.NDArray[np.int32]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
-
-
-class ComparesArrays:
-    """Equality that holds for arrays too: same type, equal fields, arrays equal element by element."""
-
-    __slots__ = ()
-    __hash__ = None  # type: ignore[assignment]
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return False
-        return all(
-            bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else a == b
-            for a, b in ((getattr(self, item.name), getattr(other, item.name)) for item in fields(self))  # type: ignore[arg-type]
-        )
+from wcsim.arrays import F32 as F32
+from wcsim.arrays import F64 as F64
+from wcsim.arrays import I32 as I32
+from wcsim.arrays import U8 as U8
+from wcsim.arrays import Bool as Bool
+from wcsim.arrays import ComparesArrays as ComparesArrays
+from wcsim.streets import ClassId as ClassId
+from wcsim.streets import Ground as Ground
+from wcsim.streets import OneTile as OneTile
+from wcsim.streets import Relief as Relief
+from wcsim.streets import Route as Route
+from wcsim.streets import SignalHead as SignalHead
+from wcsim.streets import Street as Street
+from wcsim.streets import StreetGrid as StreetGrid
+from wcsim.streets import StreetMesh as StreetMesh
+from wcsim.streets import StreetTiles as StreetTiles
+from wcsim.streets import TileKey as TileKey
+from wcsim.streets import WalkEdge as WalkEdge
+from wcsim.streets import WalkGraph as WalkGraph
+from wcsim.streets import WayKind as WayKind
 
 
 class ActorKind(Enum):
@@ -51,137 +48,19 @@ class ActorKind(Enum):
     OTHER = "other"
 
 
-class ClassId(IntEnum):
-    """Pixel classes: Cityscapes labelIds, and three of our own from 34 on (folded by `class_fold_table`)."""
+class ActorLook(Enum):
+    """How an actor differs from the usual one of its kind; only the cameras care."""
 
-    VOID = 0
-    STATIC = 4
-    DYNAMIC = 5
-    GROUND = 6
-    ROAD = 7
-    SIDEWALK = 8
-    PARKING = 9
-    RAIL_TRACK = 10
-    BUILDING = 11
-    WALL = 12
-    FENCE = 13
-    POLE = 17
-    TRAFFIC_LIGHT = 19
-    TRAFFIC_SIGN = 20
-    VEGETATION = 21
-    TERRAIN = 22
-    SKY = 23
-    PERSON = 24
-    RIDER = 25
-    CAR = 26
-    TRUCK = 27
-    BUS = 28
-    TRAIN = 31
-    MOTORCYCLE = 32
-    BICYCLE = 33
-    KERB = 34
-    LOWERED_KERB = 35
-    CROSSWALK = 36
-
-
-# --- the street as it stands ---
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StreetMesh(ComparesArrays):
-    """Everything that stands still, as one triangle soup for wheels and cameras alike.
-
-    Triangles are sorted by chunk; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses only vertices
-    `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and merged (collision) alone.
-    """
-
-    vertices_W_m: F32  # (V, 3)
-    faces: I32  # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground)
-    face_class: U8  # (F,) ClassId
-    chunk_vertices: I32  # (C + 1,)
-    chunk_faces: I32  # (C + 1,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StreetGrid(ComparesArrays):
-    """The same street seen straight from above, as rasters for quick questions (oracle, spawn, walking people).
-
-    Cell (row, col) covers x from origin_W_m[0] + col * cell_m and y from origin_W_m[1] + row * cell_m.
-    """
-
-    origin_W_m: tuple[float, float]
-    cell_m: float
-    height_cm: U8  # (rows, cols) ground height above z_base_m, centimetres
-    z_base_m: float
-    ground_class: U8  # (rows, cols) ClassId of the ground surface
-    clearance_dm: U8  # (rows, cols) distance to the nearest solid thing (wall, trunk, pole), decimetres, 255 = far
-
-    def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Rows and columns of the points (..., 2 or 3); points outside fall on the nearest border cell."""
-        rows, cols = self.height_cm.shape
-        col = np.floor((p_W_m[..., 0] - self.origin_W_m[0]) / self.cell_m).astype(np.intp)
-        row = np.floor((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m).astype(np.intp)
-        return np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)
-
-    def height_at(self, p_W_m: F64) -> F64:
-        """Ground height in metres under the points (..., 2 or 3)."""
-        return np.asarray(self.z_base_m + self.height_cm[self.cells(p_W_m)] * 0.01, np.float64)
-
-    def clearance_at(self, p_W_m: F64) -> F64:
-        """Distance in metres from the points (..., 2 or 3) to the nearest solid thing, at most 25.5."""
-        return np.asarray(self.clearance_dm[self.cells(p_W_m)] * 0.1, np.float64)
-
-    def class_at(self, p_W_m: F64) -> U8:
-        """ClassId of the ground under the points (..., 2 or 3)."""
-        return self.ground_class[self.cells(p_W_m)]
-
-
-class WayKind(Enum):
-    """What kind of ground a piece of a walking route runs over."""
-
-    SIDEWALK = "sidewalk"
-    WALKINGAREA = "walkingarea"
-    CROSSING = "crossing"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WalkEdge(ComparesArrays):
-    """One piece of the walking network, passable both ways."""
-
-    sumo_id: str
-    kind: WayKind
-    start: int  # node index
-    end: int
-    points_W_m: F64  # (K, 2), from start to end
-    width_m: float
-    tls_id: str = ""  # the traffic light that governs it, "" for none
-    tls_links: tuple[int, ...] = ()  # indices of its signals in that light's state string
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WalkGraph(ComparesArrays):
-    """Where a wheelchair may drive: pavements, walking areas and crossings, as nodes and edges."""
-
-    nodes_W_m: F64  # (N, 2)
-    edges: tuple[WalkEdge, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Route(ComparesArrays):
-    """A way for the simulated user: a polyline over the walk graph."""
-
-    points_W_m: F64  # (K, 2)
-    arc_m: F64  # (K,) distance from the start
-    edge_index: I32  # (K,) index into WalkGraph.edges of the piece that starts at this point
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Street:
-    """What `towns` makes of a town for the others."""
-
-    mesh: StreetMesh
-    grid: StreetGrid
-    walk: WalkGraph
+    USUAL = "usual"
+    VAN = "van"
+    TAXI = "taxi"
+    POLICE = "police"
+    AMBULANCE = "ambulance"
+    COACH = "coach"
+    MOPED = "moped"
+    FRONT = "front"  # the three rigid pieces of something articulated
+    MIDDLE = "middle"
+    REAR = "rear"
 
 
 # --- what moves ---
@@ -200,6 +79,8 @@ class ActorState(ComparesArrays):
     size_lwh_m: tuple[float, float, float]
     signals: int = 0  # SUMO's signal bits, 0 for persons
     deflect_m: float = 0.0  # sideways offset that the bridge added to SUMO's pose, left positive
+    look: ActorLook = ActorLook.USUAL
+    piece: int = 0  # of something articulated: 0 its first rigid piece, under SUMO's id, 1... those behind it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.config import RunConfig, SceneFile, TownFile, load_run_config, read_toml
+from wcsim.config import RunConfig, TownFile, load_run_config, read_toml
 from wcsim.errors import ConfigError
+from wcsim.scene_file import SceneFile
 
 
 @pytest.mark.parametrize("preset", ["quick", "paper"])

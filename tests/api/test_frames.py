@@ -52,3 +52,21 @@ def test_net_and_world_are_inverse(p, origin):
     there = frames.world_from_net(p, origin)
     assert np.allclose(frames.net_from_world(there, origin), p, atol=1e-9)
     assert there[2] == p[2]
+
+
+@given(
+    COORDINATES,
+    st.floats(0.0, 359.99),
+    st.floats(-15.0, 15.0),
+    st.floats(0.1, 60.0),
+    st.tuples(st.integers(-10000, 10000), st.integers(-10000, 10000)),
+)
+def test_from_sumo_s_front_to_our_middle_and_back(front_net, heading_deg, slope_deg, length, origin):
+    """Net to W, front to middle and all the way back, any heading and slope; a person is a vehicle in this."""
+    yaw, pitch = frames.yaw_from_sumo(heading_deg), frames.rad(slope_deg)
+    middle = frames.centre_from_front(frames.world_from_net(front_net, origin), yaw, pitch, length)
+    back = frames.net_from_world(frames.front_from_centre(middle, yaw, pitch, length), origin)
+    assert np.allclose(back, front_net, rtol=0.0, atol=1e-9)
+    way = frames.world_from_net(front_net, origin) - middle
+    assert math.isclose(way[2], 0.5 * length * math.sin(pitch), abs_tol=1e-9), "the nose is up by the slope"
+    assert math.isclose(math.hypot(way[0], way[1]), 0.5 * length * math.cos(pitch), abs_tol=1e-9)

@@ -6,13 +6,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.bridge.test_street import actor
 from tests.samples import KERB_M, strip_street
+from wcsim import frames
 from wcsim.bridge.mirror import moves, on_ground
+from wcsim.types import ActorKind, ActorState
+
+
+def actor(x=0.0, y=0.0, yaw=0.0, speed=0.0, name="v:car", kind=ActorKind.CAR) -> ActorState:
+    """A car that moves along its heading."""
+    return ActorState(
+        id=name,
+        kind=kind,
+        p_W_m=np.array([x, y, 0.0]),
+        yaw_rad=yaw,
+        pitch_rad=0.0,
+        v_W_mps=speed * frames.forward(yaw, 0.0),
+        size_lwh_m=(4.5, 1.8, 1.5),
+    )
 
 
 def test_velocity_carries_the_old_pose_to_the_new_one():
-    old = actor(x=3.0, y=1.0, yaw=3.0)
+    old = actor(x=3.0, y=1.0, yaw=3.0, speed=10.0)
     new = replace(old, p_W_m=np.array([2.0, 1.2, 0.0]), yaw_rad=-3.1)
     (move,) = moves({old.id: old}, (new,), dt_s=0.1)
     assert np.allclose(move.actor.p_W_m + 0.1 * move.v_W_mps, new.p_W_m)
@@ -31,6 +45,30 @@ def test_a_teleported_actor_does_not_sweep_through_the_street():
     (move,) = moves({old.id: old}, (new,), dt_s=0.1)
     assert np.allclose(move.actor.p_W_m, new.p_W_m)
     assert not move.v_W_mps.any()
+
+
+@pytest.mark.parametrize("speed", [0.0, 13.9])
+def test_a_lane_change_in_one_tick_is_no_sweep_but_a_stumble_is(speed):
+    old = actor(speed=speed)
+    put_over = replace(old, p_W_m=np.array([0.1 * speed, 3.2, 0.0]))
+    assert not moves({old.id: old}, (put_over,), dt_s=0.1)[0].v_W_mps.any()
+    aside = replace(old, p_W_m=np.array([0.1 * speed, 0.3, 0.0]))
+    assert moves({old.id: old}, (aside,), dt_s=0.1)[0].v_W_mps[1] == pytest.approx(3.0)
+
+
+def test_who_is_turned_on_the_spot_does_not_sweep_with_its_length():
+    old, new = actor(yaw=0.0), actor(yaw=1.2)
+    (move,) = moves({old.id: old}, (new,), dt_s=0.1)
+    assert move.yaw_rate_radps == 0.0 and move.actor.yaw_rad == 1.2
+    (turn,) = moves({old.id: old}, (actor(yaw=0.04),), dt_s=0.1)
+    assert turn.yaw_rate_radps == pytest.approx(0.4) and turn.dt_s == 0.1
+    person = replace(actor(yaw=0.04), kind=ActorKind.PEDESTRIAN)
+    assert moves({old.id: old}, (person,), dt_s=0.1)[0].yaw_rate_radps == 0.0
+
+
+def test_a_body_has_the_new_pitch_from_the_start_of_the_tick():
+    old, new = actor(), replace(actor(), pitch_rad=0.05)
+    assert moves({old.id: old}, (new,), dt_s=0.1)[0].actor.pitch_rad == 0.05
 
 
 def test_actors_that_have_left_are_not_moved():

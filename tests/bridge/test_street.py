@@ -2,120 +2,205 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wcsim.bridge.street import ChairInStreet, StreetReaction, along_path, speed_limit
+from tests.bridge.roads import LANE_M, StraightRoads, actor, chair, walker
+from wcsim.bridge.lanes import LaneShape
+from wcsim.bridge.orders import LET_GO, Attention
+from wcsim.bridge.street import StreetReaction
 from wcsim.config import WorldConfig
-from wcsim.types import ActorKind, ActorState
-
-BRAKE_MPS2 = 4.5
+from wcsim.types import ActorKind
 
 
-def actor(kind=ActorKind.CAR, x=0.0, y=0.0, yaw=0.0, speed=10.0, size=(4.5, 1.8, 1.5), name="v:car") -> ActorState:
-    return ActorState(
-        id=name,
-        kind=kind,
-        p_W_m=np.array([x, y, 0.0]),
-        yaw_rad=yaw,
-        pitch_rad=0.0,
-        v_W_mps=speed * np.array([math.cos(yaw), math.sin(yaw), 0.0]),
-        size_lwh_m=size,
-    )
+def street(reaction_s=0.0, share=1.0, seed=1) -> StreetReaction:
+    return StreetReaction(WorldConfig(reaction_s=reaction_s, attention_share=share), Attention(share, seed))
 
 
-def chair(x: float, y: float = 0.0, vy: float = 0.0, on_road: bool = True) -> ChairInStreet:
-    return ChairInStreet(p_W_m=np.array([x, y]), v_W_mps=np.array([0.0, vy]), on_road=on_road)
+def order_for(vehicle, chairs, roads=None, reaction=None):
+    roads = roads or StraightRoads()
+    orders = (reaction or street()).react(roads.put(vehicle), chairs, roads)
+    return orders[0] if orders else None
 
 
-@pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5, math.pi])
-def test_a_car_may_stop_short_of_a_chair_ahead_whatever_its_heading(yaw):
-    ahead = np.array([math.cos(yaw), math.sin(yaw)])
-    target = ChairInStreet(p_W_m=15.0 * ahead, v_W_mps=np.zeros(2), on_road=True)
-    limit = speed_limit(actor(yaw=yaw), target, BRAKE_MPS2)
-    assert limit == pytest.approx(math.sqrt(2 * BRAKE_MPS2 * (15.0 - 2.25 - 2.0)), rel=1e-9)
+def drive(vehicle, chairs, roads, seconds=30.0, reaction=None):
+    """Let one vehicle obey along its lane; its x, y and speed at every tick."""
+    reaction, track = reaction or street(reaction_s=0.7), []
+    x, y, v = float(vehicle.p_W_m[0]), float(vehicle.p_W_m[1]), float(vehicle.v_W_mps[0])
+    for _ in range(round(seconds / 0.1)):
+        now = actor(vehicle.kind, x=x, y=y, speed=v, size=vehicle.size_lwh_m)
+        order = order_for(now, chairs, roads, reaction)
+        wanted = 13.9 if order is None or order.speed_mps == LET_GO else order.speed_mps
+        brakes = roads.brakes(now.id)
+        hardest = v if order is not None and order.hard else brakes.service_mps2 * 0.1
+        v = min(max(wanted, v - hardest), v + 0.26)
+        if order is not None and order.aside_m is not None:
+            y += math.copysign(min(abs(order.aside_m), 0.08), order.aside_m)
+        if order is not None and order.lane_index is not None:
+            y = order.lane_index * LANE_M  # as SUMO does without sublanes
+        x += 0.1 * v
+        track.append((x, y, v))
+    return track
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.floats(0.5, 16.0), st.floats(45.0, 60.0), st.floats(-0.3, 0.3))
+def test_a_car_stops_short_of_a_chair_that_fills_its_lane(speed, x, y):
+    track = drive(actor(speed=speed), (chair(x, y),), StraightRoads())
+    assert 0.3 < x - 0.57 - (track[-1][0] + 2.25) < 3.0
+    assert track[-1][2] == pytest.approx(0.0, abs=0.05)
 
 
 def test_nobody_brakes_for_a_chair_behind_beside_or_far_away():
-    assert math.isinf(speed_limit(actor(), chair(-5.0), BRAKE_MPS2))
-    assert math.isinf(speed_limit(actor(), chair(12.0, 3.0), BRAKE_MPS2))
-    assert math.isinf(speed_limit(actor(speed=5.0), chair(60.0), BRAKE_MPS2))
+    for there in (chair(-6.0), chair(12.0, 9.0), chair(300.0)):
+        assert order_for(actor(), (there,)) is None
 
 
-def test_a_chair_that_will_roll_into_the_lane_counts_before_it_is_there():
-    still, rolling = chair(14.0, 3.5), chair(14.0, 3.5, vy=-1.5)
-    assert math.isinf(speed_limit(actor(speed=6.0), still, BRAKE_MPS2))
-    assert math.isfinite(speed_limit(actor(speed=6.0), rolling, BRAKE_MPS2))
+def test_a_chair_that_rolls_into_the_lane_counts_before_it_is_there():
+    still, rolling = chair(25.0, -4.0), chair(25.0, -4.0, vy=1.5)
+    assert order_for(actor(), (still,)).speed_mps == LET_GO  # it only keeps to its lane
+    assert 0.0 <= order_for(actor(), (rolling,)).speed_mps < 13.0
+
+
+def test_who_passes_before_the_chair_comes_does_not_stop_in_its_way():
+    order = order_for(actor(x=-3.0, speed=12.0), (chair(4.0, -4.5, vy=1.2),))
+    assert order is None or order.speed_mps == LET_GO or order.speed_mps > 8.0
 
 
 def test_a_chair_on_the_pavement_beside_the_lane_does_not_stop_the_traffic():
-    assert math.isfinite(speed_limit(actor(), chair(12.0, 1.7, on_road=True), BRAKE_MPS2))
-    assert math.isinf(speed_limit(actor(), chair(12.0, 1.7, on_road=False), BRAKE_MPS2))
+    near = 1.35  # its side 0.14 m beside the car
+    assert order_for(actor(), (chair(18.0, -near, on_road=False),)) is None
+    assert order_for(actor(), (chair(18.0, -near, on_road=True),)).speed_mps < 10.0
 
 
-def test_the_order_comes_after_the_reaction_time_and_is_taken_back_once():
-    config = WorldConfig(reaction_s=0.3, attention_share=1.0)
-    street = StreetReaction(config, seed=1)
-    orders = [street.react((actor(),), (chair(15.0),)) for _ in range(4)]
-    assert [len(order) for order in orders] == [0, 0, 1, 1]
-    released = street.react((actor(),), (chair(15.0, 9.0),))
-    assert [order.speed_mps for order in released] == [-1.0]
-    assert street.react((actor(),), (chair(15.0, 9.0),)) == ()
+def test_the_order_comes_after_the_reaction_time_and_everything_is_given_back_once():
+    reaction, roads = street(reaction_s=0.3), StraightRoads()
+    seen = [order_for(actor(), (chair(15.0),), roads, reaction) for _ in range(4)]
+    assert [order is not None for order in seen] == [False, False, True, True]
+    back = order_for(actor(), (chair(15.0, 30.0),), roads, reaction)
+    assert back.speed_mps == LET_GO
+    assert not back.keep_lane
+    assert order_for(actor(), (chair(15.0, 30.0),), roads, reaction) is None
 
 
 def test_who_was_held_is_let_go_when_the_chair_is_respawned_elsewhere():
-    street = StreetReaction(WorldConfig(reaction_s=0.0, attention_share=1.0), seed=1)
-    assert street.react((actor(),), (chair(12.0),))[0].speed_mps > 0.0
-    assert [order.speed_mps for order in street.react((), (chair(900.0),))] == [-1.0]
-    assert street.react((), (chair(900.0),)) == ()
+    reaction, roads = street(), StraightRoads()
+    assert order_for(actor(), (chair(12.0),), roads, reaction).speed_mps >= 0.0
+    assert [order.speed_mps for order in reaction.react((), (chair(900.0),), roads)] == [LET_GO]
+    assert reaction.react((), (chair(900.0),), roads) == ()
 
 
 def test_attention_is_a_property_of_the_actor_and_of_the_seed():
-    config = WorldConfig(reaction_s=0.0, attention_share=0.5)
-    cars = tuple(actor(name=f"v:{i}") for i in range(200))
-    seen = {order.actor.id for order in StreetReaction(config, seed=3).react(cars, (chair(12.0),))}
-    again = {order.actor.id for order in StreetReaction(config, seed=3).react(cars[::-1], (chair(12.0),))}
-    other = {order.actor.id for order in StreetReaction(config, seed=4).react(cars, (chair(12.0),))}
+    names = [f"v:{i}" for i in range(200)]
+    seen = {name for name in names if Attention(0.5, 3).looks(name)}
+    again = {name for name in reversed(names) if Attention(0.5, 3).looks(name)}
+    other = {name for name in names if Attention(0.5, 4).looks(name)}
     assert seen == again != other
     assert 60 < len(seen) < 140
-    blind = StreetReaction(WorldConfig(reaction_s=0.0, attention_share=0.0), seed=3)
-    assert blind.react(cars, (chair(12.0),)) == ()
+    assert order_for(actor(), (chair(8.0),), reaction=street(share=0.0)) is None
 
 
-def test_a_person_stops_at_once_before_the_chair_and_goes_on_when_it_has_gone():
-    street = StreetReaction(WorldConfig(attention_share=1.0), seed=0)
-    walker = actor(ActorKind.PEDESTRIAN, speed=1.2, size=(0.3, 0.5, 1.7), name="p:a")
-    assert [order.speed_mps for order in street.react((walker,), (chair(0.9),))] == [0.0]
-    assert [order.speed_mps for order in street.react((walker,), (chair(0.9, 1.5),))] == [-1.0]
+def test_persons_and_rear_pieces_are_not_steered_as_vehicles():
+    roads = StraightRoads()
+    tram = actor(ActorKind.TRAM, name="v:tram", size=(8.7, 2.4, 3.5))
+    rear = actor(ActorKind.TRAM, x=-9.0, name="v:tram~1", size=(8.7, 2.4, 3.5), piece=1)
+    orders = street().react(roads.put(walker(5.0, 0.0), tram, rear), (chair(20.0),), roads)
+    assert [order.actor_id for order in orders] == ["v:tram"]
 
 
-@given(st.floats(0.5, 20.0), st.floats(-0.3, 0.3))
-def test_a_point_on_the_path_lies_on_the_path(distance_m, bend_per_m):
-    assume(abs(bend_per_m) > 0.02 and abs(distance_m * bend_per_m) < 3.0)
-    x = math.sin(distance_m * bend_per_m) / bend_per_m
-    y = (1.0 - math.cos(distance_m * bend_per_m)) / bend_per_m
-    along_m, aside_m = along_path(x, y, bend_per_m)
-    assert along_m == pytest.approx(distance_m, abs=1e-6)
-    assert aside_m == pytest.approx(0.0, abs=1e-6)
+def test_a_bicycle_brakes_earlier_than_a_car():
+    for name, kind, size in (("car", ActorKind.CAR, (4.5, 1.8, 1.5)), ("bike", ActorKind.BICYCLE, (1.7, 1.8, 1.7))):
+        front_at_zero = actor(kind, x=-0.5 * size[0], speed=8.0, size=size)
+        limit = order_for(front_at_zero, (chair(14.0),)).speed_mps
+        if name == "car":
+            car_limit = limit
+    assert limit < car_limit
 
 
-def test_left_of_a_bent_path_is_left():
-    for bend_per_m in (-0.1, 0.0, 0.1):
-        assert along_path(0.5, 1.0, bend_per_m)[1] > 0.5
-        assert along_path(0.5, -1.0, bend_per_m)[1] < -0.5
+def test_an_emergency_brake_goes_beyond_the_service_brake_and_no_further_than_the_vehicle_can():
+    order = order_for(actor(speed=10.0), (chair(11.0),))
+    assert order.hard
+    assert 10.0 - 0.9 - 1e-9 <= order.speed_mps < 10.0 - 0.45
+
+
+def test_a_car_moves_over_where_there_is_room_and_drives_on_past_the_chair():
+    for sign in (1, -1):
+        track = drive(actor(speed=10.0), (chair(60.0, sign * 1.29),), StraightRoads())
+        beside = [y for x, y, _ in track if abs(x - 60.0) < 2.5]
+        assert beside
+        assert max(sign * y for y in beside) + 0.9 < 1.29 - 0.31 - 0.3
+        assert track[-1][0] > 75.0
+
+
+def test_without_sublanes_or_room_it_waits_or_takes_the_next_lane():
+    stuck = drive(actor(speed=10.0), (chair(60.0, 0.0),), StraightRoads(sublanes=False))
+    assert stuck[-1][0] < 57.5
+    track = drive(actor(speed=10.0), (chair(60.0, 0.0),), StraightRoads(lanes=2, sublanes=False))
+    assert track[-1][0] > 75.0
+    assert track[-1][1] > 0.5 * LANE_M
+
+
+def test_a_tram_never_leaves_its_track():
+    tram = actor(ActorKind.TRAM, speed=8.0, size=(8.7, 2.4, 3.5))
+    order = order_for(tram, (chair(25.0, 1.29),), StraightRoads(lanes=2))
+    assert order.lane_index is None
+    assert order.aside_m is None
+    assert order.speed_mps >= 0.0
+
+
+def test_a_chair_that_rolls_along_the_lane_is_followed_and_not_hit():
+    reaction, roads = street(reaction_s=0.7), StraightRoads()
+    x, v, ahead = 0.0, 12.0, 40.0
+    for _ in range(400):
+        order = order_for(actor(x=x, speed=v), (chair(ahead, vx=1.67),), roads, reaction)
+        wanted = 13.9 if order is None or order.speed_mps == LET_GO else order.speed_mps
+        v = min(max(wanted, v - 0.45), v + 0.26)
+        x, ahead = x + 0.1 * v, ahead + 0.167
+        assert ahead - x > 2.25 + 0.57
+    assert v == pytest.approx(1.67, abs=0.4)
+
+
+def test_who_drives_in_the_next_lane_does_not_change_into_the_chair():
+    roads = StraightRoads(lanes=2)
+    order = order_for(actor(y=LANE_M, speed=10.0), (chair(15.0, 0.0),), roads)
+    assert order.keep_lane
+    assert order.lane_index is None
+
+
+def test_only_who_has_just_come_into_being_on_the_chair_is_turned_away():
+    reaction = street()
+    old, far = actor(x=50.0, name="v:old"), actor(x=0.0, name="v:far")
+    assert reaction.turned_away((old, far), (chair(49.0),)) == ()
+    fresh = actor(x=51.0, name="v:fresh")
+    assert reaction.turned_away((old, far, fresh), (chair(49.0),)) == ("v:fresh",)
+    assert reaction.turned_away((old, far, fresh), ()) == ()
+
+
+class Bend(StraightRoads):
+    """A lane that turns left by a right angle on a radius of 10 m, from x = 0 on."""
+
+    def lane(self, lane_id: str) -> LaneShape:
+        import numpy as np
+
+        turn = [(10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.linspace(0.0, 0.5 * math.pi, 20)]
+        points = np.array([(-100.0, 0.0), *turn, (10.0, 100.0)])
+        length = float(np.hypot(*np.diff(points, axis=0).T).sum())
+        return LaneShape(
+            id=lane_id, edge_id="E", index=0, points_W_m=points, length_m=length, width_m=LANE_M, internal=False
+        )
 
 
 def test_a_turning_car_stops_for_a_chair_round_the_corner_and_not_for_one_straight_on():
-    turning = actor(speed=5.0)
-    round_the_corner, straight_on = chair(8.0, 5.0), chair(12.0, 0.0)
-    assert math.isinf(speed_limit(turning, round_the_corner, BRAKE_MPS2))
-    assert math.isfinite(speed_limit(turning, round_the_corner, BRAKE_MPS2, bend_per_m=0.12))
-    assert math.isinf(speed_limit(turning, straight_on, BRAKE_MPS2, bend_per_m=0.12))
+    turning = actor(x=-8.0, speed=6.0)
+    assert order_for(turning, (chair(10.0, 14.0),), Bend()).speed_mps < 12.0
+    assert order_for(turning, (chair(18.0, 0.0),), Bend()) is None
 
 
-def test_a_cyclist_begins_to_brake_earlier_than_a_car():
-    kinds = (ActorKind.BICYCLE, ActorKind.CAR)
-    limits = [speed_limit(actor(kind, speed=6.0), chair(9.0), BRAKE_MPS2) for kind in kinds]
-    assert limits[0] < limits[1]
+def test_a_bus_that_cuts_the_corner_stops_for_a_chair_inside_it():
+    inside = chair(5.5, 5.0, on_road=False)  # 2.4 m and more from the lane's middle
+    assert order_for(actor(x=-6.0, speed=4.0), (inside,), Bend()) is None
+    bus = actor(ActorKind.BUS, x=-6.0, speed=4.0, size=(15.0, 2.55, 3.2))
+    order = order_for(bus, (inside,), Bend())
+    assert order is not None
+    assert 0.0 <= order.speed_mps < 6.0

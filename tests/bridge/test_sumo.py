@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wcsim.bridge.sumo import KIND_OF_CLASS, SumoOptions, SumoSession, world_in_this_process
+from wcsim.bridge.street import LET_GO, Order
+from wcsim.bridge.sumo import SumoOptions, SumoSession, world_in_this_process
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.town import find_town
 from wcsim.types import ActorKind
@@ -65,12 +66,12 @@ def test_a_held_car_stops_and_goes_on_when_let_go(corner):
         for _ in range(20):
             sumo.step()
         car = next(a for a in sumo.actors(NEAR, 500.0) if a.kind is ActorKind.CAR)
-        sumo.command_speed(car, 0.0)
+        sumo.pilot.obey(Order(actor_id=car.id, speed_mps=0.0))
         for _ in range(60):
             sumo.step()
         held = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
         assert np.linalg.norm(held.v_W_mps) < 0.01
-        sumo.command_speed(car, -1.0)
+        sumo.pilot.obey(Order(actor_id=car.id, speed_mps=LET_GO))
         for _ in range(20):
             sumo.step()
         freed = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
@@ -92,7 +93,3 @@ def test_a_missing_scenario_is_an_error_with_a_cure(tmp_path, corner):
     with pytest.raises(SumoError, match="sumo-gui"):
         SumoSession(options(corner, sumocfg=tmp_path / "none.sumocfg"))
     assert not world_in_this_process()
-
-
-def test_every_kind_but_other_is_reached_by_a_class_of_sumo():
-    assert set(KIND_OF_CLASS.values()) == set(ActorKind) - {ActorKind.OTHER}

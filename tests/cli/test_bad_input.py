@@ -275,3 +275,31 @@ def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
     words = ("town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "tiny", "--out", "home")
     refused(wcsim(*words), "home is not empty")
     assert json.dumps(sorted(files_in(folder))) == '["home", "home/thesis.tex", "tiny.osm"]'
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("", ("needs a source", "--osm FILE", "--bbox", "--sumocfg")),
+        ("--osm tiny.osm --url http://localhost/", ("--url", "download")),
+        ("--osm tiny.osm --lefthand --righthand", ("--lefthand", "--righthand")),
+        ("--osm tiny.osm --dem a.tif --hill 5", ("--dem", "--hill")),
+        ("--osm tiny.osm --dem a.tif", ("a.tif", "GeoTIFF")),
+        ("--osm tiny.osm --dem tiny.osm", ("tiny.osm", "GeoTIFF")),
+        ("--osm tiny.osm --traffic -1", ("--traffic",)),
+        ("--osm tiny.osm --parked 2", ("--parked",)),
+        ("--osm tiny.osm --hill nan", ("--hill",)),
+        ("--osm tiny.osm --hill 5 --max-grade 0.9", ("--max-grade",)),
+        ("--osm tiny.osm --per-hour cars=5", ("'cars'", "passenger")),
+        ("--osm tiny.osm --per-hour passenger", ("CLASS=NUMBER",)),
+        ("--osm tiny.osm --per-hour bicycle=nan", ("CLASS=NUMBER",)),
+        ("--osm tiny.osm --per-hour bicycle=-5", ("bicycle",)),
+        ("--bbox 24,60,25,61", ("at most 12 km",)),
+        ("--bbox 25,60,25.01,60.01 --url ftp://localhost/", ("--url", "http")),
+        ("--bbox 25,60,25.01,60.01 --url http://127.0.0.1:9/", ("127.0.0.1:9", "--osm FILE")),
+    ],
+)
+def test_wrong_options_of_an_import_are_refused(wcsim, folder, words, told):
+    Path("tiny.osm").write_text(tiny_osm())
+    refused(wcsim("town", "import", *words.split(), "--name", "tiny"), *told)
+    assert files_in(folder) == {"tiny.osm"}

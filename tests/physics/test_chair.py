@@ -177,7 +177,7 @@ def test_two_chairs_collide():
 
 
 @pytest.mark.parametrize("start_m", [-3.5, -3.488, -3.476])  # where within a substep the car arrives
-@pytest.mark.parametrize("yaw", [0.0, 0.7, math.pi / 2, math.pi])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, math.pi / 2, math.pi, 4.19, 4.71])
 def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
     deepest = fastest = 0.0
     with rig() as r:
@@ -198,7 +198,7 @@ def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
             for contact in r.chair.contacts():
                 if contact.kind == "car":
                     assert contact.cause == "other" and contact.actor_id == "car"
-    assert -0.055 < deepest < 0.0  # the car moves 3.3 cm in a substep, a caster of the turning chair comes against it
+    assert -0.05 < deepest < 0.0  # the car moves 3.3 cm in a substep, a caster of the turning chair comes against it
     assert fastest > 6.0
 
 

@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.physics.render_oracle import actor, crowd
 from tests.samples import strip_street
-from wcsim.physics.renderer import vehicles
+from wcsim.physics.renderer import riders
 from wcsim.physics.renderer.instances import (
     CHAIR_BOX_CENTRE_B_M,
     CHAIR_SIZE_LWH_M,
@@ -22,10 +22,11 @@ from wcsim.physics.renderer.instances import (
     rotation_quaternion,
     transforms,
 )
+from wcsim.physics.renderer.models import GAIT_PHASES, POSTURES, STANDING
 from wcsim.physics.renderer.paint import Paint
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.physics.renderer.surface import connected_parts
-from wcsim.physics.renderer.templates import Template, actor_templates, template_of
+from wcsim.physics.renderer.templates import FIGURES, Template, actor_templates, template_of
 from wcsim.types import ActorKind, ClassId
 
 ANGLE = st.floats(-math.pi, math.pi)
@@ -72,8 +73,15 @@ def test_templates_fill_the_unit_box(table):
         points = corners_of(table, t).reshape(-1, 3)
         assert points.min(axis=0) == pytest.approx([-0.5, -0.5, 0.0], abs=1e-6)
         assert points.max(axis=0) == pytest.approx([0.5, 0.5, 1.0], abs=1e-6)
-    walkers = np.concatenate([corners_of(table, Template.PEDESTRIAN + k).reshape(-1, 3) for k in range(4)])
-    assert np.ptp(walkers, axis=0) == pytest.approx([1, 1, 1], abs=1e-6)
+    for figure in range(len(FIGURES)):
+        first = Template.PEDESTRIAN + POSTURES * figure
+        standing = corners_of(table, first + STANDING).reshape(-1, 3)
+        assert np.ptp(standing, axis=0) == pytest.approx([1, 1, 1], abs=1e-6)
+        for phase in range(GAIT_PHASES):  # strides reach out of the box, not further than its ball allows for
+            points = corners_of(table, first + phase).reshape(-1, 3) * (0.25, 0.5, 1.75)
+            away = np.linalg.norm(points - (0.0, 0.0, 0.875), axis=1)
+            assert away.max() <= 0.54 * np.linalg.norm((0.25, 0.5, 1.75))
+            assert np.ptp(points[:, 0]) > (0.6 if phase % 2 == 0 else 0.25)
 
 
 @pytest.mark.parametrize(
@@ -119,15 +127,16 @@ def test_every_kind_has_a_template_and_its_classes(table):
 
 
 def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origin():
-    points = np.concatenate([piece.part.vertices_m for piece in vehicles.wheelchair()])
+    points = np.concatenate([piece.part.vertices_m for piece in riders.wheelchair()])
     assert np.ptp(points, axis=0) == pytest.approx(CHAIR_SIZE_LWH_M, abs=0.03)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    wheels = np.concatenate([p.part.vertices_m for p in vehicles.wheelchair() if p.paint is Paint.TYRE])
+    wheels = np.concatenate([p.part.vertices_m for p in riders.wheelchair() if p.paint is Paint.TYRE])
     drive = wheels[wheels[:, 2] > 0.25]  # only the drive wheels are so high
     assert drive[:, 0].mean() - middle[0] == pytest.approx(-CHAIR_BOX_CENTRE_B_M[0], abs=0.02)
 
 
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE)
+@settings(deadline=None)  # the first call compiles
 def test_one_turn_in_three_spellings(yaw, pitch, roll):
     q = np.array(rotation_quaternion(yaw, pitch, roll))
     chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q)
@@ -155,14 +164,16 @@ def test_a_walker_goes_through_all_phases_in_order(yaw, x, y, seed):
     ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     places = np.array([x, y, 0.0]) + np.arange(0, 3.2, 0.13)[:, None] * ahead
     n = len(places)
-    phases = gait_phases(places, np.full(n, yaw), np.full(n, 1.3), np.full(n, seed, np.uint32)).tolist()
+    seeds, stride_m = np.full(n, seed, np.uint32), np.full(n, 1.4)
+    phases = gait_phases(places, np.full(n, yaw), np.full(n, 1.3), seeds, stride_m).tolist()
     steps = [(b - a) % 4 for a, b in itertools.pairwise(phases)]
     assert set(phases) == {0, 1, 2, 3} and set(steps) <= {0, 1}
 
 
 def test_a_standing_person_keeps_still():
     places = np.column_stack([np.arange(0, 3, 0.1), np.zeros(30), np.zeros(30)])
-    assert len(set(gait_phases(places, np.zeros(30), np.zeros(30), np.full(30, 7, np.uint32)).tolist())) == 1
+    phases = gait_phases(places, np.zeros(30), np.zeros(30), np.full(30, 7, np.uint32), np.full(30, 1.4))
+    assert set(phases.tolist()) == {STANDING}
 
 
 def test_kinds_are_told_apart_by_id_not_by_order():

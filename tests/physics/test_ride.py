@@ -13,7 +13,8 @@ from wcsim.towns.town import find_town
 from wcsim.types import Joystick
 
 AROUND_M = np.array([(x, y) for x in np.linspace(-1.6, 1.6, 9) for y in np.linspace(-1.6, 1.6, 9)])
-EDGES = 40
+EDGES = 120  # at most
+ENOUGH = 550  # ticks
 WARM_TICKS = 26  # until it cruises
 
 
@@ -51,12 +52,13 @@ def test_level_pavement_of_a_real_town_feels_level(town):
     street = load_street(find_town(town))
     ways = [edge.points_W_m for edge in street.walk.edges if np.hypot(*np.diff(edge.points_W_m, axis=0).T).sum() > 15.0]
     with Engine(1 / 240) as engine, Engine(1 / 240) as bare:
-        engine.add_street(street.mesh)
-        bare.add_street(street.mesh)
+        for key in street.tiles.keys:  # as a world does it, with seams between them
+            engine.add_street(street.tiles.mesh(key))
+            bare.add_street(street.tiles.mesh(key))
         chair = Wheelchair(engine, ChairConfig(), ImuConfig(), seat=0)
         felt: list[np.ndarray] = []
         for k in np.random.default_rng(3).choice(len(ways), min(EDGES, len(ways)), replace=False):
-            felt += felt_on_level_ground(engine, bare, chair, ways[k])
+            felt += felt_on_level_ground(engine, bare, chair, ways[k]) if len(felt) < ENOUGH else []
     everything = np.concatenate(felt)
     assert len(felt) > 500
     assert math.sqrt((everything**2).sum(axis=1).mean()) < 0.2  # 0.5 is allowed

@@ -17,6 +17,8 @@ from wcsim.types import SeatSpec, StartSpec
             config_json="{}",
             seat=SeatSpec(start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
             seed=3,
+            run="/runs/a",
+            hook="own:Hook",
         ),
         m.Join(),
         m.Act(tick=3, x=0.25, y=-1.0),

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.towns.cache import street_of
 from wcsim.towns.scenes import build_scene, find_scene
 from wcsim.towns.street import build_street
+from wcsim.towns.tiles import Packed
 from wcsim.towns.town import Town, find_town
 from wcsim.types import Street
 
@@ -28,7 +30,7 @@ def corner_town(tmp_path_factory: pytest.TempPathFactory) -> Town:
 
 @pytest.fixture(scope="session")
 def corner(corner_town: Town) -> Street:
-    return build_street(corner_town)
+    return street_of(build_street(corner_town))
 
 
 @pytest.fixture(scope="session")
@@ -37,5 +39,10 @@ def manhattan_town() -> Town:
 
 
 @pytest.fixture(scope="session")
-def manhattan(manhattan_town: Town) -> Street:
+def manhattan_packed(manhattan_town: Town) -> Packed:
     return build_street(manhattan_town)
+
+
+@pytest.fixture(scope="session")
+def manhattan(manhattan_packed: Packed) -> Street:
+    return street_of(manhattan_packed)

@@ -1,29 +1,22 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
-from shapely import Polygon, box
+from shapely import box
 
+from tests.towns.standing_samples import PLACE, item
 from wcsim.towns import shapes
-from wcsim.towns.buildings import buildings_of
-from wcsim.towns.furniture import CLEAR_M, Place, things_of
-from wcsim.towns.items import Item, metres
+from wcsim.towns.furniture import LOOK_OF, look_of, things_of
+from wcsim.towns.lengths import metres
+from wcsim.towns.levels import off_ground
+from wcsim.towns.looks import AUTHOR_KINDS, LOOKS
 from wcsim.towns.plane import cross_z
 from wcsim.towns.shapes import Piece
+from wcsim.towns.standing import CLEAR_M, Taken, set_on_ground, stood
 from wcsim.types import ClassId
-
-
-def item(kind: str, *xy: tuple[float, float], filled: bool = False, **tags: str) -> Item:
-    return Item(id="x", kind=kind, detail="", points_W_m=np.array(xy, float), filled=filled, tags=tags)
-
-
-PLACE = Place(
-    low=box(0, 0, 100, 8),
-    solids=box(0, 20, 100, 30),
-    lines=shapely.MultiLineString([[(0, 11), (100, 11)]]),
-    hull=box(-10, -10, 110, 40),
-)
 
 
 def outward(piece: Piece) -> np.ndarray:
@@ -83,20 +76,116 @@ def test_trees_and_lamps_are_cheap_and_leave_headroom() -> None:
     assert tree.piece.vertices_W_m[wide, 2].min() > 2.2
 
 
-def test_buildings_keep_off_the_street_and_take_their_height_from_tags() -> None:
-    corners = ((0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0))
-    street = Polygon([(-5, -5), (20, -5), (20, 2), (-5, 2)])
-    tall, storeys, unknown = (
-        buildings_of([item("building", *corners, filled=True, **tags)], street, box(-50, -50, 50, 50))[0]
-        for tags in ({"height": "21.5 m"}, {"building:levels": "5"}, {"height": "high"})
-    )
-    assert (tall.height_m, storeys.height_m) == (21.5, 17.0)
-    assert 9.0 <= unknown.height_m <= 18.0
-    assert tall.outline.distance(street) >= 0.09
-    twice = buildings_of([item("building", *corners, filled=True)] * 2, Polygon(), box(-50, -50, 50, 50))
-    assert len(twice) == 1
-
-
-@pytest.mark.parametrize(("text", "value"), [("12", 12.0), ("3,5 m", 3.5), ("", None), ("nan", None), ("12'6\"", None)])
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("12", 12.0),
+        ("3,5 m", 3.5),
+        ("40 ft", 12.192),
+        ("12'6\"", 3.81),
+        ("3;4", 4.0),
+        ("", None),
+        ("nan", None),
+        ("1e9", None),
+    ],
+)
 def test_lengths_in_tags(text: str, value: float | None) -> None:
     assert metres(text) == value
+
+
+@pytest.mark.parametrize("kind", sorted(LOOKS))
+def test_every_look_is_closed_below_stays_in_its_footprint_and_has_its_height(kind: str) -> None:
+    thing = stood(kind, np.array([7.0, -3.0]), 0.4)
+    low = thing.piece.vertices_W_m[thing.piece.vertices_W_m[:, 2] < 2.0]
+    grown = thing.footprint.buffer(0.1)
+    assert shapely.contains_xy(grown, low[:, 0], low[:, 1]).all()
+    if not LOOKS[kind].random:
+        assert thing.piece.vertices_W_m[:, 2].max() == pytest.approx(LOOKS[kind].size_lwh_m[2], abs=0.1)
+    corners = thing.piece.vertices_W_m[thing.piece.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.linalg.norm(normal, axis=1) > 0).all()
+    assert len(thing.piece.faces) <= (140 if kind != "rack" else 450)
+
+
+def test_looks_named_elsewhere_exist() -> None:
+    assert set(AUTHOR_KINDS) <= set(LOOKS)
+    assert {look for look in LOOK_OF.values() if look} <= set(LOOKS)
+
+
+def test_a_wheel_and_a_box_look_outward() -> None:
+    assert (outward(shapes.disc(0.3, 0.34, 0.05, ClassId.BICYCLE)) > 0).all()
+    assert (outward(shapes.box(np.zeros(2), (1.0, 1.0, 1.0), 1.0, 0.0, ClassId.STATIC, floor=True)) > 0).all()
+
+
+def test_two_things_do_not_share_their_ground() -> None:
+    things = things_of([item("amenity.bench", (20, 16)), item("amenity.bench", (20.3, 16.1))], PLACE)
+    assert len(things) == 2
+    assert not things[0].footprint.intersects(things[1].footprint)
+    taken = Taken(things)
+    assert not taken.free(things[0].footprint.buffer(0.1)) and taken.free(box(50, 14, 51, 15))
+
+
+def test_a_bench_looks_at_those_who_walk_by_or_where_the_map_says() -> None:
+    (shy,) = things_of([item("amenity.bench", (20, 16))], PLACE)
+    (told,) = things_of([item("amenity.bench", (20, 16), direction="E")], PLACE)
+    for thing, front in ((shy, (0.0, -1.0)), (told, (1.0, 0.0))):
+        back = thing.piece.vertices_W_m[thing.piece.vertices_W_m[:, 2] > 0.8][:, :2].mean(axis=0)
+        assert np.dot(back - (20.0, 16.0), front) == pytest.approx(-0.22, abs=0.02)
+
+
+def test_a_row_of_trees_is_many_trees_and_what_nobody_knows_is_a_post() -> None:
+    row = things_of([item("natural.tree_row", (10, 16), (58, 16))], PLACE)
+    assert len(row) == 7
+    assert look_of(item("barrier.pachyderm", (1, 1))) == "bollard"
+    for nothing in ("barrier.kerb", "barrier.entrance", "shop.bakery", "landuse.grass"):
+        assert look_of(item(nothing, (1, 1))) == ""
+    assert things_of([item("landuse.block", (50, 15))], PLACE) == []
+
+
+def test_memorials_in_the_ground_and_pictures_on_walls_do_not_stand() -> None:
+    assert look_of(item("historic.memorial", (1, 1), memorial="stolperstein")) == ""
+    assert look_of(item("historic.memorial", (1, 1), memorial="statue")) == "statue"
+    assert look_of(item("tourism.artwork", (1, 1), artwork_type="mural")) == ""
+    assert look_of(item("amenity.vending_machine", (1, 1), vending="parking_tickets")) == "meter"
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"level": "1"},
+        {"layer": "-1"},
+        {"layer": "1"},
+        {"indoor": "yes"},
+        {"location": "underground"},
+        {"bridge": "yes"},
+    ],
+)
+def test_things_off_the_ground_do_not_stand_on_it(tags: dict[str, str]) -> None:
+    assert off_ground(tags)
+    assert things_of([item("amenity.bench", (20, 16), **tags)], PLACE) == []
+    assert len(things_of([item("amenity.bench", (20, 16), level="0;1")], PLACE)) == 1
+
+
+def test_odd_outlines_of_mapped_things_do_no_harm() -> None:
+    shapes_m = [[(20, 15)] * 4, [(20, 15), (22, 15)], [(20, 15), (24, 15), (20, 17), (24, 17), (20, 15)]]
+    for kind in ("barrier.hedge", "barrier.fence", "amenity.fountain", "natural.tree_row", "barrier.wall"):
+        for points in shapes_m:
+            for filled in (False, True):
+                for thing in things_of([item(kind, *points, filled=filled, area="yes", height="-3")], PLACE):
+                    assert np.isfinite(thing.piece.vertices_W_m).all() and thing.footprint.is_valid
+
+
+def test_things_stand_at_the_height_of_their_ground_and_fences_follow_it() -> None:
+    def hill(xy: np.ndarray) -> np.ndarray:
+        return 0.1 * xy[:, 0]
+
+    bench, fence = item("amenity.bench", (20, 16)), item("barrier.fence", (40, 16), (80, 16))
+    things = things_of([bench, fence], PLACE)
+    pieces, heads = set_on_ground(things, hill)
+    assert heads == ()
+    assert pieces[0].vertices_W_m[:, 2].max() == pytest.approx(2.0 + 0.85, abs=0.02)
+    top = pieces[1].vertices_W_m[pieces[1].vertices_W_m[:, 2] > 0.1 * pieces[1].vertices_W_m[:, 0]]
+    assert np.allclose(top[:, 2], 0.1 * top[:, 0] + 1.2)
+    assert np.abs(np.diff(np.unique(top[:, 0]))).max() < 13.0
+    hanging = replace(things[0], footprint=shapely.Polygon())
+    Taken([hanging])

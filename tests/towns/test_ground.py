@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
-from wcsim.towns.ground import STEEPEST, Ground, build_ground, kerbing_of
+from wcsim.towns.ground import Ground, build_ground
+from wcsim.towns.kerbing import STEEPEST, kerbing_of
 from wcsim.towns.kerbs import kerb_walls
 from wcsim.towns.netread import read_net
 from wcsim.towns.plane import cross_z

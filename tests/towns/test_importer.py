@@ -1,16 +1,26 @@
 from __future__ import annotations
 
 import gzip
+import shlex
+from contextlib import redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.cli.towns import tiny_osm
+from wcsim.cli.main import main
 from wcsim.errors import SumoError, TownError
 from wcsim.towns import trial
-from wcsim.towns.check import unroutable_trips
+from wcsim.towns.check import check_town, unroutable_trips
+from wcsim.towns.dem import Heights
 from wcsim.towns.importer import ImportOrder, import_town
+from wcsim.towns.lift import steepest_grade
+from wcsim.towns.netread import read_net
 from wcsim.towns.osmfilter import filter_osm
+from wcsim.towns.place import parse_box
 from wcsim.towns.tools import run_tool
 from wcsim.towns.town import Town
 from wcsim.towns.xmlio import parse_root, read_bytes, read_root
@@ -19,21 +29,15 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "towns"
 
 
 @pytest.fixture
-def order(manhattan_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
+def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
     monkeypatch.setattr(trial, "TRIAL_S", 20)
-    osm = manhattan_town.folder / "osm"
-    west, south, east, north = (float(text) for text in (osm / "bbox").read_text(encoding="utf-8").split(","))
-    return ImportOrder(
-        osm=osm / "manhattan.osm.xml.gz",
-        bbox=(west, south, east, north),
-        name="small",
-        split="test",
-        out=tmp_path / "towns" / "small",
-    )
+    osm = tmp_path / "tiny.osm"
+    osm.write_text(tiny_osm(), encoding="utf-8")
+    return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
 
 
 def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOrder) -> None:
-    town = import_town(order)
+    town = import_town(order).town
     first = {path.relative_to(town.folder): path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
     import_town(order)  # over the first one
     second = {path.relative_to(town.folder): path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
@@ -45,7 +49,9 @@ def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOr
 
 
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
-    town = import_town(order)
+    osm = manhattan_town.folder / "osm"
+    box = parse_box((osm / "bbox").read_text(encoding="utf-8"))
+    town = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0)).town
     assert read_bytes(town.net) == read_bytes(manhattan_town.net)
     assert town.poly is not None and manhattan_town.poly is not None
     assert read_bytes(town.poly) == read_bytes(manhattan_town.poly)
@@ -56,7 +62,7 @@ def test_failed_import_leaves_the_old_town_and_no_rubbish(order: ImportOrder, tm
     before = sorted(path.name for path in order.out.iterdir())
     broken = tmp_path / "broken.osm.xml"
     broken.write_text("<osm><way id='1'/></osm>", encoding="utf-8")
-    with pytest.raises((SumoError, TownError), match="small"):
+    with pytest.raises((SumoError, TownError), match="broken"):
         import_town(replace(order, osm=broken))
     assert sorted(path.name for path in order.out.iterdir()) == before
     assert [path.name for path in order.out.parent.iterdir()] == ["small"]
@@ -69,7 +75,13 @@ def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
         (replace(order, name="a b"), "cannot be named"),
         (replace(order, split="both"), "unknown split"),
         (replace(order, bbox=(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
-        (replace(order, osm=Path("x.osm.pbf")), "osmium cat"),
+        (replace(order, bbox=(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
+        (replace(order, per_hour={"car": 1.0}), "class 'car'"),
+        (replace(order, per_hour={"bicycle": -1.0}), "-1.0 departures"),
+        (replace(order, traffic=11.0), "traffic 11.0"),
+        (replace(order, relief=Heights(hill_m=999.0)), "999.0 m"),
+        (replace(order, relief=Heights(hill_m=5.0, max_grade=0.9)), "0.9"),
+        (replace(order, relief=Heights(dem=tmp_path / "none.tif")), "none.tif"),
         (replace(order, out=tmp_path / "full"), "not a town"),
         (replace(order, osm=tmp_path / "none.osm"), "cannot be read"),
     ]
@@ -119,18 +131,65 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
     assert unroutable_trips(replace(corner_town, routes=(routes,))) == 2
 
 
-def test_left_hand_town_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not (SHARED / "leeds.osm.xml.gz").is_file():
-        pytest.skip("the left-hand extract lies in the development material beside the checkout, which is not here")
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["leeds", "neukolln"])
+def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "TRIAL_S", 20)
-    bbox = tuple(float(text) for text in (SHARED / "leeds.bbox").read_text(encoding="utf-8").split(","))
-    order = ImportOrder(
-        osm=SHARED / "leeds.osm.xml.gz",
-        bbox=(bbox[0], bbox[1], bbox[2], bbox[3]),
-        name="leeds",
-        split="test",
-        out=tmp_path / "leeds",
-        lefthand=True,
+    west, south, east, north = (float(text) for text in (SHARED / f"{name}.bbox").read_text("utf-8").split(","))
+    made = import_town(
+        ImportOrder(
+            osm=SHARED / f"{name}.osm.xml.gz",
+            bbox=(west, south, east, north),
+            name=name,
+            split="test",
+            out=tmp_path / name,
+        )
     )
-    net = gzip.decompress(import_town(order).net.read_bytes())
-    assert b'lefthand="true"' in net[:2000]
+    net = gzip.decompress(made.town.net.read_bytes())
+    assert (b'lefthand="true"' in net[:2000]) == made.side.lefthand == (name == "leeds")
+    assert made.walkable_share >= 0.95
+
+
+def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
+    some = import_town(replace(order, per_hour={"bicycle": 720.0, "pedestrian": 0.0}, traffic=0.5)).town
+    flows = [flow for flow in read_root(some.routes[0]) if flow.tag.lower().endswith("flow")]
+    per_s = [float(flow.attrib["period"][4:-1]) for flow in flows if flow.attrib["type"] == "bicycles"]
+    assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
+    assert not [flow for flow in flows if flow.tag == "personFlow"]
+    none = import_town(replace(order, traffic=0.0)).town
+    assert len(read_root(none.routes[0])) == 0
+    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1" in fault]
+
+
+def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:
+    steep = replace(order, traffic=0.0, relief=Heights(hill_m=120.0, max_grade=0.06))
+    town = import_town(steep).town
+    net = read_net(town.net)
+    heights_m = np.concatenate([lane.z_m for edge in net.edges for lane in edge.lanes])
+    assert np.ptp(heights_m) > 3.0
+    assert 0.03 < steepest_grade(net) <= 0.0601
+    first, dem = read_bytes(town.net), town.folder / "small.dem.tif"
+    assert dem.stat().st_size < 200_000
+    again = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.06))).town
+    assert read_bytes(again.net) == first
+
+
+def test_the_noted_command_builds_the_town_again(order: ImportOrder, monkeypatch: pytest.MonkeyPatch) -> None:
+    town = import_town(replace(order, traffic=0.3)).town
+    before = {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
+    town.net.write_bytes(gzip.compress(read_bytes(town.net).replace(b'speed="13.89"', b'speed="8.33"')))
+    (fault,) = check_town(town).faults
+    assert "small.net.xml.gz" in fault and "small.rou" not in fault
+    place, command = fault.split("; cd ")[1].split(" && ")
+    monkeypatch.chdir(place)
+    with redirect_stdout(StringIO()):
+        assert main(shlex.split(command)[1:]) == 0
+    assert {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()} == before
+
+
+def test_what_an_author_adds_is_noted_and_no_fault(order: ImportOrder) -> None:
+    town = import_town(order).town
+    text = town.additional[0].read_text(encoding="utf-8")
+    town.additional[0].write_text(text.replace("</additional>", '<poi id="a" x="1" y="2"/></additional>'), "utf-8")
+    report = check_town(town)
+    assert report.faults == () and [note for note in report.notes if "small.add.xml" in note]

@@ -3,16 +3,21 @@ from __future__ import annotations
 import gzip
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.towns import hostile
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.netcheck import validate_net
+from wcsim.towns.street import build_street
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town
 
 LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="9" shape="0,0 9,0"/></edge>'
+
+DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
 
 
 @pytest.mark.parametrize(
@@ -26,6 +31,8 @@ LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="
         (f'<net>{LANE.replace("9,0", "1e999,0")}<junction id="x"/></net>', "expected numbers"),
         ('<!DOCTYPE net [<!ENTITY a "b">]><net/>', "document type"),
         (f'<net>{LANE}<junction id="x" type="priority"/></net>', "SUMO cannot open"),
+        (f'<net>{DEGREES}{DEGREES}<junction id="x"/></net>', "look like degrees.*--proj.utm"),
+        (f'<net>{LANE.replace("9,0", "900000,0")}<junction id="x"/></net>', "900 km.*metric projection"),
     ],
 )
 def test_bad_nets_are_refused_in_at_most_two_lines(text: str, reason: str, tmp_path: Path) -> None:
@@ -66,3 +73,22 @@ def test_tools_are_ended_at_their_limits(manhattan_town: Town, tmp_path: Path) -
         run_tool("sumo", arguments, tmp_path, Limits(wall_s=0.5))
     assert run_tool("sumo", arguments, tmp_path, Limits(cpu_s=1)).died
     assert run_tool("sumo", ["--no-such-option"], tmp_path).reason().startswith("sumo failed with code 1")
+
+
+def test_a_net_that_names_outputs_writes_nothing(corner_town: Town, tmp_path: Path) -> None:
+    escape = tmp_path / "escape"
+    escape.mkdir()
+    lane = hostile.lane_of(corner_town)
+    writer = f'<inductionLoop id="i" lane="{lane}" pos="5" freq="1" file="{escape}/loop.xml"/>'
+    text = gzip.decompress(corner_town.net.read_bytes()).decode().replace("</net>", f"{writer}</net>")
+    (tmp_path / "a.net.xml").write_text(text, encoding="utf-8")
+    validate_net(tmp_path / "a.net.xml")
+    assert not list(escape.iterdir())
+
+
+def test_a_net_whose_lanes_are_points_is_refused(corner_town: Town, tmp_path: Path) -> None:
+    text = gzip.decompress(corner_town.net.read_bytes()).decode()
+    net = tmp_path / "points.net.xml"
+    net.write_text(re.sub(r' shape="(\S+)[^"]*"', r' shape="\1 \1"', text), encoding="utf-8")
+    with pytest.raises(TownError, match=r"points\.net\.xml: no lane covers any ground"):
+        build_street(replace(corner_town, net=net))

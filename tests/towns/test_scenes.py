@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from wcsim.errors import ConfigError, SumoError, TownError
+from wcsim.towns.cache import street_of
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenes import build_scene, find_scene, list_scenes
 from wcsim.towns.street import build_street
@@ -32,10 +33,9 @@ def test_building_twice_gives_the_same_town(tmp_path: Path) -> None:
 def test_seats_of_scenes_start_on_pavement(tmp_path: Path) -> None:
     for folder in list_scenes():
         town, scene = build_scene(folder, tmp_path / folder.name)
-        grid = build_street(town).grid
+        grid = street_of(build_street(town)).grid
         for seat in scene.seats:
-            col, row = np.floor((np.array(seat.start_m) - grid.origin_W_m) / grid.cell_m).astype(int)
-            assert grid.ground_class[row, col] in (ClassId.SIDEWALK, ClassId.CROSSWALK), folder.name
+            assert grid.class_at(np.array(seat.start_m)) in (ClassId.SIDEWALK, ClassId.CROSSWALK), folder.name
 
 
 def test_faults_in_scenes_are_named(tmp_path: Path) -> None:

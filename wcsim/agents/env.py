@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -45,6 +46,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         seed: int | None = None,
         reward_terms: Sequence[RewardTerm] = (),
         render_mode: str | None = None,
+        run: Path | None = None,
+        hook: str = "",
     ) -> None:
         """Describe the environment; the world is made by the first reset.
 
@@ -56,6 +59,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             seed: Seed of the first reset when that brings none; drawn from the system when both are missing.
             reward_terms: The user's own terms; their sum is added to the reward as `RewardTerms.extra`.
             render_mode: None or "rgb_array" (the camera then draws colours too, for people to look at).
+            run: A run folder for the outputs of the town's own SUMO scenario; without one they go with the world.
+            hook: The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md.
 
         Raises:
             ConfigError: The configuration cannot be used.
@@ -65,6 +70,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
         self.town = town
+        self._run, self._hook = run, hook
         self.render_mode = render_mode
         if render_mode == "rgb_array":
             self.config = with_colours(self.config)
@@ -135,6 +141,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             config=self.config,
             seat=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
             seed=int(drawn) % SEED_LIMIT,
+            run="" if self._run is None else str(self._run),
+            hook=self._hook,
         )
         self._link = open_link(order)
         return self._link.join()

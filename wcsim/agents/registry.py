@@ -19,8 +19,8 @@ from torch import nn
 
 from wcsim.agents.nets.impala import ImpalaNet
 from wcsim.agents.nets.strided import PatchNet, SmallNet
-from wcsim.agents.plugins import find_class
 from wcsim.errors import PolicyError
+from wcsim.plugins import find_class
 
 NetworkClass = Callable[[tuple[int, int, int], int], nn.Module]
 

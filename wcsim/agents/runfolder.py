@@ -23,6 +23,7 @@ from wcsim.agents import files
 from wcsim.agents.policy_file import read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.towns.scenario_overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
 CHECKPOINTS, POLICIES = "checkpoints", "policies"
@@ -45,6 +46,12 @@ class Manifest:
     git_revision: str
     status: Status = "running"
     steps: int = 0
+    hook: str = ""
+    overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
+
+
+def _overrides(rows: Sequence[dict[str, str]]) -> tuple[Override, ...]:
+    return tuple(Override(**row) for row in rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +88,14 @@ class RunFolder:
 
 
 def make_manifest(
-    config: RunConfig, seed: int, town: str, town_sha256: str, rewards: Sequence[str], command: Sequence[str]
+    config: RunConfig,
+    seed: int,
+    town: str,
+    town_sha256: str,
+    rewards: Sequence[str],
+    command: Sequence[str],
+    hook: str = "",
+    overrides: Sequence[Override] = (),
 ) -> Manifest:
     """A manifest for a run that starts now."""
     return Manifest(
@@ -93,6 +107,8 @@ def make_manifest(
         command=tuple(command),
         versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
         git_revision=git_revision(),
+        hook=hook,
+        overrides=tuple(overrides),
     )
 
 
@@ -112,6 +128,7 @@ def open_run(path: Path) -> RunFolder:
     data, config = _read_json(path, MANIFEST), _read_json(path, CONFIG)
     try:
         fields = {**data, "command": tuple(data["command"]), "rewards": tuple(data["rewards"])}
+        fields["overrides"] = _overrides(data.get("overrides", ()))
         return RunFolder(path=path, config=parse(RunConfig, config, str(path / CONFIG)), manifest=Manifest(**fields))
     except (TypeError, KeyError) as error:
         raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None

@@ -24,6 +24,7 @@ from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, mak
 from wcsim.agents.seqdqn import SeqDQN
 from wcsim.config import RunConfig
 from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.towns.scenario_overrides import Override
 
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
@@ -43,6 +44,8 @@ def train(
     rewards: Sequence[str] = (),
     command: Sequence[str] = (),
     resume: bool = False,
+    hook: str = "",
+    overrides: Sequence[Override] = (),
 ) -> Path:
     """Learn both phases and leave a run folder.
 
@@ -56,6 +59,8 @@ def train(
         town_sha256: Hash of its streets.
         rewards: Names of the user's own reward terms, for the manifest.
         command: The command that started the run.
+        hook: Name of the user's own step hook, for the manifest.
+        overrides: What the run overrides of the town's own SUMO options, for the manifest.
         resume: Go on from the newest sound checkpoint; the environment begins a new episode.
 
     Returns:
@@ -67,7 +72,8 @@ def train(
         ConfigError: The device cannot be used.
     """
     checked_device(config.learn.device)
-    run = _open(out, config, make_manifest(config, seed, town, town_sha256, rewards, command), resume)
+    manifest = make_manifest(config, seed, town, town_sha256, rewards, command, hook, overrides)
+    run = _open(out, config, manifest, resume)
     with _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:

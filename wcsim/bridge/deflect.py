@@ -1,96 +1,379 @@
 """People step aside for a wheelchair: an offset beside SUMO's pose, because SUMO itself does not know the chair.
 
 The offset is a vector in W, so that it stays continuous when a person turns; it moves by at most 0.8 m/s, only onto
-walkable ground that is clear of solid things and of others, and goes back to nothing after the person has passed.
+walkable ground that is clear of solid things and of others, and goes back to nothing after the person has passed. Who
+cannot pass stops short, and people near a chair keep clear of those who stepped aside, of whom SUMO knows nothing
+either: who is nearer to the chair goes first, the others make room.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from itertools import chain
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wcsim.bridge.street import CHAIR_HALF_WIDTH_M, PERSON_GAP_M, ChairInStreet
-from wcsim.types import F64, ActorKind, ActorState, ClassId, StreetGrid
+from wcsim.bridge.footprint import Box, box_of, gap_to_box
+from wcsim.bridge.orders import CHAIR_HALF_M, LET_GO, Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.sidestep import FURTHEST_M, Block, block_of, ways_round
+from wcsim.types import F64, ActorState, ClassId, Ground
 
 SIDESTEP_MPS = 0.8
+CROWD_M = 7.0  # people this near a chair are looked at
 LOOK_AHEAD_M = 4.0
-LOOK_BEHIND_M = 1.3  # a chair that was passed counts until the person is clear of its rear
-SPARE_M = 0.1  # more than the gap at which a person stops, so that who stepped aside walks on
-FURTHEST_M = 1.5
+PEOPLE_AHEAD_M = 2.5
 SOLID_GAP_M = 0.3
-PERSON_APART_M = 0.45
-CHAIR_APART_M = 0.85
-WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.TERRAIN)
+CHAIR_GAP_M, TIGHT_GAP_M = 0.25, 0.08  # beside a chair, and when there is no more room for long
+PERSON_GAP_M = 0.12  # what a way round keeps to people and vehicles
+BRUSH_M = 0.06  # nearer than this one stands, and does not step
+SHOULDER = 0.8  # of a body's radius stays over walkable ground
+BEHIND_M = 0.2  # clear of its rear before one steps back
+STOP_SHORT_M = 0.45
+PATIENCE_S = 3.0
+BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
+FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
+WALKABLE = (int(ClassId.SIDEWALK), int(ClassId.CROSSWALK), int(ClassId.TERRAIN))
+
+
+@dataclass(slots=True)
+class _Walker:
+    """One person near a chair, during one tick."""
+
+    id: str
+    x: float  # SUMO's place
+    y: float
+    cos: float
+    sin: float
+    speed_mps: float
+    radius_m: float
+    ox: float  # the offset
+    oy: float
+    chair_m: float = math.inf  # to the nearest chair: who is nearer goes first
+
+    @property
+    def left_m(self) -> float:
+        return self.oy * self.cos - self.ox * self.sin
+
+    @property
+    def at(self) -> tuple[float, float]:
+        return self.x + self.ox, self.y + self.oy
+
+    @property
+    def aside(self) -> bool:
+        return self.ox != 0.0 or self.oy != 0.0
 
 
 class Deflection:
-    """Offsets of all persons near a wheelchair."""
+    """Offsets of all persons near a wheelchair, and who of them has to stand for now."""
 
-    def __init__(self, grid: StreetGrid, tick_s: float) -> None:
-        self._grid = grid
-        self._step_m = SIDESTEP_MPS * tick_s
-        self._offsets: dict[str, F64] = {}  # by actor id, (2,)
+    def __init__(self, ground: Ground, tick_s: float, attention: Attention) -> None:
+        self._ground = ground
+        self._tick_s = tick_s
+        self._attention = attention
+        self._offsets: dict[str, tuple[float, float]] = {}  # by actor id
+        self._standing_s: dict[str, float] = {}  # who is held, and for how long
+        self._stuck: set[str] = set()  # who found no way past a chair
+        self._seen: set[str] = set()  # everybody near a chair a tick ago
+        self._queueing: set[str] = set()  # who stands behind somebody that cannot go on, or will not in SUMO
+        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago
 
     def shifted(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
         """The actors where they really walk; `deflect_m` is the offset's part to their left."""
         return tuple(self._shift(actor) if actor.id in self._offsets else actor for actor in actors)
 
+    def blocked(self) -> tuple[Blocked, ...]:
+        """The persons that stand because of a chair, or of somebody who steps aside for one."""
+        return tuple(
+            Blocked(actor_id=name, for_s=for_s, could_pass=name not in self._stuck and name not in self._queueing)
+            for name, for_s in self._standing_s.items()
+        )
+
+    def holds(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> tuple[Order, ...]:
+        """Who has to stand during this tick, and who walks on again; `actors` where they really are."""
+        crowd = self._crowd(actors, chairs, shifted=True)
+        boxes = [_chair_box(chair, self._tick_s) for chair in chairs]
+        still = {walker.id for walker in crowd if walker.speed_mps < 0.1 and walker.id not in self._standing_s}
+        standing_s: dict[str, float] = {}
+        behind: dict[str, str] = {}
+        for walker in crowd:
+            holder = self._held_by(walker, boxes, crowd, actors)
+            if holder is not None:
+                standing_s[walker.id] = self._standing_s.get(walker.id, 0.0) + self._tick_s
+                behind[walker.id] = holder
+        self._queueing = _queue(behind, still | self._stuck)
+        go_on = [name for name in self._standing_s if name not in standing_s]
+        self._standing_s = standing_s
+        orders = [Order(actor_id=name, speed_mps=0.0) for name in standing_s]
+        return (*orders, *(Order(actor_id=name, speed_mps=LET_GO) for name in go_on))
+
     def update(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
         """Move every offset by one tick; `actors` as SUMO has them, without offsets."""
-        places = {a.id: a.p_W_m[:2] + self._offsets.get(a.id, 0.0) for a in actors if a.kind is ActorKind.PEDESTRIAN}
-        offsets: dict[str, F64] = {}
+        crowd = self._crowd(actors, chairs, shifted=False)
+        boxes = [_chair_box(chair, 0.0) for chair in chairs]
+        self._stuck.intersection_update(walker.id for walker in crowd)
+        for walker in crowd:
+            self._stay_clear(walker, boxes, crowd)
+        for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
+            wish_m = self._wish(walker, boxes, crowd, actors)
+            self._move(walker, wish_m, boxes, crowd, actors)
+        self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
+        self._places = {walker.id: walker.at for walker in crowd}
+        self._seen = {actor.id for actor in actors}
+
+    def _crowd(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet], shifted: bool) -> list[_Walker]:
+        """The persons near a chair, and those that are still aside, in the actors' order."""
+        crowd = []
+        places = [chair.p_W_m.tolist() for chair in chairs]
         for actor in actors:
-            if actor.kind is not ActorKind.PEDESTRIAN:
+            if not is_person(actor):
                 continue
-            now = self._offsets.get(actor.id, np.zeros(2))
-            people = ((place, PERSON_APART_M) for name, place in places.items() if name != actor.id)
-            others = chain(people, ((chair.p_W_m, CHAIR_APART_M) for chair in chairs))  # few persons ever look at them
-            moved = self._moved(actor.p_W_m[:2], now, self._wish(actor, now, chairs), others)
-            if moved.any():
-                offsets[actor.id] = moved
-        self._offsets = offsets
+            x, y, _ = actor.p_W_m.tolist()
+            chair_m = min((math.hypot(x - px, y - py) for px, py in places), default=math.inf)
+            ox, oy = self._offsets.get(actor.id, (0.0, 0.0))
+            if chair_m > CROWD_M and not (ox or oy):
+                continue
+            crowd.append(
+                _Walker(
+                    id=actor.id,
+                    x=x - ox if shifted else x,
+                    y=y - oy if shifted else y,
+                    cos=math.cos(actor.yaw_rad),
+                    sin=math.sin(actor.yaw_rad),
+                    speed_mps=math.hypot(actor.v_W_mps[0], actor.v_W_mps[1]),
+                    radius_m=0.5 * max(actor.size_lwh_m[:2]),
+                    ox=ox,
+                    oy=oy,
+                    chair_m=chair_m,
+                )
+            )
+        return crowd
+
+    def _stay_clear(self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker]) -> None:
+        """SUMO lets people jump a little at the ends of lanes; a body does not jump into a chair or another body."""
+        before = self._places.get(walker.id)
+        if before is None and walker.id not in self._seen and self._overlaps(walker, walker.at, chairs, crowd):
+            self._begin_beside(walker, chairs, crowd)
+        if before is None or math.dist(before, (walker.x, walker.y)) > FURTHEST_M:
+            return
+        if self._overlaps(walker, walker.at, chairs, crowd) and not self._overlaps(walker, before, chairs, crowd):
+            walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
+
+    def _begin_beside(self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker]) -> None:
+        """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
+        for left_m in BEGIN_BESIDE_M:
+            walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
+            free = not self._overlaps(walker, walker.at, chairs, crowd)
+            if free and self._walkable(walker, np.array([walker.at])):
+                return
+        walker.ox = walker.oy = 0.0
+
+    def _overlaps(
+        self, walker: _Walker, at: tuple[float, float], chairs: Sequence[Box], crowd: Sequence[_Walker]
+    ) -> bool:
+        if self._attention.looks(walker.id) and any(gap_to_box(*at, *box) < walker.radius_m for box in chairs):
+            return True
+        return any(
+            math.dist(at, other.at) < walker.radius_m + other.radius_m
+            for other in crowd
+            if other.id != walker.id and (other.aside or walker.aside)
+        )
+
+    def _held_by(
+        self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker], actors: Sequence[ActorState]
+    ) -> str | None:
+        """What a step ahead would bring this person against: "" for a chair or a vehicle, somebody's id; None if free.
+
+        Of people only those count that SUMO does not see where they are.
+        """
+        x, y = walker.at
+        reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
+        nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
+        if self._attention.looks(walker.id):
+            for box in chairs:
+                gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
+                if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
+                    side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
+                    if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
+                        return ""
+        for other in crowd:
+            if other.id == walker.id or not (other.aside or walker.aside):
+                continue
+            ax, ay = other.at
+            near_m = math.hypot(nx - ax, ny - ay)
+            apart_m = walker.radius_m + other.radius_m + BRUSH_M
+            if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
+                return other.id
+        hits = walker.aside and any(
+            gap_to_box(nx, ny, *box) < min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *box))
+            for box in _vehicles_near(actors, x, y)
+        )
+        return "" if hits else None
+
+    def _wish(
+        self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker], actors: Sequence[ActorState]
+    ) -> float:
+        """How far left of its line this person would like to be now."""
+        now_m = walker.left_m
+        tight = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
+        blocks = self._blocks(walker, chairs, TIGHT_GAP_M if tight else CHAIR_GAP_M)
+        people = self._people(walker, crowd)
+        if walker.aside or any(block.blocks(0.0) for block in (*blocks, *people)):
+            people += self._riders(walker, actors)
+        if not any(block.blocks(0.0) for block in (*blocks, *people)) and not walker.aside:
+            self._stuck.discard(walker.id)
+            return 0.0
+        ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*blocks, *people)), default=0.0)
+        for left_m in ways_round((*blocks, *people), now_m):
+            if left_m == 0.0 or self._open_way(walker, left_m, ahead_m):
+                self._stuck.discard(walker.id)
+                return left_m
+        if any(block.blocks(now_m) for block in blocks):
+            self._stuck.add(walker.id)
+        # No way past the chair: wait, but out of the way of those who have one.
+        for left_m in ways_round(people, now_m):
+            if left_m == 0.0 or self._open_way(walker, left_m, 0.0):
+                return left_m
+        return now_m
+
+    def _blocks(self, walker: _Walker, chairs: Sequence[Box], gap_m: float) -> list[Block]:
+        if not self._attention.looks(walker.id):
+            return []
+        seen = [
+            block_of(
+                walker.x, walker.y, walker.cos, walker.sin, box, walker.radius_m + gap_m, walker.radius_m + BEHIND_M
+            )
+            for box in chairs
+        ]
+        return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
+
+    def _people(self, walker: _Walker, crowd: Sequence[_Walker]) -> list[Block]:
+        """Those who are where SUMO does not see them, or in whose way this person is, and who go first."""
+        found = []
+        for other in crowd:
+            if other.id == walker.id or not (other.aside or walker.aside):
+                continue
+            if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
+                continue
+            x, y = other.at
+            along = walker.cos * other.cos + walker.sin * other.sin
+            same_way = along > 0.5 and other.speed_mps > 0.5 * walker.speed_mps > 0.0
+            radius_m = walker.radius_m + other.radius_m + PERSON_GAP_M
+            block = block_of(walker.x, walker.y, walker.cos, walker.sin, (x, y, 1.0, 0.0, 0.0, 0.0), radius_m, radius_m)
+            if block.far_m > 0.0 and block.near_m < (0.3 if same_way else PEOPLE_AHEAD_M):
+                found.append(block)
+        return found
+
+    def _riders(self, walker: _Walker, actors: Sequence[ActorState]) -> list[Block]:
+        gap_m = walker.radius_m + PERSON_GAP_M
+        seen = [
+            block_of(walker.x, walker.y, walker.cos, walker.sin, box, gap_m, gap_m)
+            for box in _vehicles_near(actors, *walker.at)
+        ]
+        now_m = walker.left_m  # in the gap beside a vehicle already, one may move along it: the step itself keeps clear
+        return [
+            block
+            for block in seen
+            if block.far_m > 0.0 and block.near_m < PEOPLE_AHEAD_M and not (block.beside and block.blocks(now_m))
+        ]
+
+    def _move(
+        self,
+        walker: _Walker,
+        wish_m: float,
+        chairs: Sequence[Box],
+        crowd: Sequence[_Walker],
+        actors: Sequence[ActorState],
+    ) -> None:
+        """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
+        wx, wy = -wish_m * walker.sin - walker.ox, wish_m * walker.cos - walker.oy
+        length_m = math.hypot(wx, wy)
+        if length_m < 1e-9:
+            if not wish_m:
+                walker.ox = walker.oy = 0.0
+            return
+        share = min(1.0, SIDESTEP_MPS * self._tick_s / length_m)
+        x, y = walker.at
+        nx, ny = x + share * wx, y + share * wy
+        back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
+        if self._crowded(walker, (x, y), (nx, ny), chairs, crowd, actors):
+            return
+        leaves = not self._walkable(walker, np.array([[nx, ny]])) and self._walkable(walker, np.array([[x, y]]))
+        if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
+            return
+        walker.ox, walker.oy = (
+            (-wish_m * walker.sin, wish_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
+        )
+        if share >= 1.0 and not wish_m:
+            walker.ox = walker.oy = 0.0
+
+    def _crowded(
+        self,
+        walker: _Walker,
+        here: tuple[float, float],
+        there: tuple[float, float],
+        chairs: Sequence[Box],
+        crowd: Sequence[_Walker],
+        actors: Sequence[ActorState],
+    ) -> bool:
+        """Whether a sideways step comes too near to a chair, a vehicle or a person, and nearer than before."""
+        for other in crowd:
+            if other.id != walker.id:
+                ax, ay = other.at
+                near_m = math.hypot(there[0] - ax, there[1] - ay)
+                apart_m = walker.radius_m + other.radius_m + BRUSH_M
+                if near_m < apart_m and near_m < math.hypot(here[0] - ax, here[1] - ay):
+                    return True
+        for boxes, gap_m in ((chairs, 0.5 * TIGHT_GAP_M), (_vehicles_near(actors, *here), BRUSH_M)):
+            for box in boxes:
+                near_m = gap_to_box(*there, *box)
+                if near_m < walker.radius_m + gap_m and near_m < gap_to_box(*here, *box):
+                    return True
+        return False
+
+    def _open_way(self, walker: _Walker, left_m: float, ahead_m: float) -> bool:
+        """Whether the ground beside the line is walkable, from here to where the way round ends."""
+        x, y = walker.x - left_m * walker.sin, walker.y + left_m * walker.cos
+        steps = np.linspace(0.0, max(ahead_m, 0.0), 1 + math.ceil(max(ahead_m, 0.0) / 0.5))
+        way = np.stack([x + steps * walker.cos, y + steps * walker.sin], axis=1)
+        there = np.linspace(0.2, 1.0, 5)[:, None]  # the way across, but for the place one has already
+        return self._walkable(walker, np.concatenate([way, (1.0 - there) * walker.at + there * (x, y)]))
+
+    def _walkable(self, walker: _Walker, p_W_m: F64) -> bool:
+        """Whether this person can stand on all of these points (n, 2) with both shoulders."""
+        side = SHOULDER * walker.radius_m * np.array([-walker.sin, walker.cos])
+        way = np.concatenate([p_W_m, p_W_m + side, p_W_m - side])
+        clear = bool((self._ground.clearance_at(p_W_m) >= SOLID_GAP_M).all())
+        return clear and bool(np.isin(self._ground.class_at(way), WALKABLE).all())
 
     def _shift(self, actor: ActorState) -> ActorState:
-        offset = self._offsets[actor.id]
-        left = np.array([-math.sin(actor.yaw_rad), math.cos(actor.yaw_rad)])
-        p_W_m = np.array([*(actor.p_W_m[:2] + offset), actor.p_W_m[2]])
-        return replace(actor, p_W_m=p_W_m, deflect_m=float(offset @ left))
+        ox, oy = self._offsets[actor.id]
+        x, y, z = actor.p_W_m.tolist()
+        left_m = oy * math.cos(actor.yaw_rad) - ox * math.sin(actor.yaw_rad)
+        return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
 
-    def _wish(self, actor: ActorState, now: F64, chairs: Sequence[ChairInStreet]) -> F64:
-        """Where this person would like its offset to be: beside the nearest chair in its way, or nowhere."""
-        ahead = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
-        left = np.array([-ahead[1], ahead[0]])
-        need_m = CHAIR_HALF_WIDTH_M + 0.5 * actor.size_lwh_m[1] + PERSON_GAP_M + SPARE_M
-        best, wish = math.inf, np.zeros(2)
-        for chair in chairs:
-            gap = chair.p_W_m - actor.p_W_m[:2]
-            ahead_m, aside_m = float(gap @ ahead), float(gap @ left)
-            if not -LOOK_BEHIND_M < ahead_m < LOOK_AHEAD_M or abs(aside_m) >= need_m or abs(ahead_m) >= best:
-                continue
-            best = abs(ahead_m)
-            options = sorted((aside_m - need_m, aside_m + need_m), key=lambda m: (abs(m - float(now @ left)), m))
-            free = [m for m in options if abs(m) <= FURTHEST_M and self._walkable(actor.p_W_m[:2] + m * left)]
-            wish = free[0] * left if free else now
-        return np.asarray(wish, np.float64)
 
-    def _moved(self, from_W_m: F64, now: F64, wish: F64, others: Iterable[tuple[F64, float]]) -> F64:
-        """One tick's step towards the wish, unless it leads too near to somebody or off the walkable ground."""
-        way = wish - now
-        length_m = float(np.hypot(*way))
-        if length_m < 1e-9:
-            return wish
-        moved = now + way * min(1.0, self._step_m / length_m)
-        here, there = from_W_m + now, from_W_m + moved
-        crowded = any(
-            np.hypot(*(there - other)) < min(apart_m, np.hypot(*(here - other))) for other, apart_m in others
-        )
-        back = float(np.hypot(*moved)) < float(np.hypot(*now))
-        return now if crowded or not (back or self._walkable(there)) else np.asarray(moved, np.float64)
+def _queue(behind: dict[str, str], ends: set[str]) -> set[str]:
+    """Who stands behind one of `ends`, or behind somebody who does; `behind` names for each the one before it."""
+    queue: set[str] = set()
+    for first in behind:
+        name, way = first, {first}
+        while (name := behind.get(name, "")) and name not in way and name not in ends and name not in queue:
+            way.add(name)
+        if name in ends or name in queue:
+            queue |= way
+    return queue
 
-    def _walkable(self, p_W_m: F64) -> bool:
-        clear = float(self._grid.clearance_at(p_W_m)) >= SOLID_GAP_M
-        return clear and int(self._grid.class_at(p_W_m)) in WALKABLE
+
+def _chair_box(chair: ChairInStreet, ahead_s: float) -> Box:
+    """The chair's footprint, where it is going to be; it turns so little in that time that its heading stays."""
+    x, y = (chair.p_W_m + ahead_s * chair.v_W_mps).tolist()
+    return x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *CHAIR_HALF_M
+
+
+def _vehicles_near(actors: Sequence[ActorState], x: float, y: float) -> list[Box]:
+    return [
+        box_of(actor)
+        for actor in actors
+        if not is_person(actor) and abs(actor.p_W_m[0] - x) + abs(actor.p_W_m[1] - y) < actor.size_lwh_m[0] + 4.0
+    ]

@@ -6,6 +6,7 @@ chair sinks half a metre into it before it is noticed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -13,19 +14,49 @@ import numpy as np
 
 from wcsim import frames
 from wcsim.physics.bodies import BodyMove
-from wcsim.types import ActorKind, ActorState, StreetGrid
+from wcsim.streets import FLAT
+from wcsim.types import ActorKind, ActorState, Ground, Relief
 
-JUMP_MPS = 60.0  # faster than anything in a street: SUMO has teleported the actor, so its body does not sweep
+BRIDGE_M = 2.0  # who is this much above the land is on a bridge
+JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
+SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
 
 
-def on_ground(actors: tuple[ActorState, ...], grid: StreetGrid) -> tuple[ActorState, ...]:
-    """The same actors, standing on the ground that the wheels and cameras know (a pavement lies above SUMO's plane)."""
+def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState, ...]:
+    """The same actors, standing on the ground that the wheels and cameras know (a pavement lies above SUMO's plane).
+
+    They lean as the land below them does; who is on a bridge keeps SUMO's height and slope.
+    """
     if not actors:
         return ()
-    z_W_m = grid.height_at(np.array([actor.p_W_m for actor in actors]))
+    relief = grid.around(actors[0].p_W_m).relief
+    if relief is FLAT:
+        return tuple(_put(actor, grid) for actor in actors)
+    here_W_m = np.array([actor.p_W_m for actor in actors])
+    actors = _leaning(actors, relief)
+    high = here_W_m[:, 2] - relief.at(here_W_m) > BRIDGE_M
+    z_W_m = np.where(high, here_W_m[:, 2], grid.height_at(here_W_m))
+    there_W_m = np.column_stack([here_W_m[:, :2], z_W_m])
+    return tuple(replace(actor, p_W_m=p_W_m) for actor, p_W_m in zip(actors, there_W_m, strict=True))
+
+
+def _put(actor: ActorState, grid: Ground) -> ActorState:
+    """The actor on level ground; nothing new is made for who stands at the right height, as on every road."""
+    x, y, z = actor.p_W_m.tolist()
+    height_m = grid.height_here(x, y)
+    return actor if height_m == z else replace(actor, p_W_m=np.array((x, y, height_m)))
+
+
+def _leaning(actors: tuple[ActorState, ...], relief: Relief) -> tuple[ActorState, ...]:
+    """The same actors, nose up or down with the land from their rear to their front; people stand upright."""
+    half_W_m = np.array([0.5 * a.size_lwh_m[0] * frames.forward(a.yaw_rad, 0.0) for a in actors])
+    here_W_m = np.array([actor.p_W_m for actor in actors])
+    rise_m = relief.at(here_W_m + half_W_m) - relief.at(here_W_m - half_W_m)
+    pitch_rad = np.arctan2(rise_m, 2.0 * np.hypot(half_W_m[:, 0], half_W_m[:, 1]))
+    keeps = here_W_m[:, 2] - relief.at(here_W_m) > BRIDGE_M
     return tuple(
-        replace(actor, p_W_m=np.array([actor.p_W_m[0], actor.p_W_m[1], z]))
-        for actor, z in zip(actors, z_W_m, strict=True)
+        actor if keep or actor.kind is ActorKind.PEDESTRIAN else replace(actor, pitch_rad=float(pitch))
+        for actor, keep, pitch in zip(actors, keeps, pitch_rad, strict=True)
     )
 
 
@@ -41,8 +72,13 @@ def moves(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s:
 def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     start = old if old is not None else replace(new, p_W_m=new.p_W_m - dt_s * new.v_W_mps)
     v_W_mps = (new.p_W_m - start.p_W_m) / dt_s
-    if float(v_W_mps @ v_W_mps) > JUMP_MPS**2:
+    speed_mps = max(math.hypot(*start.v_W_mps.tolist()), math.hypot(*new.v_W_mps.tolist()))
+    if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:  # its body would sweep what lies between
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
     turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
-    return BodyMove(actor=start, v_W_mps=v_W_mps, yaw_rate_radps=turned_rad / dt_s)
+    if abs(turned_rad) > SNAP_RAD:
+        start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
+    if new.pitch_rad != start.pitch_rad:  # a body keeps its pitch through a tick
+        start = replace(start, pitch_rad=new.pitch_rad)
+    return BodyMove(actor=start, v_W_mps=v_W_mps, yaw_rate_radps=turned_rad / dt_s, dt_s=dt_s)

@@ -2,29 +2,44 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wcsim import frames
 from wcsim.bridge.fingerprint import fingerprint
-from wcsim.bridge.scene_facts import SceneFacts, SceneMeter, facts_from_line
+from wcsim.bridge.scene_facts import SceneFacts, facts_from_line
+from wcsim.bridge.scene_meter import SceneMeter
 from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
-from wcsim.config import CameraConfig, RunConfig, SceneFile, SceneSeat
-from wcsim.errors import TownError
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.errors import TownError, WcsimError
+from wcsim.scene_file import SceneFile, SceneSeat
 from wcsim.towns.scenes import build_scene
-from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
 
 GOLDEN = "golden.trace"
 PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
 
 RUN_TIMEOUT_S = 240
+BAD_SCENE = 2
+"""Exit code of a scene's process that has said what is wrong with the scene."""
+TRACE_EVERY = 10
+"""Ticks from one record of a golden trace to the next; the hash of a record covers all ticks since the last one."""
+
+WORK = "wcsim-scene-"
+SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
+STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
 
 
 def run_scene(folder: Path, trace: Path) -> SceneFacts:
@@ -32,24 +47,58 @@ def run_scene(folder: Path, trace: Path) -> SceneFacts:
 
     Raises TownError when the scene cannot be built or run.
     """
-    with tempfile.TemporaryDirectory(prefix="wcsim-scene-") as work:
-        town, scene = build_scene(folder, Path(work))
-        config = _config(scene)
-        specs = tuple(_spec(seat, town.file.origin_m) for seat in scene.seats)
-        with World(town, config, specs, scene.seed) as world:
-            header = TraceHeader(
-                name=scene.name,
-                seed=scene.seed,
-                tick_s=config.world.tick_s,
-                seats=len(specs),
-                fingerprint=fingerprint(),
+    with open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
+        meter = SceneMeter(world.snapshot, scene, world.street)
+        digest = hashlib.blake2b(digest_size=8)
+        for snapshot, commands in play(world, scene):
+            meter.add(snapshot, world.config.world.tick_s)
+            digest.update(snapshot.state_hash.encode())
+            if snapshot.tick % TRACE_EVERY == 0:
+                writer.append(replace(record_of(snapshot, commands), state_hash=digest.hexdigest()))
+        return meter.facts()
+
+
+@contextmanager
+def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
+    """The world of a scene before its first tick; tiny cameras, because a scene is about motion.
+
+    Raises TownError when the scene cannot be built, or a seat starts where there is no street.
+    """
+    with tempfile.TemporaryDirectory(prefix=WORK) as work:
+        try:
+            town, scene = build_scene(folder, Path(work))
+            specs = tuple(_spec(seat, town.file.origin_m) for seat in scene.seats)
+            world = World(town, _config(scene, cameras), specs, scene.seed)
+        except WcsimError as error:
+            raise TownError(_without_work(str(error), folder)) from None
+        with world:
+            _check_starts(world, scene, folder)
+            yield world, scene
+
+
+def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Command, ...]]]:
+    """Every tick of a scene: the snapshot after it and the commands that led to it.
+
+    Who has arrived stays there, and who has crashed is not driven any more.
+    """
+    done: set[int] = set()
+    for _ in range(round(scene.duration_s / world.config.world.tick_s)):
+        before = world.snapshot
+        at_s = before.tick * world.config.world.tick_s
+        done.update(_done(before, scene))
+        commands = tuple(
+            Command(
+                seat=client.seat,
+                tick=before.tick,
+                joystick=Joystick(0.0, 0.0) if client.seat in done else _joystick(client, wanted, at_s),
             )
-            with TraceWriter(trace, header) as writer:
-                return _run(world, scene, writer)
+            for client, wanted in zip(before.clients, scene.seats, strict=True)
+        )
+        yield world.tick(commands), commands
 
 
 def run_in_child(folder: Path, trace: Path) -> SceneFacts:
-    """The same in a process of its own, with the C library pinned, so that the trace's hashes are comparable."""
+    """The same as `run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
     command = [sys.executable, "-m", "wcsim.bridge.scene_process", str(folder), str(trace)]
     try:
         done = subprocess.run(
@@ -63,15 +112,34 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     except subprocess.TimeoutExpired:
         raise TownError(f"scene {folder.name} did not end within {RUN_TIMEOUT_S} s; shorten it") from None
     if done.returncode != 0:
-        raise TownError(f"scene {folder.name} failed: {done.stderr.strip().splitlines()[-1][:300]}")
+        told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
+        known = done.returncode == BAD_SCENE
+        raise TownError(told if known else f"{folder}: its process ended with code {done.returncode}: {told}")
     return facts_from_line(done.stdout)
 
 
-def _config(scene: SceneFile) -> RunConfig:
-    """The default world with tiny cameras: a scene is about motion, and stays quick."""
-    base = RunConfig(cameras=(CameraConfig(width_px=16, height_px=12),))
+def _without_work(text: str, folder: Path) -> str:
+    """A message about copies in a working folder that is gone by now, as one about the scene's own files."""
+    text = text.partition("; see what it says")[0]
+    text = re.sub(rf"\S*/(?:{WORK}|wcsim-trial-)\w+/\w[\w-]*\.", f"{folder}/*.", text)
+    return text if text.startswith(f"{folder}") else f"{folder}: {text}"
+
+
+def _config(scene: SceneFile, cameras: tuple[CameraConfig, ...]) -> RunConfig:
+    """The default world with the scene's own settings."""
+    base = RunConfig(cameras=cameras)
     world = base.world.model_copy(update={"warmup_s": scene.warmup_s, "attention_share": scene.attention_share})
     return base.model_copy(update={"world": world})
+
+
+def _header(world: World, scene: SceneFile) -> TraceHeader:
+    return TraceHeader(
+        name=scene.name,
+        seed=scene.seed,
+        tick_s=world.config.world.tick_s,
+        seats=len(scene.seats),
+        fingerprint=fingerprint(),
+    )
 
 
 def _spec(wanted: SceneSeat, origin_m: tuple[float, float]) -> SeatSpec:
@@ -87,19 +155,35 @@ def _spec(wanted: SceneSeat, origin_m: tuple[float, float]) -> SeatSpec:
     )
 
 
-def _run(world: World, scene: SceneFile, writer: TraceWriter) -> SceneFacts:
-    meter = SceneMeter(world.snapshot)
-    for _ in range(round(scene.duration_s / world.config.world.tick_s)):
-        before = world.snapshot
-        commands = tuple(
-            Command(seat=client.seat, tick=before.tick, joystick=_joystick(client, wanted))
-            for client, wanted in zip(before.clients, scene.seats, strict=True)
-        )
-        after = world.tick(commands)
-        writer.append(record_of(after, commands))
-        meter.add(after, world.config.world.tick_s)
-    return meter.facts()
+def _starts(world: World) -> tuple[StartSpec, ...]:
+    return tuple(seat.spec.start for seat in world.seats if seat.spec.start is not None)
 
 
-def _joystick(client: ClientSnapshot, wanted: SceneSeat) -> Joystick:
-    return Joystick(*wanted.joystick) if wanted.joystick is not None else (client.first or client).user
+def _check_starts(world: World, scene: SceneFile, folder: Path) -> None:
+    """Refuse a chair that would start beside the street or inside something. Raises TownError."""
+    grid = world.street.grid
+    for i, (start, wanted) in enumerate(zip(_starts(world), scene.seats, strict=True)):
+        here_W_m = np.array(start.p_W_m)
+        inside = float(grid.clearance_at(here_W_m)) <= 0.0
+        if inside or int(grid.class_at(here_W_m)) not in STREET:
+            where = "inside something solid" if inside else "on no pavement, crossing or road"
+            raise TownError(
+                f"{folder / 'scene.toml'}: seat {i} starts at {list(wanted.start_m)}, which is {where}; "
+                "correct start_m (net coordinates)"
+            )
+
+
+def _done(snapshot: Snapshot, scene: SceneFile) -> Iterator[int]:
+    """The seats that have reached their goal, or crashed, with this tick."""
+    for client, wanted in zip(snapshot.clients, scene.seats, strict=True):
+        if client.events.crashed or (client.events.arrived and wanted.goal_m is not None):
+            yield client.seat
+
+
+def _joystick(client: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
+    if wanted.joystick is not None:
+        return Joystick(*wanted.joystick)
+    if wanted.script:
+        begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
+        return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
+    return (client.first or client).user

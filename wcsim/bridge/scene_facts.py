@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass
 
-import numpy as np
+from wcsim.scene_file import SceneExpect
 
-from wcsim import frames
-from wcsim.bridge.seat import CHAIR_MIDDLE_M
-from wcsim.config import SceneExpect
-from wcsim.types import ActorState, ClientSnapshot, Snapshot
-
-CHAIR_RADIUS_M = 0.45
+ALONE_M = 99.0
+"""The gap to others when there are none."""
+FASTEST_MPS = 99.0
+"""The slowest speed when nobody drives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,61 +18,30 @@ class SceneFacts:
     """What a scene came to, over all its seats; angles in degrees, as in the scene's own file."""
 
     crashed: bool
+    arrivals: int
     travelled_m: float
-    drop_m: float  # the deepest fall of a chair below the height it started at
+    climb_m: float  # the highest rise of a chair above the height it started at
+    drop_m: float  # the deepest fall below it
+    rolled_back_m: float  # the longest way that a chair went backwards in one go
+    aside_m: float  # how far a chair left the straight line from its start to its goal, or ahead
+    narrowest_m: float  # free width of the pavement across a chair, where it was smallest
     max_roll_deg: float
     max_pitch_deg: float
-    closest_actor_m: float  # smallest gap between a chair's middle circle and another actor's box; 99 when alone
-    standing_s: float  # time that chairs stood still
+    jolt_mps2: float  # the largest acceleration that an IMU felt
+    standing_s: float  # time that chairs stood still before they arrived
+    red_starts: int  # how often a chair drove onto a crossing whose light was not green
+    green_starts: int
+    closest_actor_m: float  # smallest gap between the boxes of a chair and of anything else that moves
+    closest_vehicle_m: float  # the same by kind: cars, buses, trams and the like
+    closest_rider_m: float  # cyclists, scooters, motorcyclists
+    closest_person_m: float
+    closest_chair_m: float
+    overtaken: int  # others that came up behind a chair and ended ahead of it
+    slowest_mps: float  # the lowest speed of a vehicle near a chair, after it has driven
+    gave_way: int  # vehicles that braked to less than walking pace near a chair
+    went_on: int  # of those, how many drove on
+    made_way_m: float  # the farthest that a person stepped aside
     actors_seen: int
-
-
-class SceneMeter:
-    """Adds up what happens in a scene."""
-
-    def __init__(self, first: Snapshot) -> None:
-        self._start_z_m = [float(client.plant.p_WB_m[2]) for client in first.clients]
-        self._crashed = False
-        self._travelled_m = self._drop_m = self._roll_rad = self._pitch_rad = self._standing_s = 0.0
-        self._closest_m = 99.0
-        self._seen: set[str] = set()
-
-    def add(self, snapshot: Snapshot, dt_s: float) -> None:
-        """One tick."""
-        self._seen.update(actor.id for actor in snapshot.actors)
-        for client, start_z_m in zip(snapshot.clients, self._start_z_m, strict=True):
-            speed_mps = float(np.hypot(*client.plant.v_B_mps[:2]))
-            self._crashed |= client.events.crashed
-            self._travelled_m += speed_mps * dt_s
-            self._standing_s += dt_s * (speed_mps < 0.05)
-            self._drop_m = max(self._drop_m, start_z_m - float(client.plant.p_WB_m[2]))
-            self._roll_rad = max(self._roll_rad, abs(client.plant.roll_rad))
-            self._pitch_rad = max(self._pitch_rad, abs(client.plant.pitch_rad))
-            self._closest_m = min([self._closest_m, *(_gap_m(client, actor) for actor in snapshot.actors)])
-
-    def facts(self) -> SceneFacts:
-        """What it came to."""
-        return SceneFacts(
-            crashed=self._crashed,
-            travelled_m=self._travelled_m,
-            drop_m=self._drop_m,
-            max_roll_deg=frames.deg(self._roll_rad),
-            max_pitch_deg=frames.deg(self._pitch_rad),
-            closest_actor_m=self._closest_m,
-            standing_s=self._standing_s,
-            actors_seen=len(self._seen),
-        )
-
-
-def _gap_m(client: ClientSnapshot, actor: ActorState) -> float:
-    """Gap between the circle around a chair's middle and an actor's box, on the ground plane."""
-    yaw = client.plant.yaw_rad
-    middle = client.plant.p_WB_m[:2] + CHAIR_MIDDLE_M * np.array([math.cos(yaw), math.sin(yaw)])
-    cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
-    dx, dy = middle - actor.p_W_m[:2]
-    along = max(abs(dx * cos + dy * sin) - 0.5 * actor.size_lwh_m[0], 0.0)
-    aside = max(abs(dy * cos - dx * sin) - 0.5 * actor.size_lwh_m[1], 0.0)
-    return math.hypot(along, aside) - CHAIR_RADIUS_M
 
 
 def faults(facts: SceneFacts, expect: SceneExpect) -> tuple[str, ...]:

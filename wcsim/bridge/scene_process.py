@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from wcsim.bridge.scene import run_scene
+from wcsim.bridge.scene import BAD_SCENE, run_scene
 from wcsim.bridge.scene_facts import facts_line
 from wcsim.errors import WcsimError
 
@@ -16,7 +16,7 @@ def main() -> int:
         facts = run_scene(Path(sys.argv[1]), Path(sys.argv[2]))
     except WcsimError as error:
         sys.stderr.write(f"{error}\n")
-        return 2
+        return BAD_SCENE
     sys.stdout.write(facts_line(facts) + "\n")
     return 0
 

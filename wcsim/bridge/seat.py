@@ -27,13 +27,13 @@ from wcsim.types import (
     ActorState,
     ClientSnapshot,
     Events,
+    Ground,
     Route,
     SeatSpec,
     SensorFrame,
     SignalState,
     StartSpec,
     Street,
-    StreetGrid,
     Truth,
     UserView,
     chair_actor_id,
@@ -62,12 +62,12 @@ class Start:
 class Seat:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
-    def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street) -> None:
+    def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
         self.index = index
         self.spec = spec
         self._config = config
         self._street = street
-        self._router = Router(street.walk)
+        self._router = router
         self._oracle = Oracle(street.grid, config.chair, action_set(config.env.actions).points)
         self._seed = 0
         self._episode = -1
@@ -92,10 +92,15 @@ class Seat:
         self._episode += 1
         self._step = 0
         self._progress_m = 0.0
-        self.chair.place(start.p_W_m, start.yaw_rad)
+        self._place = start
+        self.stand()
         self.user = self._new_user()
         self._obstacles = ObstacleWatch(self._street.grid)
         self._follow(start.route)
+
+    def stand(self) -> None:
+        """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
+        self.chair.place(self._place.p_W_m, self._place.yaw_rad)
 
     def after_substep(self, dt_s: float) -> None:
         """IMU sample, contacts, the user's hand."""
@@ -119,10 +124,15 @@ class Seat:
         self._follow(self._router.route((x, y), self._router.random_goal(rng, (x, y), *GOAL_RANGE_M)))
 
     def observe(
-        self, tick: int, rig: CameraRig, actors: Sequence[ActorState], chairs: Sequence[ChairPose]
+        self,
+        tick: int,
+        rig: CameraRig,
+        actors: Sequence[ActorState],
+        chairs: Sequence[ChairPose],
+        signals: Sequence[SignalState],
     ) -> SensorFrame:
         """Cameras and IMU of this tick."""
-        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs)
+        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, signals=signals)
         return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
 
     def events(self, jam_teleports: int, first: bool) -> Events:
@@ -237,11 +247,11 @@ class Seat:
         return self._start(xy, yaw_rad, self._router.random_goal(rng, xy, *GOAL_RANGE_M))
 
 
-def is_clear(grid: StreetGrid, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
+def is_clear(grid: Ground, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
     """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     hull = xy_W_m + FOOTPRINT_B_M @ np.array([[cos, sin], [-sin, cos]])
-    if float(np.ptp(grid.height_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
+    if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
         return False
     middle = xy_W_m + CHAIR_MIDDLE_M * np.array([cos, sin])
     reach_m = clear_m + 0.5 * CHAIR_SIZE_LWH_M[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from wcsim.types import F64, Bool, Route, StreetGrid
+from wcsim.types import F64, Bool, Ground, Route
 
 LOOK_AHEAD_M = 7.0
 NEAR_WAY_M = 0.55  # what lies further from the line does not touch a chair that follows it
@@ -21,8 +21,8 @@ KEY_CELLS = 5  # things are known again by squares of so many cells
 class ObstacleWatch:
     """Standing things near the way, each under a number of its own."""
 
-    def __init__(self, grid: StreetGrid) -> None:
-        self._grid = grid
+    def __init__(self, ground: Ground) -> None:
+        self._ground = ground
         self._numbers: dict[tuple[int, int], int] = {}
         self._next = 0
 
@@ -30,13 +30,16 @@ class ObstacleWatch:
         """Points (n, 4) x, y, radius, number of things near the next metres of the route; none on a clear way."""
         ahead = (route.arc_m > progress_m - 1.0) & (route.arc_m < progress_m + LOOK_AHEAD_M)
         way = route.points_W_m[ahead]
-        grid = self._grid
-        if not len(way) or float(grid.clearance_at(way).min()) > NEAR_WAY_M + 0.6:
+        if not len(way):
+            return np.zeros((0, 4))
+        grid = self._ground.around(0.5 * (way.min(axis=0) + way.max(axis=0)))
+        if float(grid.clearance_at(way).min()) > NEAR_WAY_M + 0.6:
             return np.zeros((0, 4))
         margin_m = NEAR_WAY_M + AROUND_M
         (row0, row1), (col0, col1) = grid.cells(np.array([way.min(0) - margin_m, way.max(0) + margin_m]))
         solid = grid.clearance_dm[row0 : row1 + 1, col0 : col1 + 1] == 0
-        numbers = self._numbered(solid, int(row0), int(col0))
+        first = np.rint(np.array(grid.origin_W_m) / grid.cell_m).astype(np.int64)  # so that numbers hold in all of W
+        numbers = self._numbered(solid, int(row0 + first[1]), int(col0 + first[0]))
         rows, cols = np.nonzero(solid)
         points = np.c_[cols + col0 + 0.5, rows + row0 + 0.5] * grid.cell_m + grid.origin_W_m
         near = ((points[:, None] - way[None]) ** 2).sum(-1).min(1) < NEAR_WAY_M**2 if len(points) else np.zeros(0, bool)

@@ -1,159 +1,281 @@
-"""The street notices the wheelchairs: drivers and cyclists brake for one in their way, people stop short of it.
+"""The street notices the wheelchairs: drivers and cyclists brake for one in their way, pass it where there is room.
 
-SUMO never learns of the chairs; what they do to the traffic goes through `setSpeed` alone, because placing a proxy with
-`moveToXY` kills libsumo on real nets. Drivers see a chair one tick late. Who does not look (1 - attention share) is
-drawn once per actor from the seed, so it does not depend on the order of things.
+SUMO never learns of the chairs; what they do to the traffic goes through its own speed, lane and sublane commands,
+because placing a proxy with `moveToXY` kills libsumo on real nets. Drivers see a chair one tick late. Who does not
+look (1 - attention share) is drawn once per actor from the seed, so it does not depend on the order of things.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim import frames, seeding
+from wcsim.bridge.lanes import AHEAD_M, STEP_M, TAIL_M, Brakes, OnLane, Roads, Tube, lay_out
+from wcsim.bridge.looking import (
+    LAST_GAP_M,
+    ON_PAVEMENT_M,
+    ON_ROAD_M,
+    SIDE_GAP_M,
+    STOP_SHORT_M,
+    Look,
+    approach_mps,
+    lands_on,
+    look_m,
+)
+from wcsim.bridge.orders import LET_GO, Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.passing import Touch, room_beside
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorKind, ActorState
 
-CHAIR_HALF_WIDTH_M = 0.40  # half the chair's width and a hand's breadth
-SIDE_GAP_M = 0.6  # drivers leave this much beside the chair
-STOP_SHORT_M = 2.0  # and stop this far before it
-LOOK_BEHIND_M = 1.0
-HORIZON_S = 3.0
-PERSON_REACH_M = 1.1
-PERSON_GAP_M = 0.15
-STRAIGHT_PER_M = 0.01  # a path that bends less than this counts as straight
-WEAKER_BRAKES = {
-    ActorKind.BICYCLE: 0.6,
-    ActorKind.SCOOTER: 0.6,
-    ActorKind.TRAM: 0.6,
-    ActorKind.BUS: 0.85,
-    ActorKind.TRUCK: 0.85,
-}
-"""Share of a car's braking that SUMO grants a kind by default (4.5 m/s^2 for a car, 3 for a bicycle)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChairInStreet:
-    """What others see of a wheelchair."""
-
-    p_W_m: F64  # (2,) middle of the chair
-    v_W_mps: F64  # (2,)
-    on_road: bool  # on a carriageway or a crossing, not up on a pavement
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedOrder:
-    """Hold an actor at a speed; -1 gives it back to SUMO."""
-
-    actor: ActorState
-    speed_mps: float
+COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
+ASIDE_MPS, ASIDE_START_S = 0.8, 0.5  # how fast a vehicle moves over, and what it needs to begin
+CREEP_MPS = 1.0
+STEER_SHARE = 0.6  # of its length that a vehicle keeps free before it, to steer out into the next lane
+IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
+FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
+RAIL = (ActorKind.TRAM,)
 
 
 @dataclass(slots=True)
 class _Watch:
-    """What the reaction remembers of an actor that has a chair in its way."""
+    """What the reaction remembers of a vehicle that has a chair near its way."""
 
-    actor: ActorState
+    tube: Tube
+    brakes: Brakes
     seen_for_s: float = 0.0
+    waits_s: float = 0.0
+    stands_s: float = 0.0
+    could_pass: bool = False
     held: bool = False
 
 
+@dataclass(slots=True)
+class _Plan:
+    """What a vehicle should do, over all chairs."""
+
+    limit_mps: float = math.inf
+    nearest_m: float = math.inf  # to where its body would touch a chair
+    near: bool = False
+    keep_lane: bool = False
+    lane_index: int | None = None
+    aside_m: float | None = None
+    could_pass: bool = False
+
+
 class StreetReaction:
-    """Decides each tick who brakes for a wheelchair, and who is let go again."""
+    """Decides each tick which drivers and riders brake for a wheelchair or pass it, and who is let go again."""
 
-    def __init__(self, config: WorldConfig, seed: int) -> None:
+    def __init__(self, config: WorldConfig, attention: Attention) -> None:
         self._config = config
-        self._seed = seed
+        self._attention = attention
         self._watched: dict[str, _Watch] = {}
-        self._yaw_rad: dict[str, float] = {}
+        self._tubes: dict[str, Tube] = {}
+        self._known: set[str] | None = None
+        self._present: set[str] | None = None
+        self._landed: Collection[str] = ()
 
-    def react(self, actors: Iterable[ActorState], chairs: tuple[ChairInStreet, ...]) -> tuple[SpeedOrder, ...]:
-        """Orders for this tick, in the actors' order; an actor nobody is in the way of any more gets -1 once."""
-        orders: list[SpeedOrder] = []
+    def react(self, actors: Iterable[ActorState], chairs: Sequence[ChairInStreet], roads: Roads) -> tuple[Order, ...]:
+        """Orders for this tick, in the actors' order; a vehicle that no chair is near any more is let go once."""
+        orders: list[Order] = []
         watched: dict[str, _Watch] = {}
-        yaw_rad: dict[str, float] = {}
+        rows = [chair.row() for chair in chairs]
+        seen: set[str] = set()
         for actor in actors:
-            yaw_rad[actor.id] = actor.yaw_rad
-            turned_rad = frames.wrap(actor.yaw_rad - self._yaw_rad.get(actor.id, actor.yaw_rad))
-            bend_per_m = bend(actor, turned_rad / self._config.tick_s)
-            limits = (speed_limit(actor, chair, self._config.brake_mps2, bend_per_m) for chair in chairs)
-            limit_mps = min(limits, default=math.inf)
-            old = self._watched.get(actor.id)
-            if not math.isfinite(limit_mps):
-                if old is not None and old.held:
-                    orders.append(SpeedOrder(actor=actor, speed_mps=-1.0))
+            if is_person(actor) or actor.piece:  # a rear piece runs where its front has run
                 continue
-            watch = watched[actor.id] = old or _Watch(actor)
-            watch.seen_for_s += self._config.tick_s
-            if watch.seen_for_s >= self._reaction_s(actor) and self._looks(actor):
-                watch.held = True
-                orders.append(SpeedOrder(actor=actor, speed_mps=limit_mps))
-        orders += [SpeedOrder(actor=w.actor, speed_mps=-1.0) for w in self._out_of_sight(yaw_rad)]
-        self._watched, self._yaw_rad = watched, yaw_rad
+            seen.add(actor.id)
+            near = [i for i, row in enumerate(rows) if self._may_matter(actor, row)]
+            watch = self._watch(actor, roads, chairs, rows, near, orders) if near else None
+            if watch is not None:
+                watched[actor.id] = watch
+        gone = [name for name, watch in self._watched.items() if watch.held and name not in watched]
+        orders += [Order(actor_id=name, speed_mps=LET_GO) for name in gone]
+        self._tubes = {name: tube for name, tube in self._tubes.items() if name in seen}
+        self._watched, self._known = watched, seen
         return tuple(orders)
 
-    def _out_of_sight(self, seen: Iterable[str]) -> list[_Watch]:
-        """Held actors that no chair is near any more (one that was respawned elsewhere, say): they are let go."""
-        names = set(seen)
-        return [watch for name, watch in self._watched.items() if watch.held and name not in names]
+    def turned_away(
+        self, actors: Iterable[ActorState], chairs: Sequence[ChairInStreet], landed: Collection[str] = ()
+    ) -> tuple[str, ...]:
+        """Who has just been put on top of a chair, or less than a tick before it, by SUMO, which does not see it.
 
-    def _reaction_s(self, actor: ActorState) -> float:
-        return 0.0 if actor.kind is ActorKind.PEDESTRIAN else self._config.reaction_s
+        Args:
+            actors: Those near the chairs after SUMO's step.
+            chairs: The wheelchairs.
+            landed: Who ended a teleport in this step: such a one comes into being anew, wherever it was before.
+        """
+        known, self._landed = self._present, landed
+        self._present = {actor.id for actor in actors}
+        if known is None:
+            return ()
+        rows = [chair.row() for chair in chairs]
+        return tuple(
+            actor.id
+            for actor in actors
+            if (actor.id not in known or actor.id in landed)
+            and any(lands_on(actor, row, self._config.tick_s) for row in rows)
+        )
 
-    def _looks(self, actor: ActorState) -> bool:
-        if self._config.attention_share >= 1.0:
-            return True
-        draw = seeding.generator(self._seed, "attention", actor.id).random()
-        return bool(draw < self._config.attention_share)
+    def blocked(self) -> tuple[Blocked, ...]:
+        """The vehicles that stand because of a chair now."""
+        return tuple(
+            Blocked(actor_id=name, for_s=watch.stands_s, could_pass=watch.could_pass)
+            for name, watch in self._watched.items()
+            if watch.stands_s > 0.0
+        )
+
+    def passing(self) -> tuple[str, ...]:
+        """The vehicles that have a way round a chair now."""
+        return tuple(name for name, watch in self._watched.items() if watch.held and watch.could_pass)
+
+    def _may_matter(self, actor: ActorState, row: F64) -> bool:
+        """Cheap early out: the chair is farther than the vehicle looks, or well behind it."""
+        dx, dy = row[0] - actor.p_W_m[0], row[1] - actor.p_W_m[1]
+        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+        long_m = 0.5 * actor.size_lwh_m[0]
+        reach_m = look_m(speed_mps, self._config.brake_mps2) + 2.0 * long_m + 4.0
+        if dx * dx + dy * dy > reach_m * reach_m:
+            return False
+        return bool(dx * math.cos(actor.yaw_rad) + dy * math.sin(actor.yaw_rad) > -long_m - 3.0)
+
+    def _watch(
+        self,
+        actor: ActorState,
+        roads: Roads,
+        chairs: Sequence[ChairInStreet],
+        rows: Sequence[F64],
+        near: Sequence[int],
+        orders: list[Order],
+    ) -> _Watch | None:
+        """Look at one vehicle's way and order what is needed; None when no chair is near it."""
+        if not self._attention.looks(actor.id):
+            return None
+        place = roads.on_lane(actor.id)
+        if place is None:
+            return None
+        old = self._watched.get(actor.id)
+        tube = self._tubes[actor.id] = _tube(actor, place, roads, self._tubes.get(actor.id))
+        watch = old or _Watch(tube=tube, brakes=roads.brakes(actor.id))
+        watch.tube = tube
+        plan = _Plan()
+        for i in near:
+            self._consider(actor, place, watch, chairs[i], rows[i], roads, plan)
+        if not plan.near:
+            return None
+        fresh = (self._known is not None and actor.id not in self._known) or actor.id in self._landed
+        watch.seen_for_s += self._config.reaction_s if fresh else self._config.tick_s
+        if watch.seen_for_s >= self._config.reaction_s:
+            order = self._order(actor, watch, plan, roads, fresh)
+            if order is not None:
+                orders.append(order)
+            elif watch.held:
+                orders.append(Order(actor_id=actor.id, speed_mps=LET_GO))
+            watch.held = order is not None
+        return watch
+
+    def _consider(
+        self,
+        actor: ActorState,
+        place: OnLane,
+        watch: _Watch,
+        chair: ChairInStreet,
+        row: F64,
+        roads: Roads,
+        plan: _Plan,
+    ) -> None:
+        """Add what one chair asks of a vehicle to its plan."""
+        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+        look = Look(actor=actor, tube=watch.tube, front_m=watch.tube.front_m(place), speed_mps=speed_mps, row=row)
+        in_the_way = chair.on_road or roads.lane(place.lane_id).shared
+        gaps_m = ON_ROAD_M if in_the_way else ON_PAVEMENT_M
+        touch = look.touch(place.left_m, gaps_m)
+        if touch.at[-1] < 0:
+            return
+        plan.near = True
+        brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
+        if in_the_way and look.distance_m(touch.at[-1]) < 3.0 + 0.7 * speed_mps + 0.25 * speed_mps**2:
+            plan.keep_lane = True
+        limit_mps = look.limit(touch, place.left_m, brake_mps2, self._config.tick_s)
+        at = touch.at[0] if touch.at[1] <= look.now + 1 else touch.at[1]
+        if at >= 0:
+            distance_m = look.distance_m(at)
+            plan.nearest_m = min(plan.nearest_m, distance_m)
+            limit_mps = max(limit_mps, self._pass(look, place, touch, distance_m, brake_mps2, roads, plan))
+            if plan.lane_index is not None:  # not so near that there is no room to steer out
+                room_m = distance_m - STOP_SHORT_M - STEER_SHARE * actor.size_lwh_m[0]
+                limit_mps = min(limit_mps, approach_mps(room_m, brake_mps2, self._config.tick_s))
+        plan.limit_mps = min(plan.limit_mps, limit_mps)
+
+    def _pass(
+        self, look: Look, place: OnLane, touch: Touch, distance_m: float, brake_mps2: float, roads: Roads, plan: _Plan
+    ) -> float:
+        """Look for a way round the chair; returns the speed in m/s that it allows (0 where there is none)."""
+        if look.actor.kind in RAIL or not look.passable(touch.at[1]):
+            return 0.0
+        lane = roads.lane(look.tube.lane_at(look.front_of(touch.at[1])))
+        here = roads.lane(place.lane_id)
+        width_m = look.actor.size_lwh_m[1]
+        if roads.sublanes:
+            for left_m in room_beside(touch, width_m, lane.width_m):
+                past = look.touch(left_m, ON_ROAD_M, straight=True)
+                if past.at[0] >= 0:
+                    continue
+                plan.could_pass = plan.keep_lane = True
+                plan.aside_m = left_m - place.left_m
+                need_s = ASIDE_START_S + abs(plan.aside_m) / ASIDE_MPS
+                on_time_mps = max(CREEP_MPS if distance_m > LAST_GAP_M else 0.0, 0.8 * (distance_m - 1.0) / need_s)
+                return min(on_time_mps, look.limit(past, left_m, brake_mps2, self._config.tick_s))
+        if lane.edge_id == here.edge_id and not here.internal:
+            for index in roads.lanes_beside(look.actor.id):
+                away_m = (index - here.index) * here.width_m
+                if min(abs(touch.left_m - away_m), abs(touch.right_m - away_m)) > 0.5 * width_m + SIDE_GAP_M:
+                    plan.could_pass = plan.keep_lane = True
+                    plan.lane_index = index
+                    break
+        return 0.0
+
+    def _order(self, actor: ActorState, watch: _Watch, plan: _Plan, roads: Roads, fresh: bool) -> Order | None:
+        """The order that carries out a plan; None when SUMO needs none."""
+        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+        stands = speed_mps < 0.1 and plan.limit_mps < CREEP_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
+        watch.stands_s = watch.stands_s + self._config.tick_s if stands else 0.0
+        watch.waits_s = watch.waits_s + self._config.tick_s if plan.could_pass and speed_mps < CREEP_MPS else 0.0
+        watch.could_pass = plan.could_pass
+        free_mps = roads.allowed_mps(actor.id)
+        slower = plan.limit_mps < free_mps
+        if not (slower or plan.keep_lane or plan.aside_m is not None or plan.lane_index is not None):
+            return None
+        wanted_mps = plan.limit_mps if slower else LET_GO
+        hard = False
+        if slower and math.isfinite(plan.nearest_m):
+            room_m = max(plan.nearest_m - LAST_GAP_M, 0.05)
+            if speed_mps > 0.5 and speed_mps**2 / (2.0 * room_m) > watch.brakes.service_mps2:
+                hard = True
+                floor_mps = 0.0 if fresh else speed_mps - watch.brakes.emergency_mps2 * self._config.tick_s
+                wanted_mps = max(0.0, floor_mps, min(wanted_mps, speed_mps))
+        return Order(
+            actor_id=actor.id,
+            speed_mps=wanted_mps,
+            hard=hard,
+            keep_lane=plan.keep_lane,
+            pushy=watch.waits_s > IMPATIENT_S,
+            lane_index=plan.lane_index,
+            aside_m=plan.aside_m if plan.aside_m is not None and abs(plan.aside_m) > 0.02 else None,
+        )
 
 
-def bend(actor: ActorState, yaw_rate_radps: float) -> float:
-    """How much the actor's path bends, in 1/m, left positive; 0 for one that stands or drives straight on."""
-    speed_mps = float(np.hypot(actor.v_W_mps[0], actor.v_W_mps[1]))
-    bend_per_m = yaw_rate_radps / speed_mps if speed_mps > 0.5 else 0.0
-    return bend_per_m if abs(bend_per_m) > STRAIGHT_PER_M else 0.0
-
-
-def along_path(ahead_m: float, aside_m: float, bend_per_m: float) -> tuple[float, float]:
-    """A point ahead and to the left, as distance along and left of a path that starts straight ahead and bends.
-
-    >>> along_path(5.0, 5.0, 0.2)  # a quarter of a circle of radius 5 m leads there
-    (7.853981633974483, 0.0)
-    """
-    if not bend_per_m:
-        return ahead_m, aside_m
-    side, radius_m = math.copysign(1.0, bend_per_m), 1.0 / abs(bend_per_m)
-    inward_m = radius_m - side * aside_m  # from the centre of the circle, across to the point
-    along_m = radius_m * math.atan2(ahead_m, inward_m)
-    return along_m, side * (radius_m - math.hypot(ahead_m, inward_m))
-
-
-def speed_limit(actor: ActorState, chair: ChairInStreet, brake_mps2: float, bend_per_m: float = 0.0) -> float:
-    """The speed in m/s at which this actor may still stop short of the chair; infinite when it is not in the way.
-
-    A vehicle looks along its own path: stopping distance v^2 / 2b + 0.7 v + 2 m, and 8 m more; sideways it counts
-    the gap now and the gap at the time it would arrive (at most 3 s ahead). A chair up on a pavement is passed
-    without a gap.
-    """
-    cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
-    dx, dy = float(chair.p_W_m[0] - actor.p_W_m[0]), float(chair.p_W_m[1] - actor.p_W_m[1])
-    ahead_m = dx * cos + dy * sin - 0.5 * actor.size_lwh_m[0]
-    aside_m = dy * cos - dx * sin
-    if actor.kind is ActorKind.PEDESTRIAN:
-        keep_m = CHAIR_HALF_WIDTH_M + 0.5 * actor.size_lwh_m[1] + PERSON_GAP_M
-        return 0.0 if 0.0 < ahead_m < PERSON_REACH_M and abs(aside_m) < keep_m else math.inf
-    speed_mps = float(np.hypot(actor.v_W_mps[0], actor.v_W_mps[1]))
-    brake_mps2 *= WEAKER_BRAKES.get(actor.kind, 1.0)
-    ahead_m, aside_m = along_path(ahead_m, aside_m, bend_per_m)
-    stopping_m = speed_mps**2 / (2.0 * brake_mps2) + 0.7 * speed_mps + STOP_SHORT_M
-    if not -LOOK_BEHIND_M < ahead_m < stopping_m + 8.0:
-        return math.inf
-    drift_mps = float(chair.v_W_mps[1] * cos - chair.v_W_mps[0] * sin)
-    arrives_s = min(max(ahead_m, 0.0) / max(speed_mps, 0.5), HORIZON_S)
-    keep_m = 0.5 * actor.size_lwh_m[1] + CHAIR_HALF_WIDTH_M + (SIDE_GAP_M if chair.on_road else 0.0)
-    if min(abs(aside_m), abs(aside_m + drift_mps * arrives_s)) >= keep_m:
-        return math.inf
-    return math.sqrt(2.0 * brake_mps2 * max(0.0, ahead_m - STOP_SHORT_M))
+def _tube(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:
+    """The vehicle's way: the one laid out before while it still holds and leads far enough, else a new one."""
+    if old is not None and place.lane_id in old.start_m:
+        front_m = old.front_m(place)
+        short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
+        moved_m = abs(front_m - old.first_m - TAIL_M)
+        if moved_m < (SHORT_M if short else FRESH_M) or roads.lane(place.lane_id).internal:
+            return old
+    lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
+    heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
+    tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
+    return lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)

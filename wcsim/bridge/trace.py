@@ -1,8 +1,8 @@
 """One hash and one record format for golden scenes, journals and replay.
 
 A trace is a file of records, each `length, CRC-32, payload`; the first payload is the header (JSON), every other one
-is a tick: a JSON line with names and hash, then the numbers as little-endian float64. A torn last record is left out
-on reading.
+is a tick: a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. A torn
+last record is left out on reading.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from types import TracebackType
 import numpy as np
 
 from wcsim.errors import WcsimError
-from wcsim.types import F64, ActorState, Command, PlantState, Snapshot
+from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
 _FRAME = struct.Struct("<II")
 MAGIC = "wcsim-trace-1"
@@ -34,6 +34,18 @@ class TraceHeader:
     tick_s: float
     seats: int
     fingerprint: str
+    origin_m: tuple[float, float] = (0.0, 0.0)  # W's origin in the town's net coordinates
+    origin_z_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActorBody:
+    """What an actor is, as far as a replay has to know."""
+
+    id: str
+    kind: ActorKind
+    size_lwh_m: tuple[float, float, float]
+    piece: int = 0  # as in `ActorState`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +59,8 @@ class TickRecord:
     actor_ids: tuple[str, ...]
     actors: F64  # (n, 8) position, yaw, pitch, velocity
     state_hash: str
+    time_s: float = 0.0  # SUMO's own time
+    bodies: tuple[ActorBody, ...] = ()  # one for each actor, in their order; empty in traces of before there were any
 
 
 def plant_row(plant: PlantState) -> F64:
@@ -75,16 +89,24 @@ def state_hash(snapshot: Snapshot) -> str:
     return digest.hexdigest()
 
 
-def record_of(snapshot: Snapshot, commands: Sequence[Command]) -> TickRecord:
-    """The record of a tick from its commands and the snapshot they led to."""
+def record_of(
+    snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None
+) -> TickRecord:
+    """The record of a tick from its commands and the snapshot they led to.
+
+    `actors` are those to record, such as all of the town; the snapshot's own, near the chairs, when they are missing.
+    """
+    actors = snapshot.actors if actors is None else actors
     return TickRecord(
         epoch=snapshot.epoch,
         tick=snapshot.tick,
         commands=np.array([(c.joystick.x, c.joystick.y) for c in commands]).reshape(-1, 2),
         plants=np.array([plant_row(c.plant) for c in snapshot.clients]).reshape(-1, 15),
-        actor_ids=tuple(a.id for a in snapshot.actors),
-        actors=actor_rows(snapshot.actors),
+        actor_ids=tuple(a.id for a in actors),
+        actors=actor_rows(actors),
         state_hash=snapshot.state_hash,
+        time_s=snapshot.time_s,
+        bodies=tuple(ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors),
     )
 
 
@@ -93,6 +115,7 @@ class TraceWriter:
 
     def __init__(self, path: Path, header: TraceHeader) -> None:
         self._file = path.open("wb")
+        self._told: dict[str, ActorBody] = {}  # a body is written when it is new or another one than before
         self._put(json.dumps({"magic": MAGIC, **asdict(header)}).encode())
 
     def append(self, record: TickRecord) -> None:
@@ -104,8 +127,11 @@ class TraceWriter:
                 "seats": len(record.plants),
                 "actors": record.actor_ids,
                 "hash": record.state_hash,
+                "time_s": record.time_s,
+                "bodies": [_as_list(body) for body in record.bodies if self._told.get(body.id) != body],
             }
         )
+        self._told.update((body.id, body) for body in record.bodies)
         numbers = np.concatenate([record.commands.ravel(), record.plants.ravel(), record.actors.ravel()])
         self._put(head.encode() + b"\n" + numbers.astype("<f8").tobytes())
 
@@ -131,7 +157,9 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
         head = json.loads(payloads[0])
         if head.pop("magic") != MAGIC:
             raise KeyError(MAGIC)
-        return TraceHeader(**head), tuple(_tick(payload) for payload in payloads[1:])
+        head["origin_m"] = tuple(head.get("origin_m", (0.0, 0.0)))
+        told: dict[str, ActorBody] = {}
+        return TraceHeader(**head), tuple(_tick(payload, told) for payload in payloads[1:])
     except (IndexError, KeyError, TypeError, ValueError):
         raise WcsimError(f"{path}: is not a trace of this version; expected a file written by wcsim") from None
 
@@ -148,10 +176,16 @@ def _payloads(data: bytes) -> list[bytes]:
     return found
 
 
-def _tick(payload: bytes) -> TickRecord:
+def _as_list(body: ActorBody) -> tuple[str, str, tuple[float, float, float], int]:
+    return body.id, body.kind.value, body.size_lwh_m, body.piece
+
+
+def _tick(payload: bytes, told: dict[str, ActorBody]) -> TickRecord:
     line, _, raw = payload.partition(b"\n")
     head = json.loads(line)
     seats = int(head["seats"])
+    for name, kind, size_lwh_m, piece in head.get("bodies", ()):
+        told[name] = ActorBody(id=name, kind=ActorKind(kind), size_lwh_m=tuple(size_lwh_m), piece=piece)
     numbers = np.frombuffer(raw, "<f8")
     actors_at = seats * 17
     return TickRecord(
@@ -162,4 +196,6 @@ def _tick(payload: bytes) -> TickRecord:
         actor_ids=tuple(head["actors"]),
         actors=numbers[actors_at:].reshape(-1, 8),
         state_hash=head["hash"],
+        time_s=float(head.get("time_s", 0.0)),
+        bodies=tuple(told[name] for name in head["actors"]) if told else (),
     )

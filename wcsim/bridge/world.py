@@ -6,6 +6,7 @@ them one tick late); bodies, sensors and pictures all show tick n + 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -15,10 +16,14 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.bridge import mirror
+from wcsim.bridge.articulated import Articulation
 from wcsim.bridge.deflect import Deflection
+from wcsim.bridge.guard import MirrorGuard
+from wcsim.bridge.orders import Attention, ChairInStreet
 from wcsim.bridge.seat import Seat
+from wcsim.bridge.stage import RunPlace, open_scenario, settings_of
 from wcsim.bridge.stopwatch import Stopwatch
-from wcsim.bridge.street import ChairInStreet, StreetReaction
+from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
@@ -26,19 +31,31 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.bodies import BodyPool
 from wcsim.physics.camera import CameraRig
 from wcsim.physics.engine import Engine
-from wcsim.towns.netcheck import validate_net
+from wcsim.streets import joined_mesh
+from wcsim.towns.netcheck import require_pavement, validate_net
+from wcsim.towns.routes import Router
 from wcsim.towns.street import load_street
 from wcsim.towns.town import Town
-from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot
+from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
 
-ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK)
+ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
+SIGNAL_REACH_M = 100.0  # whoever sees a traffic light is nearer
+TILE_REACH_M = 30.0  # the street this far beyond the cameras' range is in memory
+TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
 
 
 class World:
     """A town with traffic and any number of wheelchairs in it."""
 
-    def __init__(self, town: Town, config: RunConfig, specs: tuple[SeatSpec, ...], seed: int) -> None:
-        """Load the town and warm its traffic up.
+    def __init__(
+        self,
+        town: Town,
+        config: RunConfig,
+        specs: tuple[SeatSpec, ...],
+        seed: int,
+        place: RunPlace = RunPlace(),  # noqa: B008 - frozen
+    ) -> None:
+        """Load the town and warm its traffic up; `place` says where the outputs of its SUMO scenario go.
 
         Raises TownError for a net that cannot be used, WorldInUseError while another world lives in this process.
         """
@@ -47,15 +64,21 @@ class World:
         self.town = town
         self.config = config
         self.street = load_street(town)
-        self.seats = tuple(Seat(i, spec, config, self.street) for i, spec in enumerate(specs))
+        if specs:
+            require_pavement(self.street, town)
+        router = Router(self.street.walk) if specs else None
+        self.seats = tuple(Seat(i, spec, config, self.street, router) for i, spec in enumerate(specs) if router)
         self.stopwatch = Stopwatch()
         self.epoch = -1
+        self._drawn: set[TileKey] = set()
         self._engine: Engine | None = None
         self.snapshot: Snapshot
         self._held = ExitStack()
         try:
-            self._rig = self._held.enter_context(CameraRig(self.street.mesh, config.cameras, len(specs)))
-            self._sumo = self._held.enter_context(SumoSession(self._options(seed)))
+            rig = CameraRig(joined_mesh(()), config.cameras, max(1, len(specs)), self.street.signal_heads)
+            self._rig = self._held.enter_context(rig)
+            self.scenario = open_scenario(town, settings_of(config, seeding.derive(seed, "sumo")), place, self._held)
+            self._sumo = self._held.enter_context(SumoSession(self._options(seed, place.hook)))
             self._begin(seed)
         except BaseException:
             self.close()
@@ -81,6 +104,26 @@ class World:
         self.snapshot = self._published(tuple(client if c.seat == seat else c for c in self.snapshot.clients))
         return client
 
+    def counts(self) -> tuple[int, int]:
+        """Vehicles and people in the whole town now."""
+        return self._sumo.counts()
+
+    def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
+        """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
+        p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
+        self.seats[seat].chair.place(p_W_m, yaw_rad)
+        self._reach_street()
+        self.seats[seat].chair.place(p_W_m, yaw_rad)  # tilted as the ground is that was not there before
+        self._read_street()
+
+    def everyone(self) -> tuple[ActorState, ...]:
+        """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
+        return self._sumo.actors_at(np.zeros((1, 2)), math.inf)
+
+    def mishaps(self) -> tuple[int, int]:
+        """Vehicles that SUMO took out of a jam during the last step, and collisions that it saw, those of vehicles."""
+        return self._sumo.teleports, self._sumo.collisions()
+
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
         self._held.close()
@@ -99,23 +142,27 @@ class World:
     def _react(self, commands: Sequence[Command]) -> None:
         self._check(commands)
         with self.stopwatch.measure("react"):
-            for order in self._street.react(self._actors, tuple(self._in_street(seat) for seat in self.seats)):
-                self._sumo.command_speed(order.actor, order.speed_mps)
+            self._chairs, pilot = tuple(self._in_street(seat) for seat in self.seats), self._sumo.pilot
+            orders = self._street.react(self._actors, self._chairs, pilot)
+            for order in (*orders, *self._deflection.holds(self._actors, self._chairs)):
+                pilot.obey(order)
 
     def _step(self) -> None:
         with self.stopwatch.measure("sumo"):
             self._sumo.step()
 
     def _mirror(self) -> None:
+        with self.stopwatch.measure("read"):
+            near = self._admitted(self._near_chairs(), self._chairs)
         with self.stopwatch.measure("mirror"):
             before = {actor.id: actor for actor in self._actors}
-            near = self._near_chairs()
-            self._deflection.update(near, tuple(self._in_street(seat) for seat in self.seats))
+            self._deflection.update(near, self._chairs)
             self._take(near)
             self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
         dt_s = self.config.world.tick_s / self.config.world.substeps
+        self._reach_street()
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.chair.command(command.joystick)
@@ -125,6 +172,8 @@ class World:
                 self._open_engine.step()
                 for seat in self.seats:
                     seat.after_substep(dt_s)
+        with self.stopwatch.measure("mirror"):
+            self._guard.check(self._actors)
 
     def _sense(self) -> Snapshot:
         self._tick += 1
@@ -143,15 +192,19 @@ class World:
         self.epoch += 1
         self._tick = 0
         self._actors: tuple[ActorState, ...] = ()
-        self._street = StreetReaction(self.config.world, seeding.derive(seed, "street"))
-        self._deflection = Deflection(self.street.grid, self.config.world.tick_s)
+        self._signals: tuple[SignalState, ...] = ()
+        attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
+        self._street = StreetReaction(self.config.world, attention)
+        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, attention)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
             self._engine.close()
         self._engine = Engine(self.config.world.tick_s / self.config.world.substeps)
-        self._engine.add_street(self.street.mesh)
+        self._solid: set[TileKey] = set()
         self._bodies = BodyPool(self._engine)
+        self._guard = MirrorGuard(self._bodies)
+        self._articulation = Articulation()
         for seat in self.seats:
             seat.build(self._engine, seed)
         self.snapshot = self._published(self._open_episodes(self.seats))
@@ -168,8 +221,10 @@ class World:
             seat.spawn(self._taken)
             self._rig.reset(seat.index)
         if seats:
+            self._reach_street()
             self._read_street()
         for seat in seats:
+            seat.stand()
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
         return tuple(self._seen(seat, first=True) for seat in seats)
 
@@ -184,10 +239,27 @@ class World:
 
     def _seen(self, seat: Seat, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
-            sensors = seat.observe(self._tick, self._rig, self._actors, [other.pose() for other in self.seats])
+            poses = [other.pose() for other in self.seats]
+            sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
+
+    def _reach_street(self) -> None:
+        """Bring the street near every chair into memory: into the engine for good, into the pictures for now."""
+        here_W_m = self._places()
+        reach_m = max(camera.range_m for camera in self.config.cameras) + TILE_REACH_M
+        near = self.street.tiles.near(here_W_m, reach_m)
+        if self._drawn.issuperset(near) and self._solid.issuperset(near):
+            return
+        with self.stopwatch.measure("street"):
+            for key in near:
+                if key not in self._solid:
+                    self._open_engine.add_street(self.street.tiles.mesh(key))
+                    self._solid.add(key)
+            keys = self.street.tiles.near(here_W_m, reach_m + TILE_KEEP_M)
+            self._rig.show(joined_mesh([self.street.tiles.mesh(key) for key in keys]))
+            self._drawn = set(keys)
 
     def _read_street(self) -> None:
         """See the street again, after a chair has moved to another place."""
@@ -195,13 +267,16 @@ class World:
 
     def _take(self, near: tuple[ActorState, ...]) -> None:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        self._actors = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
-        self._signals: tuple[SignalState, ...] = self._sumo.signals()
+        self._actors = mirror.on_ground(self._articulation.bent(self._deflection.shifted(near)), self.street.grid)
+        self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
 
     def _near_chairs(self) -> tuple[ActorState, ...]:
         """The actors near any chair as SUMO has them."""
-        here_W_m = np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
-        return self._sumo.actors(here_W_m, self.config.world.mirror_radius_m)
+        return self._sumo.actors(self._places(), self.config.world.mirror_radius_m)
+
+    def _places(self) -> F64:
+        """Where the chairs are, (n, 2)."""
+        return np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
 
     def _others(self, seat: Seat) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
@@ -210,12 +285,25 @@ class World:
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """What stands or moves near a place where somebody wants to start."""
         chairs = tuple(seat.as_actor() for seat in self.seats if seat.spawned)
-        return self._sumo.actors(xy_W_m[None, :2], radius_m) + chairs
+        return self._sumo.actors_at(xy_W_m[None, :2], radius_m) + chairs
+
+    def _admitted(self, near: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
+        """All but those that SUMO has just put on top of a chair; these leave the street again."""
+        away = self._street.turned_away(near, chairs, self._sumo.landed)
+        for actor_id in away:
+            self._sumo.pilot.turn_away(actor_id)
+        return tuple(actor for actor in near if actor.id not in away) if away else near
 
     def _in_street(self, seat: Seat) -> ChairInStreet:
         chair = seat.as_actor()
-        ground = self.street.grid.class_at(chair.p_W_m)
-        return ChairInStreet(p_W_m=chair.p_W_m[:2], v_W_mps=chair.v_W_mps[:2], on_road=int(ground) in ROADWAY)
+        x, y, _ = chair.p_W_m.tolist()
+        ground = self.street.grid.class_here(x, y)
+        return ChairInStreet(
+            p_W_m=chair.p_W_m[:2],
+            v_W_mps=chair.v_W_mps[:2],
+            on_road=ground in ROADWAY,
+            yaw_rad=chair.yaw_rad,
+        )
 
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:
         bare = Snapshot(
@@ -228,15 +316,18 @@ class World:
         )
         return replace(bare, state_hash=state_hash(bare))
 
-    def _options(self, seed: int) -> SumoOptions:
+    def _options(self, seed: int, hook: str) -> SumoOptions:
         world = self.config.world
         return SumoOptions(
-            sumocfg=self.town.sumocfg,
+            sumocfg=self.scenario.sumocfg,
             origin_m=self.town.file.origin_m,
             step_s=world.tick_s,
             seed=seeding.derive(seed, "sumo"),
             demand_scale=world.demand_scale,
             jam_teleport_s=world.jam_teleport_s,
+            z_origin_m=self.street.net_z_m,
+            author_scale=self.scenario.author_scale,
+            hook=hook,
         )
 
     def _warmup_s(self) -> float:

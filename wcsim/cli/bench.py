@@ -1,4 +1,4 @@
-"""`wcsim bench tick | camera`: measure this machine, as ratios of things timed in the same run."""
+"""`wcsim bench tick | camera | reaction | bridge`: measure this machine, as ratios of things timed in the same run."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import psutil  # type: ignore[import-untyped]
 from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 
 from wcsim.bridge.world import World, as_users_wish
+from wcsim.cli import bench_bridge, bench_reaction
+from wcsim.cli.bench_bridge import BridgeOptions
+from wcsim.cli.bench_reaction import ReactionOptions
 from wcsim.cli.common import OutFile, in_bounds, parse, some_words, subcommand, write_json
 from wcsim.config import CameraConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -66,9 +70,14 @@ class CameraOptions:
 
 def run(words: list[str]) -> int:
     """Run one bench."""
-    name = subcommand(words, "bench", {"tick": TickOptions, "camera": CameraOptions})
+    known = {"tick": TickOptions, "camera": CameraOptions, "reaction": ReactionOptions, "bridge": BridgeOptions}
+    name = subcommand(words, "bench", known)
     if name == "tick":
         return _tick(parse(TickOptions, words[1:], "bench tick"))
+    if name == "reaction":
+        return bench_reaction.run(words[1:])
+    if name == "bridge":
+        return bench_bridge.run(parse(BridgeOptions, words[1:], "bench bridge"))
     return _camera(parse(CameraOptions, words[1:], "bench camera")) if name else 0
 
 
@@ -76,10 +85,11 @@ def _tick(options: TickOptions) -> int:
     in_bounds("--ticks", options.ticks, 1, MANY)
     in_bounds("--width", options.width, 16, 2048)
     result: dict[str, Any] = {str(chairs): _measure(options, chairs) for chairs in _chairs(options.chairs)}
-    table = Table("chairs", "ticks/s", "share of the time")
+    table = Table("chairs", "ticks/s", "first tick", "memory", "share of the time")
     for number, row in result.items():
         share = "  ".join(f"{name} {part:.0%}" for name, part in row["share"].items())
-        table.add_row(number, f"{row['ticks_per_s']:.0f}", share)
+        first, memory = f"{row['first_tick_s']:.1f} s", f"{row['memory_mb']:.0f} MB"
+        table.add_row(number, f"{row['ticks_per_s']:.0f}", first, memory, share)
     Console().print(table)
     if options.json is not None:
         write_json(options.json, result)
@@ -98,7 +108,11 @@ def _chairs(text: str) -> list[int]:
 
 def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
     config = _sized(load_run_config("quick"), options.width)
+    started_s = time.perf_counter()
     with World(find_town(options.town), config, (SeatSpec(),) * chairs, options.seed) as world:
+        world.tick(as_users_wish(world.snapshot))
+        first_tick_s = time.perf_counter() - started_s
+        memory_mb = psutil.Process().memory_info().rss / 1e6
         for _ in range(50):
             world.tick(as_users_wish(world.snapshot))
         world.stopwatch.take()
@@ -116,6 +130,8 @@ def _measure(options: TickOptions, chairs: int) -> dict[str, Any]:
         "ticks_per_s": options.ticks / total_s,
         "ms_median": float(np.median(spent_s)) * 1e3,
         "actors_mirrored": float(np.mean(actors)),
+        "first_tick_s": first_tick_s,
+        "memory_mb": memory_mb,
         "share": share,
     }
 

@@ -1,4 +1,4 @@
-"""`wcsim scene run | list | bless`: short street scenes with a fixed seed, compared with their golden traces."""
+"""`wcsim scene run | list | bless | new`: short street scenes with a fixed seed, compared with their golden traces."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from wcsim.bridge.scene import GOLDEN, run_in_child
 from wcsim.bridge.scene_facts import SceneFacts, facts_of, faults
 from wcsim.bridge.trace import read_trace
 from wcsim.bridge.trace_diff import difference
-from wcsim.cli.common import OutFile, parse, subcommand, write_json
-from wcsim.config import SceneFile, read_toml
-from wcsim.towns.scenes import find_scene, list_scenes
+from wcsim.cli.common import OutFile, check_output, parse, subcommand, write_json
+from wcsim.config import read_toml
+from wcsim.errors import ConfigError
+from wcsim.scene_file import SceneFile
+from wcsim.towns.scene_template import write_scene
+from wcsim.towns.scenes import NETCONVERT_FILES, find_scene, list_scenes
 
 Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
+HOME = Path("scenarios") / "sumo" / "scenes"
 
 
 @dataclass
@@ -31,6 +35,8 @@ class RunOptions:
     """Names or folders of scenes."""
     json: OutFile = None
     """Write the results to this file."""
+    film: OutFile = None
+    """Write a video (WebM) of the scene to this file; one scene must be named."""
 
 
 @dataclass
@@ -46,6 +52,16 @@ class ListOptions:
     """List the scenes and what each shows."""
 
 
+@dataclass
+class NewOptions:
+    """Write a small scene that runs as it is, as a beginning for one's own."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """What the scene and its folder are called."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = HOME
+    """Where the scene's folder is made; scenes in the default place are found by name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """How a scene ended."""
@@ -57,12 +73,15 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    name = subcommand(words, "scene", {"run": RunOptions, "list": ListOptions, "bless": BlessOptions})
+    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions}
+    name = subcommand(words, "scene", known)
     if name == "list":
         parse(ListOptions, words[1:], "scene list")
         return _list()
     if name == "run":
         return _run(parse(RunOptions, words[1:], "scene run"))
+    if name == "new":
+        return _new(parse(NewOptions, words[1:], "scene new"))
     return _bless(parse(BlessOptions, words[1:], "scene bless")) if name else 0
 
 
@@ -71,19 +90,27 @@ def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
 
 
 def _list() -> int:
-    table = Table("scene", "shows")
+    table = Table("scene", "seconds", "chairs", "shows", show_lines=True)
+    broken = []
     for folder in list_scenes():
-        scene = read_toml(folder / "scene.toml", SceneFile)
-        table.add_row(scene.name, scene.shows)
+        try:
+            scene = read_toml(folder / "scene.toml", SceneFile)
+        except ConfigError as error:
+            broken.append(str(error))
+            continue
+        table.add_row(scene.name, f"{scene.duration_s:g}", str(len(scene.seats)), scene.shows)
     Console().print(table)
+    if broken:
+        raise ConfigError("; ".join(broken))
     return 0
 
 
 def _run(options: RunOptions) -> int:
-    outcomes = []
-    for folder in _folders(options.scenes):
-        with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
-            outcomes.append(_outcome(folder, Path(work) / "new.trace"))
+    check_output("--film", options.film, ".webm")
+    if options.film is not None and len(options.scenes) != 1:
+        raise ConfigError(f"--film shows one scene, got {len(options.scenes)}; name the one to film")
+    folders = _folders(options.scenes)
+    outcomes = [_outcome(folder) for folder in folders]
     table = Table("scene", "", "what happened")
     for outcome in outcomes:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
@@ -94,19 +121,28 @@ def _run(options: RunOptions) -> int:
             options.json,
             {o.name: {"ok": not o.faults, "faults": list(o.faults), **facts_of(o.facts)} for o in outcomes},
         )
+    if options.film is not None:
+        from wcsim.view.scene_film import film_scene  # it takes seconds to load, and most runs need no film
+
+        film_scene(folders[0], options.film)
+        print(f"{options.film}: {outcomes[0].name}")
     return 1 if any(outcome.faults for outcome in outcomes) else 0
 
 
-def _outcome(folder: Path, trace: Path) -> Outcome:
+def _outcome(folder: Path) -> Outcome:
     scene = read_toml(folder / "scene.toml", SceneFile)
-    facts = run_in_child(folder, trace)
-    found = faults(facts, scene.expect)
-    golden = folder / GOLDEN
-    if not golden.is_file():
-        found += (f"there is no golden trace; make one: wcsim scene bless {scene.name}",)
-    else:
-        told = difference(trace, golden)
-        found += (f"differs from the golden trace: {told}",) if told else ()
+    with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
+        trace = Path(work) / "new.trace"
+        facts = run_in_child(folder, trace)
+        found = faults(facts, scene.expect)
+        golden = folder / GOLDEN
+        if not golden.is_file():
+            found += (
+                f"there is no golden trace; when the scene is right, make one: wcsim scene bless {_called(folder)}",
+            )
+        else:
+            told = difference(trace, golden)
+            found += (f"differs from the golden trace: {told}",) if told else ()
     return Outcome(scene.name, facts, found)
 
 
@@ -119,7 +155,9 @@ def _bless(options: BlessOptions) -> int:
             told = _news(trace, golden)
             if told:
                 shutil.copyfile(trace, golden)
-            print(f"{folder.name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}")
+            wrong = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
+            but = f"; it does not show what it must: {'; '.join(wrong)}" if wrong else ""
+            print(f"{folder.name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}{but}")
     return 0
 
 
@@ -131,8 +169,24 @@ def _news(trace: Path, golden: Path) -> str:
     return difference(trace, golden) or ("it was made by other versions" if other_versions else "")
 
 
+def _new(options: NewOptions) -> int:
+    folder = write_scene(options.out, options.name)
+    called = _called(folder)
+    print(f"{folder}: a scene that runs as it is; change it, and look at what it does:")
+    print(f"  wcsim scene run {called} --film {options.name}.webm")
+    files = [f"{option} {folder / f'street.{kind}.xml'}" for option, kind in NETCONVERT_FILES]
+    print(f"  netedit {' '.join(files)}")
+    print(f"  wcsim scene bless {called}   when it is right: from then on a run fails that differs")
+    return 0
+
+
+def _called(folder: Path) -> str:
+    """What to call a scene on the command line: its name where that is enough."""
+    return folder.name if folder.resolve() in [known.resolve() for known in list_scenes()] else str(folder)
+
+
 def _words(facts: SceneFacts) -> str:
-    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.actors_seen else "nobody near"
+    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.closest_actor_m < 50.0 else "nobody near"
     return (
         f"{'crash' if facts.crashed else 'no crash'}, {facts.travelled_m:.1f} m, drop {facts.drop_m:.2f} m, "
         f"roll {facts.max_roll_deg:.1f} deg, pitch {facts.max_pitch_deg:.1f} deg, "

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
+from wcsim import seeding
 from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
+from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import TownError
 from wcsim.supervisor.profiles import profile
 from wcsim.towns.netcheck import validate_net
+from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
@@ -45,6 +48,8 @@ class Options:
     """section.key=value, laid over them; may be given several times."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     allow_train_town: bool = False
     """Test in a town of split train, or in the town that a run was trained in."""
     json: OutFile = None
@@ -83,6 +88,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     from wcsim.agents.baselines import NAMES
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.testing import open_policy, run_test
+    from wcsim.bridge.stage import settings_of
 
     towns, profiles = check(options)
     config = _config(options)
@@ -92,7 +98,11 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
     def make_env(town: str, profile: str) -> WheelchairEnv:
         env = config.env.model_copy(update={"profile": profile, "max_steps": options.max_steps, "truth": True})
-        return WheelchairEnv(str(towns[town].folder), config=config.model_copy(update={"env": env}))
+        return WheelchairEnv(towns[town].address, config=config.model_copy(update={"env": env}), hook=options.hook)
+
+    for town in towns.values():
+        overrides = scenario_overrides(town, settings_of(config, seeding.derive(options.seed, "sumo")))
+        print_overrides(Console(highlight=False), town.name, overrides)
 
     results = run_test(
         policies,

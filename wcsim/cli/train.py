@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +14,14 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from wcsim import seeding
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
 from wcsim.supervisor.profiles import HELD_OUT, profile
 from wcsim.towns.netcheck import validate_net
+from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
 
 
@@ -38,6 +41,8 @@ class Options:
     """Network by name, or your own as module:Class; the same as --set learn.network=..."""
     reward: Repeated = ()
     """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     seed: int = 0
     """Seed of everything: equal seeds give equal weights."""
     out: OutFolder = None
@@ -63,7 +68,16 @@ def run(words: list[str]) -> int:
     town = checked_town(options.town, options.allow_test_town)
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
     command = ("wcsim", "train", *words)
-    folder = train_in(town, config, out, options.seed, rewards=options.reward, resume=options.resume, command=command)
+    folder = train_in(
+        town,
+        config,
+        out,
+        options.seed,
+        rewards=options.reward,
+        resume=options.resume,
+        command=command,
+        hook=options.hook,
+    )
     print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
     if options.json is not None:
         write_json(options.json, {"run": str(folder), "town": town.name, "seed": options.seed})
@@ -91,6 +105,7 @@ def train_in(
     rewards: tuple[str, ...] = (),
     resume: bool = False,
     command: tuple[str, ...] = (),
+    hook: str = "",
 ) -> Path:
     """Train with a progress bar; returns the run folder."""
     from wcsim.agents.callbacks import TrainProgress  # torch is loaded here, not for --help
@@ -98,25 +113,29 @@ def train_in(
     from wcsim.agents.plugins import find_reward_term
     from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
+    from wcsim.bridge.stage import settings_of
 
     check_folder("--out", out)
     find_network(config.learn.network)
     profile(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
+    overrides = scenario_overrides(town, settings_of(config, seeding.derive(seed, "sumo")))
     aided = config.learn.aid == "oracle"
     learning = config.model_copy(
         update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": aided})}
     )
+    announce = _once(lambda: print_overrides(Console(highlight=False), town.name, overrides))
     with _Bar(config.learn.total_steps) as bar, _gone_if_nothing_came_of_it(out):
 
         def show(now: TrainProgress) -> None:
+            announce()
             kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
             says = f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
             bar.show(now.step, f"phase {now.phase}", says)
 
         return train(
             learning,
-            lambda: WheelchairEnv(str(town.folder), config=learning, reward_terms=terms),
+            lambda: WheelchairEnv(town.address, config=learning, reward_terms=terms, run=out, hook=hook),
             out,
             seed,
             show,
@@ -125,7 +144,15 @@ def train_in(
             rewards=rewards,
             command=command,
             resume=resume,
+            hook=hook,
+            overrides=overrides,
         )
+
+
+def _once(call: Callable[[], None]) -> Callable[[], None]:
+    """The same, but only the first time."""
+    left = [call]
+    return lambda: left.pop()() if left else None
 
 
 @contextmanager

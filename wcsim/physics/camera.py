@@ -21,9 +21,10 @@ from wcsim.physics.renderer.instances import (
     joined,
     rotation_of,
 )
+from wcsim.physics.renderer.lamps import SignalLamps
 from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.store import GeometryStore
-from wcsim.types import F64, ActorState, CameraFrame, PlantState, StreetMesh
+from wcsim.types import F64, ActorState, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 
@@ -62,13 +63,20 @@ class CameraRig:
     takes two, and what was seen before it must still stand when the tick is judged.
     """
 
-    def __init__(self, mesh: StreetMesh, cameras: tuple[CameraConfig, ...], seats: int) -> None:
+    def __init__(
+        self,
+        mesh: StreetMesh,
+        cameras: tuple[CameraConfig, ...],
+        seats: int,
+        heads: Sequence[SignalHead] = (),
+    ) -> None:
         """Build the geometry and compile the rasteriser.
 
         Args:
             mesh: the street.
             cameras: the cameras of every chair.
             seats: number of wheelchairs, at least 1.
+            heads: the heads of the traffic lights, whose lamps are drawn.
 
         Raises:
             ConfigError: when there is no camera or no seat.
@@ -76,9 +84,12 @@ class CameraRig:
         if not cameras or seats < 1:
             raise ConfigError(f"a rig got {len(cameras)} cameras and {seats} seats; expected at least one of each")
         self.cameras = cameras
-        self.store = GeometryStore(mesh)
-        names = sorted({camera.renderer for camera in cameras})
-        self._renderers: dict[str, Renderer] = {name: _renderer(name, self.store) for name in names}
+        self._renderers: dict[str, Renderer] = {}
+        self.show(mesh)
+        raster = self._renderers.get("numba")
+        if isinstance(raster, RasterRenderer):
+            warm_up(raster)
+        self._lamps = SignalLamps(heads)
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = tuple(mount(camera) for camera in cameras)
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
@@ -99,6 +110,12 @@ class CameraRig:
                 renderer.close()
         self._renderers.clear()
 
+    def show(self, mesh: StreetMesh) -> None:
+        """Draw this part of the street from now on."""
+        self.close()
+        self.store = GeometryStore(mesh)
+        self._renderers = {name: _renderer(name, self.store) for name in sorted({c.renderer for c in self.cameras})}
+
     def reset(self, seat: int) -> None:
         """Forget what the cameras of a seat saw, so that each takes a new image at its next shot."""
         for shutter in self._shutters[seat]:
@@ -112,6 +129,7 @@ class CameraRig:
         actors: Sequence[ActorState],
         chairs: Sequence[ChairPose],
         buffers: SeatBuffers | None = None,
+        signals: Sequence[SignalState] = (),
     ) -> tuple[CameraFrame, ...]:
         """Take (or repeat) the image of every camera of a seat.
 
@@ -122,6 +140,7 @@ class CameraRig:
             actors: what moves in the street; a tuple that is given again (the same object) is not read again.
             chairs: the wheelchairs, the seat's own among them or not; it is never drawn.
             buffers: where to write; the rig's own buffers when None.
+            signals: the traffic lights of now; a head whose light is not among them is dark.
 
         Returns:
             One frame a camera; a camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`.
@@ -130,7 +149,8 @@ class CameraRig:
             ConfigError: when given buffers do not fit the cameras.
         """
         others = chair_instances([chair for chair in chairs if chair.seat != seat])
-        instances = joined(self._actors(actors), others)
+        lamps = self._lamps.near(plant.p_WB_m, max(camera.range_m for camera in self.cameras), signals)
+        instances = joined(joined(self._actors(actors), others), lamps)
         T_WB = pose_matrix(plant.p_WB_m, plant.q_WB)
         shots = []
         for index, shutter in enumerate(self._shutters[seat]):
@@ -238,9 +258,7 @@ def _renderer(name: str, store: GeometryStore) -> Renderer:
         from wcsim.physics.renderer.tiny import TinyRenderer  # the reference back end; PyBullet is loaded for it alone
 
         return TinyRenderer(store)
-    renderer = RasterRenderer(store)
-    warm_up(renderer)
-    return renderer
+    return RasterRenderer(store)
 
 
 def _new_buffers(camera: CameraConfig) -> tuple[Images, ...]:

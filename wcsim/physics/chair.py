@@ -22,15 +22,18 @@ from wcsim.physics.engine import GRAVITY_MPS2, PARK_Z_M, BodyTag, Engine, Role
 from wcsim.physics.ghosts import MOST_IN_A_ROW, SUSPECT_N, Motion, Tyre, coast, is_ghost
 from wcsim.physics.imu import Imu
 from wcsim.physics.plant import PlantSpec, plant_spec, urdf
-from wcsim.physics.pose import Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.physics.pose import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.physics.quiet import pybullet
 from wcsim.types import F64, Contact, ImuFrame, Joystick, PlantState, chair_actor_id
 
 Vec3 = tuple[float, float, float]
+LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
 PLACE_LIFT_M: Final = 0.001  # the street's collision margin
 _PARK_STEP_M: Final = 20.0
 _TURNING: Final = ("wheel_l", "wheel_r", "swivel_l", "swivel_r", "caster_l", "caster_r")
 _FRAME: Final = -1  # PyBullet's index of the base link
+_MOST_RADPS: Final = 30.0  # of any joint: a car that hits a caster would whirl its light fork round, into itself
+_SPARE: Final = 1.5  # faster chairs need their casters to turn so much faster than they roll at top speed
 _MOTORS_OFF: Final = drive.WheelCommand(radps=(0.0, 0.0), torque_Nm=(0.0, 0.0))
 _AWAKE: Final = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING | pybullet.ACTIVATION_STATE_WAKE_UP
 _ASLEEP: Final = pybullet.ACTIVATION_STATE_ENABLE_SLEEPING | pybullet.ACTIVATION_STATE_SLEEP
@@ -65,11 +68,13 @@ class Wheelchair:
         self._coasted = self._ghosts = 0
         self._part = {index: name.split("_")[0] for name, index in self._links.items() if "swivel" not in name}
         self._rolling = frozenset(self._part)
-        _set_dynamics(self.body_id, self._links, self.spec, engine.client)
+        most_radps = max(_MOST_RADPS, _SPARE * chair.v_max_mps / self.spec.caster_radius_m)
+        _set_dynamics(self.body_id, self._links, self.spec, most_radps, engine.client)
         self._imu = Imu(imu, self._com_B_m, engine.step_s, GRAVITY_MPS2)
         self._log = ContactLog()
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
+        self._state: PlantState | None = None
         self._drive = drive.DriveState()
         self.park()
 
@@ -84,7 +89,7 @@ class Wheelchair:
         return self._ghosts
 
     def place(self, p_W_m: F64, yaw_rad: float) -> None:
-        """Stand at a point of the ground, level, at rest, everything forgotten.
+        """Stand at a point of the ground, tilted as the ground under the wheels is, at rest, everything forgotten.
 
         Args:
             p_W_m: Where the body frame's origin comes to stand, (3,).
@@ -96,13 +101,15 @@ class Wheelchair:
         x, y, z = (float(value) for value in p_W_m)
         if not all(math.isfinite(value) for value in (x, y, z, yaw_rad)):
             raise PhysicsError(f"place({p_W_m}, {yaw_rad}) is not finite; expected a point on the ground and a heading")
-        self._pose((x, y, z + PLACE_LIFT_M), yaw_rad)
+        self.park()  # or it would stand on itself
+        z_W_m, tilt = self._stance((x, y, z), yaw_rad)
+        self._pose((x, y, z_W_m + PLACE_LIFT_M), tilt)
         self._wake(True)
         self._parked = False
 
     def park(self) -> None:
         """Stand far below the street, asleep."""
-        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), 0.0)
+        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), quaternion(0.0))
         self._wake(False)
         self._parked = True
 
@@ -161,6 +168,11 @@ class Wheelchair:
 
     def state(self) -> PlantState:
         """The true state as of the last substep."""
+        if self._state is None:
+            self._state = self._state_now()
+        return self._state
+
+    def _state_now(self) -> PlantState:
         r = self._rotation
         cx, cy, cz = self._com_B_m
         origin = added(self._p_com_W_m, rotate(r, -cx, -cy, -cz))
@@ -186,9 +198,22 @@ class Wheelchair:
         """What was touched in the last closed tick."""
         return self._contacts
 
-    def _pose(self, p_WB_m: Vec3, yaw_rad: float) -> None:
+    def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
+        """Height of the body's origin and its rotation, with all wheels on the ground or above it."""
+        wheels_B_m = self.spec.stand_m()
+        turn = matrix(quaternion(yaw_rad))
+        wheels_W_m = np.array([added(p_W_m, rotate(turn, x, y, 0.0)) for x, y in wheels_B_m])
+        heights = self._engine.ground_at(wheels_W_m)
+        if np.isnan(heights).any() or np.ptp(heights) < LEVEL_M:
+            return p_W_m[2], quaternion(yaw_rad)
+        columns = np.array([(1.0, x, y) for x, y in wheels_B_m])
+        (base, ahead, left), *_ = np.linalg.lstsq(columns, heights, rcond=None)
+        lift = float((heights - columns @ (base, ahead, left)).max())
+        roll_rad = math.asin(left / math.sqrt(1.0 + ahead**2 + left**2))
+        return float(base) + lift, quaternion(yaw_rad, math.atan(ahead), roll_rad)
+
+    def _pose(self, p_WB_m: Vec3, q: Quat) -> None:
         client = self._engine.client
-        q = quaternion(yaw_rad)
         com = added(p_WB_m, rotate(matrix(q), *self._com_B_m))
         pybullet.resetBasePositionAndOrientation(self.body_id, com, q, physicsClientId=client)
         pybullet.resetBaseVelocity(self.body_id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client)
@@ -223,6 +248,7 @@ class Wheelchair:
         self._p_com_W_m, self._q_WB = pybullet.getBasePositionAndOrientation(self.body_id, physicsClientId=client)
         self._v_W_mps, self._w_W_radps = pybullet.getBaseVelocity(self.body_id, physicsClientId=client)
         self._rotation: Rotation = matrix(self._q_WB)
+        self._state = None  # made when somebody asks
 
     def _axle_speed_mps(self) -> float:
         """Forward speed of the middle of the drive axle, which pitching hardly moves."""
@@ -301,7 +327,7 @@ def _links(body: int, client: int) -> dict[str, int]:
     return {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i for i in range(count)}
 
 
-def _set_dynamics(body: int, links: dict[str, int], spec: PlantSpec, client: int) -> None:
+def _set_dynamics(body: int, links: dict[str, int], spec: PlantSpec, most_radps: float, client: int) -> None:
     """Friction per part, no damping, and PyBullet's default joint motors off but for the swivels' bearing friction."""
     friction = {"wheel": spec.wheel_friction, "caster": spec.caster_friction, "antitip": spec.antitip_friction}
     for name, index in (("frame", _FRAME), *links.items()):
@@ -314,6 +340,7 @@ def _set_dynamics(body: int, links: dict[str, int], spec: PlantSpec, client: int
             linearDamping=0.0,
             angularDamping=0.0,
             jointDamping=0.0,
+            maxJointVelocity=most_radps,
             physicsClientId=client,
         )
     for name, index in links.items():

@@ -13,6 +13,7 @@ from wcsim.types import Contact
 
 Vec3 = tuple[float, float, float]
 Cause = Literal["own", "other"]
+KEPT_TICKS: Final = 10
 _STEEP: Final = 0.8  # vertical part of a normal above which one body lies on the other
 _MOVING: Final = (Role.ACTOR, Role.CHAIR)
 
@@ -28,15 +29,15 @@ class Touch(NamedTuple):
 class ContactLog:
     """Touches of one chair in the tick that runs, summed by other body and part.
 
-    The cause is decided at the first touch, with the velocities before it, and kept until they part for a whole tick:
-    a moment later a chair that was hit moves like the car that hit it.
+    The cause is decided at the first touch, with the velocities before it, and kept until they have been apart for a
+    second: a moment later a chair that was hit moves like the car that hit it, or whirls back against it.
     """
 
     def __init__(self) -> None:
         self._impulse_Ns: dict[tuple[int, str], float] = {}
         self._tags: dict[int, BodyTag] = {}
         self._cause: dict[int, Cause] = {}
-        self._cause_before: dict[tuple[int, str], Cause] = {}
+        self._cause_before: dict[tuple[int, str], tuple[Cause, int]] = {}  # and the ticks for which it is kept
 
     def add(self, body: int, part: str, impulse_Ns: float, tag: BodyTag, touch: Touch) -> None:
         """Count one contact point of one substep: another body, the chair's part, its normal impulse."""
@@ -45,7 +46,7 @@ class ContactLog:
         if body not in self._tags:
             self._tags[body] = tag
             before = self._cause_before.get((body, tag.actor_id))
-            self._cause[body] = before or cause_of(tag, touch)
+            self._cause[body] = before[0] if before else cause_of(tag, touch)
 
     def close(self) -> tuple[Contact, ...]:
         """The contacts of the tick, sorted by kind, actor and part; the log is ready for the next tick."""
@@ -59,7 +60,9 @@ class ContactLog:
             )
             for (body, part), impulse in self._impulse_Ns.items()
         ]
-        self._cause_before = {(body, tag.actor_id): self._cause[body] for body, tag in self._tags.items()}
+        kept = {key: (cause, ticks - 1) for key, (cause, ticks) in self._cause_before.items() if ticks > 1}
+        now = {(body, tag.actor_id): (self._cause[body], KEPT_TICKS) for body, tag in self._tags.items()}
+        self._cause_before = {**kept, **now}
         self._impulse_Ns.clear()
         self._tags.clear()
         self._cause.clear()

@@ -23,6 +23,7 @@ from wcsim.types import F64, ClassId, StreetMesh
 GRAVITY_MPS2: Final = 9.81
 PARK_Z_M: Final = -500.0
 MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
+GROUND_REACH_M: Final = 0.5
 _RAY_FROM_M: Final = 300.0
 _STREET_MARGIN_M: Final = 0.001
 # With PyBullet's 20 mm a wheel meets the edge of every triangle just ahead of it at a slant and is pushed back: 0.6
@@ -187,6 +188,13 @@ class Engine:
     def rolling_ids(self) -> set[int]:
         """Ids of the bodies that wheels are meant to touch: ground and kerbs."""
         return self._rolling
+
+    def ground_at(self, points_W_m: F64) -> F64:
+        """Height (N,) of ground or kerb within half a metre above or below points (N, 3); nan where there is none."""
+        half = np.array([0.0, 0.0, GROUND_REACH_M])
+        above, below = (points_W_m + half).tolist(), (points_W_m - half).tolist()
+        hits = pybullet.rayTestBatch(above, below, physicsClientId=self.client)
+        return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
 
     def ray_down(self, points_W_m: F64) -> F64:
         """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""

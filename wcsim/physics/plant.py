@@ -72,6 +72,15 @@ class PlantSpec:
     least_torque_share: float = 0.15
     brake_torque_Nm: float = 150.0  # spring-applied parking brake
 
+    def stand_m(self) -> tuple[tuple[float, float], ...]:
+        """Where the drive wheels and the trailing casters touch the ground, in B."""
+        caster_x_m = self.wheelbase_m - self.trail_m
+        return tuple(
+            (x, side * 0.5 * track)
+            for x, track in ((0.0, self.track_m), (caster_x_m, self.caster_track_m))
+            for side in (1.0, -1.0)
+        )
+
     @property
     def frame_mass_kg(self) -> float:
         """Mass of the base link: everything but wheels, forks and anti-tips."""

@@ -65,12 +65,16 @@ def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
     return (k * out[0], k * out[1], k * out[2], k * last)
 
 
-def quaternion(yaw_rad: float, pitch_rad: float = 0.0) -> Quat:
-    """Unit quaternion (x, y, z, w) of something that looks along yaw, nose up by pitch, not rolled.
+def quaternion(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quat:
+    """Unit quaternion (x, y, z, w) of something that looks along yaw, nose up by pitch, right side down by roll.
 
     >>> [round(part, 4) for part in quaternion(math.pi / 2)]
     [0.0, 0.0, 0.7071, 0.7071]
     """
     cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
     cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
-    return (sy * sp, 0.0 - cy * sp, sy * cp, cy * cp)
+    x, y, z, w = sy * sp, 0.0 - cy * sp, sy * cp, cy * cp
+    if roll_rad == 0.0:
+        return (x, y, z, w)
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    return (w * sr + x * cr, y * cr + z * sr, z * cr - y * sr, w * cr - x * sr)

@@ -7,9 +7,11 @@ the seat's own is a ProtocolError. Snapshots are valid until the client's next c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+from wcsim.bridge.stage import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.towns.town import find_town
@@ -24,6 +26,13 @@ class WorldOrder:
     config: RunConfig
     seat: SeatSpec
     seed: int
+    run: str = ""  # the run folder, where the outputs of the town's own scenario go
+    hook: str = ""  # the user's own step hook, module:Class
+
+    @property
+    def place(self) -> RunPlace:
+        """The same for a world."""
+        return RunPlace(folder=Path(self.run) if self.run else None, hook=self.hook)
 
 
 class WorldLink(Protocol):
@@ -55,7 +64,7 @@ class LocalLink:
     """A world with one seat in this process; raises WorldInUseError while another one lives here."""
 
     def __init__(self, order: WorldOrder) -> None:
-        self._world = World(find_town(order.town), order.config, (order.seat,), order.seed)
+        self._world = World(find_town(order.town), order.config, (order.seat,), order.seed, order.place)
 
     def join(self) -> ClientSnapshot:
         """See `WorldLink.join`."""

@@ -11,7 +11,7 @@ from wcsim import errors
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
-PROTOCOL = 1
+PROTOCOL = 2
 MAX_MESSAGE_BYTES = 64 << 20
 
 
@@ -23,6 +23,8 @@ class Open(msgspec.Struct, tag=True, frozen=True, forbid_unknown_fields=True):
     config_json: str
     seat: SeatSpec
     seed: int
+    run: str
+    hook: str
 
 
 class Act(msgspec.Struct, tag=True, frozen=True, forbid_unknown_fields=True):

@@ -46,6 +46,8 @@ class ProcessLink:
             config_json=order.config.model_dump_json(),
             seat=order.seat,
             seed=order.seed,
+            run=order.run and str(Path(order.run).absolute()),
+            hook=order.hook,
         )
         try:
             self._first = self._ask(request, OPEN_TIMEOUT_S)

@@ -59,6 +59,8 @@ def _answer(link: LocalLink | None, request: m.Request) -> tuple[LocalLink, m.Re
                 config=RunConfig.model_validate_json(request.config_json),
                 seat=request.seat,
                 seed=request.seed,
+                run=request.run,
+                hook=request.hook,
             )
         )
         return link, m.Frame(link.join())

@@ -10,7 +10,7 @@ import numpy as np
 
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Thing
-from wcsim.types import ClassId, StreetGrid
+from wcsim.types import ClassId, Ground
 
 HALF_LENGTH_M = 0.57  # of the chair
 HALF_WIDTH_M = 0.31
@@ -107,7 +107,7 @@ def safe_speed(body: Body, things: Sequence[Thing], brake_mps2: float, reaction_
     return limit
 
 
-def side_room(grid: StreetGrid, path: Path, arc_m: float) -> tuple[float, float]:
+def side_room(grid: Ground, path: Path, arc_m: float) -> tuple[float, float]:
     """How far the chair's middle may leave the route to the left and to the right over the next metres.
 
     Measured on level ground up to the first kerb or solid thing; never less than nothing, at most 1.2 m.
@@ -120,8 +120,8 @@ def side_room(grid: StreetGrid, path: Path, arc_m: float) -> tuple[float, float]
     for side in (1.0, -1.0):
         offsets = side * ROOM_STEP_M * np.arange(ROOM_STEPS)
         points = line[:, None] + offsets[:, None] * left[:, None]  # (stations, offsets, 2)
-        height = grid.height_at(points)
-        on_road = grid.class_at(points) == ClassId.ROAD
+        height = grid.raised_at(points)
+        on_road = np.isin(grid.class_at(points), (ClassId.ROAD, ClassId.RAIL_TRACK))
         stops = np.abs(np.diff(height, axis=1, prepend=height[:, :1])) > KERB_STEP_M
         stops |= grid.clearance_at(points) < ROOM_STEP_M
         stops |= on_road & ~on_road[:, :1]

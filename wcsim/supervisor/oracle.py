@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.supervisor.rollout import free_distance, roll_out
-from wcsim.types import F64, ActorState, Bool, Joystick, PlantState, StreetGrid
+from wcsim.types import F64, ActorState, Bool, Ground, Joystick, PlantState
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
@@ -35,7 +35,7 @@ class Assessment:
 class Oracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
-    def __init__(self, grid: StreetGrid, chair: ChairConfig, actions: F64) -> None:
+    def __init__(self, grid: Ground, chair: ChairConfig, actions: F64) -> None:
         """Prepare the arrays.
 
         Args:
@@ -44,7 +44,6 @@ class Oracle:
             actions: (A, 2) joystick positions of the action set.
         """
         self._grid = grid
-        self._origin_m = np.array(grid.origin_W_m, np.float64)
         self._chair = chair
         self._commands = shaped(actions, chair)
         self._limits = np.array(
@@ -86,22 +85,23 @@ class Oracle:
         )
 
     def _roll_out(self, plant: PlantState, commands: F64, table: F64) -> F64:
-        grid = self._grid
+        grid = self._grid.around(plant.p_WB_m)
         first_s: F64 = roll_out(
             _state(plant),
             commands,
             self._limits,
             grid.height_cm,
             grid.clearance_dm,
-            self._origin_m,
+            np.array(grid.origin_W_m, np.float64),
             grid.cell_m,
             table,
         )
         return first_s
 
     def _clearance(self, plant: PlantState, table: F64) -> float:
-        grid = self._grid
-        gap = free_distance(_state(plant), grid.clearance_dm, self._origin_m, grid.cell_m, table)
+        grid = self._grid.around(plant.p_WB_m)
+        origin_m = np.array(grid.origin_W_m, np.float64)
+        gap = free_distance(_state(plant), grid.clearance_dm, origin_m, grid.cell_m, table)
         return min(float(gap), FAR_M)
 
 

@@ -7,19 +7,19 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import shapely
-import zstandard
 
+from wcsim.streets import FLAT
+from wcsim.towns.tiles import Packed, TileStore
 from wcsim.towns.town import Town, content_hash
-from wcsim.types import F64, U8, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
+from wcsim.types import F64, Relief, SignalHead, Street, WalkEdge, WalkGraph, WayKind
 
-FORMAT = 1  # raise it when the file's layout changes; how a street is built counts by the source text itself
-_MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
-_RASTERS = ("height_cm", "ground_class", "clearance_dm")
+FORMAT = 2  # raise it when the file's layout changes; how a street is built counts by the source text itself
 
 
 def cache_folder() -> Path:
@@ -33,7 +33,8 @@ def street_key(town: Town) -> str:
     file = town.file
     ground = f"{FORMAT} {file.origin_m} {file.kerb_height_m} {file.lowered_kerb_m} {file.chair_ways}"
     versions = f"{shapely.__version__} {shapely.geos_version_string} {np.__version__} {cv2.__version__}"
-    return hashlib.sha256(f"{content_hash(town)} {ground} {versions} {_source_digest()}".encode()).hexdigest()[:32]
+    still = content_hash(replace(town, routes=()))  # traffic leaves the street as it is
+    return hashlib.sha256(f"{still} {ground} {versions} {_source_digest()}".encode()).hexdigest()[:32]
 
 
 def _source_digest() -> str:
@@ -42,15 +43,15 @@ def _source_digest() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
-def cached_street(key: str, build: Callable[[], Street]) -> Street:
+def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     """The street kept under `key`, or a new one, which is kept where that is possible."""
     path = cache_folder() / f"street-{key}.npz"
     found = _read(path)
     if found is not None:
         return found
-    street = build()
-    write_whole(path, lambda file: _save(file, street))
-    return street
+    packed = build()
+    write_whole(path, lambda file: _save(file, packed))
+    return _read(path) or street_of(packed)  # from the file, if there is one, so that only what is used is in memory
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -69,27 +70,34 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         return
 
 
-def _save(path: Path, street: Street) -> None:
+def _save(path: Path, packed: Packed) -> None:
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **_arrays(street))
+        np.savez(file, allow_pickle=False, **packed)
 
 
 def _read(path: Path) -> Street | None:
+    """A street over an open file, from which its tiles are read later."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            return _street(data)
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zstandard.ZstdError):
+        if not zipfile.is_zipfile(path):
+            return None
+        data = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    try:
+        return street_of(data)
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+        data.close()
         return None
 
 
-def _arrays(street: Street) -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {name: getattr(street.mesh, name) for name in _MESH}
-    packer = zstandard.ZstdCompressor(level=1)
-    for name in _RASTERS:
-        arrays[name] = np.frombuffer(packer.compress(getattr(street.grid, name).tobytes()), np.uint8)
-    grid, walk = street.grid, street.walk
-    arrays["grid_shape"] = np.array(grid.height_cm.shape)
-    arrays["grid_place"] = np.array([*grid.origin_W_m, grid.cell_m, grid.z_base_m])
+def pack_street(
+    tiles: Packed, walk: WalkGraph, relief: Relief, signal_heads: tuple[SignalHead, ...], net_z_m: float = 0.0
+) -> dict[str, np.ndarray]:
+    """A street as named arrays; `tiles` are those of `pack_tiles`."""
+    arrays = dict(tiles)
+    arrays["relief_z_m"] = relief.z_m
+    arrays["relief_place"] = np.array([*relief.origin_W_m, relief.cell_m])
+    arrays["net_z_m"] = np.array(net_z_m)
     arrays["nodes_W_m"] = walk.nodes_W_m
     arrays["edge_points_W_m"] = np.concatenate([edge.points_W_m for edge in walk.edges] or [np.zeros((0, 2))])
     arrays["edge_sizes"] = np.array([len(edge.points_W_m) for edge in walk.edges], dtype=np.int64)
@@ -97,24 +105,40 @@ def _arrays(street: Street) -> dict[str, np.ndarray]:
     arrays["edge_width_m"] = np.array([edge.width_m for edge in walk.edges], dtype=np.float64)
     texts = [(edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links))) for edge in walk.edges]
     arrays["edge_texts"] = np.array(texts, dtype=np.str_).reshape(-1, 4)
+    arrays["head_tls"] = np.array([head.tls_id for head in signal_heads], dtype=np.str_)
+    places = [(*head.p_W_m, head.yaw_rad, head.link, head.pedestrian) for head in signal_heads]
+    arrays["head_places"] = np.array(places, dtype=np.float64).reshape(-1, 6)
     return arrays
 
 
-def _street(data: np.lib.npyio.NpzFile) -> Street:
-    shape = tuple(int(n) for n in data["grid_shape"])
-    x_m, y_m, cell_m, z_base_m = (float(value) for value in data["grid_place"])
-    rasters: dict[str, U8] = {}
-    unpacker = zstandard.ZstdDecompressor()
-    for name in _RASTERS:
-        rasters[name] = np.frombuffer(unpacker.decompress(data[name].tobytes()), np.uint8).reshape(shape)
-    grid = StreetGrid(origin_W_m=(x_m, y_m), cell_m=cell_m, z_base_m=z_base_m, **rasters)
-    points = np.split(data["edge_points_W_m"], np.cumsum(data["edge_sizes"])[:-1])
+def street_of(packed: Packed) -> Street:
+    """The inverse of `pack_street`. Raises KeyError or ValueError for arrays that are none."""
+    x_m, y_m, cell_m = (float(value) for value in packed["relief_place"])
+    relief = Relief(origin_W_m=(x_m, y_m), cell_m=cell_m, z_m=packed["relief_z_m"])
+    store = TileStore(packed, FLAT if relief.flat else relief)
+    points = np.split(packed["edge_points_W_m"], np.cumsum(packed["edge_sizes"])[:-1])
     rows = zip(
-        points, data["edge_numbers"].tolist(), data["edge_width_m"].tolist(), data["edge_texts"].tolist(), strict=False
+        points,
+        packed["edge_numbers"].tolist(),
+        packed["edge_width_m"].tolist(),
+        packed["edge_texts"].tolist(),
+        strict=False,
     )
     edges = tuple(_edge(way, ends, width_m, texts) for way, ends, width_m, texts in rows)
-    mesh = StreetMesh(**{name: data[name] for name in _MESH})
-    return Street(mesh=mesh, grid=grid, walk=WalkGraph(nodes_W_m=data["nodes_W_m"], edges=edges))
+    heads = zip(packed["head_tls"].tolist(), packed["head_places"].tolist(), strict=True)
+    return Street(
+        tiles=store,
+        grid=store,
+        walk=WalkGraph(nodes_W_m=packed["nodes_W_m"], edges=edges),
+        signal_heads=tuple(_head(name, place) for name, place in heads),
+        net_z_m=float(packed["net_z_m"]),
+    )
+
+
+def _head(tls_id: str, place: list[float]) -> SignalHead:
+    return SignalHead(
+        tls_id=tls_id, link=int(place[4]), p_W_m=np.array(place[:3]), yaw_rad=place[3], pedestrian=bool(place[5])
+    )
 
 
 def _edge(way: F64, ends: list[int], width_m: float, texts: list[str]) -> WalkEdge:

@@ -11,25 +11,30 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
-from wcsim.errors import SumoError
+from wcsim.errors import SumoError, TownError
 from wcsim.seeding import generator
+from wcsim.towns.faults import Findings, faults_of, notes_of, projection_faults
+from wcsim.towns.grid import CELL_M
+from wcsim.towns.islands import share_of, walkable_parts
+from wcsim.towns.netcheck import validate_net
 from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.plane import length_of
 from wcsim.towns.street import load_street
-from wcsim.towns.surfaces import surfaces_of
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town
-from wcsim.towns.xmlio import read_root
-from wcsim.types import ClassId, Street
+from wcsim.towns.xmlio import read_head, read_root
+from wcsim.types import F64, ClassId, Street
 
 RAYS = 4000
 CHECKED_S = 600  # of the demand
+SPOT_M = 0.002
+DRAWS = 50  # a net of a single street fills a small part of its surroundings
 HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
-ENOUGH_SHARE = 0.95
+_HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
-_GROUND = (ClassId.ROAD, ClassId.SIDEWALK, ClassId.TERRAIN, ClassId.CROSSWALK)
+_STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
+_GROUND = (*_STREET, ClassId.TERRAIN)
 _NO_WAY = re.compile(r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'")
-_NO_PAVEMENT = "netconvert -s {net} --sidewalks.guess --crossings.guess --walkingareas -o better.net.xml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,35 +49,48 @@ class TownReport:
     classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
     unroutable: int  # trips of the first ten minutes that have no way
     mesh_faults: int  # of RAYS rays straight down that did not meet the ground that the grid says
-    cures: tuple[str, ...]  # what to do, empty when all is well
+    lefthand: bool
+    faults: tuple[str, ...]  # each with the command that cures it; empty when all is well
+    notes: tuple[str, ...] = ()
 
 
-def check_town(town: Town) -> TownReport:
-    """Check a town. Raises TownError when it cannot be read at all."""
+def check_town(town: Town, share: float | None = None) -> TownReport:
+    """Check a town; `share` is the walkable share when it is known already.
+
+    Raises TownError when the town cannot be read at all, or its net is not in metres.
+    """
     net = read_net(town.net, town.file.origin_m)
+    if wrong := projection_faults(town, net):
+        raise TownError(f"{town.net}: {wrong[0]}")
+    validate_net(town.net)
     street = load_street(town)
-    crossings, areas = len(net.lanes(LaneKind.CROSSING)), len(net.lanes(LaneKind.WALKINGAREA))
-    share = walkable_share(net, town.file.chair_ways)
-    unroutable, faults = unroutable_trips(town), mesh_faults(street)
+    found = Findings(
+        crossings=len(net.lanes(LaneKind.CROSSING)),
+        walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
+        walkable_largest_share=walkable_share(net, town.file.chair_ways) if share is None else share,
+        unroutable=unroutable_trips(town),
+        mesh_faults=mesh_faults(street),
+        rays=RAYS,
+        classes=demand_classes(town),
+    )
     return TownReport(
         town=town.name,
-        crossings=crossings,
-        walkingareas=areas,
-        walkable_largest_share=share,
+        crossings=found.crossings,
+        walkingareas=found.walkingareas,
+        walkable_largest_share=found.walkable_largest_share,
         walk_km=_walk_km(street),
-        classes=demand_classes(town),
-        unroutable=unroutable,
-        mesh_faults=faults,
-        cures=_cures(town, crossings, areas, share, unroutable, faults),
+        classes=found.classes,
+        unroutable=found.unroutable,
+        mesh_faults=found.mesh_faults,
+        lefthand=b'lefthand="true"' in read_head(town.net, _HEAD_BYTES),
+        faults=faults_of(town, net, found),
+        notes=notes_of(town, net),
     )
 
 
 def walkable_share(net: Net, chair_ways: tuple[str, ...]) -> float:
     """Share of the area of pavements and crossings that the largest connected part of them holds, 0 to 1."""
-    surfaces = surfaces_of(net, chair_ways)
-    joined = shapely.union_all([surfaces.pavement, surfaces.crossing]).buffer(0.05).buffer(-0.05)
-    areas_m2 = [part.area for part in shapely.get_parts(joined)]
-    return max(areas_m2) / sum(areas_m2) if areas_m2 else 0.0
+    return share_of(walkable_parts(net, chair_ways))
 
 
 def demand_classes(town: Town) -> tuple[str, ...]:
@@ -112,7 +130,8 @@ def unroutable_trips(town: Town) -> int:
         ]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
     if run.returncode:
-        raise SumoError(f"town {town.name}: its demand cannot be checked: {run.reason()}; correct the route files")
+        files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
+        raise SumoError(f"{town.sumocfg}: its demand cannot be checked: {run.reason()}; correct one of: {files}")
     found = _NO_WAY.findall(run.output)
     return len({name for names in found for name in names if name})
 
@@ -120,18 +139,29 @@ def unroutable_trips(town: Town) -> int:
 def mesh_faults(street: Street, rays: int = RAYS) -> int:
     """How many rays straight down, on road and pavement, meet no face with the class and height of the grid."""
     grid, mesh = street.grid, street.mesh
-    rows, cols = np.nonzero(np.isin(grid.ground_class, (ClassId.ROAD, ClassId.SIDEWALK, ClassId.CROSSWALK)))
-    chosen = generator(0, "rays").choice(len(rows), min(rays, len(rows)), replace=False)
-    rows, cols = rows[chosen], cols[chosen]
-    xy_m = np.column_stack([cols + 0.5, rows + 0.5]) * grid.cell_m + grid.origin_W_m
+    xy_m = _places(street, rays)
     faces = np.flatnonzero(np.isin(mesh.face_class, _GROUND))
     corners = mesh.vertices_W_m[mesh.faces[faces]].astype(np.float64)  # (F, 3, 3)
     tree = shapely.STRtree(shapely.polygons(corners[:, :, :2]))
-    ray, face = tree.query(shapely.points(xy_m), predicate="intersects")
-    good = mesh.face_class[faces[face]] == grid.ground_class[rows[ray], cols[ray]]
-    height_m = grid.z_base_m + 0.01 * grid.height_cm[rows[ray], cols[ray]].astype(np.float64)
-    good &= np.abs(_height_on(corners[face], xy_m[ray]) - height_m) <= HEIGHT_SLACK_M
+    spots = shapely.box(*(xy_m - SPOT_M).T, *(xy_m + SPOT_M).T)  # on a border both sides are right
+    ray, face = tree.query(spots, predicate="intersects")
+    good = mesh.face_class[faces[face]] == grid.class_at(xy_m[ray])
+    good &= np.abs(_height_on(corners[face], xy_m[ray]) - grid.height_at(xy_m[ray])) <= HEIGHT_SLACK_M
     return len(xy_m) - len(np.unique(ray[good]))
+
+
+def _places(street: Street, count: int) -> F64:
+    """Middles (n, 2) of decimetre cells of road and pavement, up to `count` of them, drawn from all over the town."""
+    corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
+    for _ in range(DRAWS):
+        xy_m = np.floor(rng.uniform(low, high, (count, 2)) / CELL_M) * CELL_M + 0.5 * CELL_M
+        found.append(xy_m[np.isin(street.grid.class_at(xy_m), _STREET)])
+        number += len(found[-1])
+        if number >= count:
+            break
+    return np.concatenate(found)[:count]
 
 
 def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
@@ -153,19 +183,3 @@ def _has_types(path: Path) -> bool:
 
 def _walk_km(street: Street) -> float:
     return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3
-
-
-def _cures(town: Town, crossings: int, areas: int, share: float, unroutable: int, faults: int) -> tuple[str, ...]:
-    build = _NO_PAVEMENT.format(net=town.net.name)
-    cures = []
-    if not crossings or not areas:
-        cures.append(f"the net has {crossings} crossings and {areas} walking areas; add them: {build}")
-    elif share < ENOUGH_SHARE:
-        cures.append(f"only {share:.0%} of the pavement hangs together; expected {ENOUGH_SHARE:.0%}: {build}")
-    if unroutable:
-        cures.append(
-            f"{unroutable} trips have no way; drop them: duarouter -n {town.net.name} -r ROUTES --ignore-errors"
-        )
-    if faults > RAYS // 1000:
-        cures.append(f"{faults} of {RAYS} rays missed the ground; delete the cache and check again")
-    return tuple(cures)

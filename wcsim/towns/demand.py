@@ -8,13 +8,14 @@ people come in slices, each along a part of the ways.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from wcsim.errors import SumoError
+from wcsim.errors import SumoError, TownError
 from wcsim.seeding import derive, generator
 from wcsim.towns.netread import Edge, Net
 from wcsim.towns.tools import run_tool
@@ -25,6 +26,7 @@ END_S = 1_000_000  # eleven days: longer than any run
 WALK_END_S = 172_800
 SLICE_S = 600
 SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
+MOST_PER_HOUR = 100_000
 VTYPES = "vtypes.xml"
 
 
@@ -48,7 +50,7 @@ class Traffic:
 
 # Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
 MIX = (
-    Traffic(types="cars", vclass="passenger", per_h_km=105, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
+    Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
     Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
     Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
     Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
@@ -57,7 +59,21 @@ MIX = (
     ),
     Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
     Traffic(types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2),
+    *(
+        Traffic(
+            types=types, vclass=vclass, per_h_km=per_h_km, flows_per_km=0.3, shortest_m=200, longest_m=9e9, fringe=8
+        )
+        for types, vclass, per_h_km in (
+            ("taxis", "taxi", 3.0),
+            ("deliveries", "delivery", 3.0),
+            ("mopeds", "moped", 2.0),
+            ("coaches", "coach", 0.6),
+            ("emergencies", "emergency", 0.3),
+            ("scooters", "scooter", 8.0),
+        )
+    ),
 )
+CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +91,19 @@ def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, 
     return _choose(net, drawn, _route(net_path, folder, drawn, seed))
 
 
-def vtypes_text() -> str:
-    """The vehicle and person types that the flows name, as a SUMO additional file."""
-    return (Path(__file__).parent / VTYPES).read_text(encoding="utf-8")
+def vtypes_text(more: Sequence[str] = ()) -> str:
+    """The vehicle and person types that the flows name, as a SUMO additional file, with `more` elements in it."""
+    text = (Path(__file__).parent / VTYPES).read_text(encoding="utf-8")
+    return text.replace("</additional>", "".join(f"    {line}\n" for line in more) + "</additional>")
+
+
+def check_rates(per_hour: Mapping[str, float]) -> None:
+    """Raise TownError unless these are departures an hour of classes that towns know."""
+    for vclass, rate in per_hour.items():
+        if vclass not in CLASSES:
+            raise TownError(f"no traffic is known of class {vclass!r}; expected some of: {', '.join(CLASSES)}")
+        if not 0.0 <= rate <= MOST_PER_HOUR:
+            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {MOST_PER_HOUR}")
 
 
 def usable_km(net: Net, vclass: str) -> float:
@@ -174,15 +200,26 @@ def _choose(net: Net, drawn: list[tuple[Traffic, tuple[str, str]]], routed: dict
     return tuple(ways)
 
 
-def flows_text(net: Net, ways: tuple[Way, ...], seed: int, scale: float = 1.0) -> str:
-    """A SUMO route file of endless flows along `ways`, `scale` times as dense as MIX; their types are in `vtypes.xml`.
+def flows_text(
+    net: Net,
+    ways: Sequence[Way],
+    seed: int,
+    scale: float = 1.0,
+    per_hour: Mapping[str, float] | None = None,
+    first: Sequence[str] = (),
+) -> str:
+    """A SUMO route file of endless flows along `ways`, after the elements `first`; their types are in `vtypes.xml`.
 
-    Vehicle flows come first, then person flows by their begin, as SUMO's reading ahead needs it.
+    A class has as many departures an hour as `per_hour` says, else those of MIX, all times `scale`. Vehicle flows come
+    first, then person flows by their begin, as SUMO's reading ahead needs it.
     """
-    lines = ["<routes>"]
-    for traffic in MIX:
+    lines = ["<routes>", *(f"    {line}" for line in first)]
+    order = sorted(MIX, key=lambda traffic: traffic.walks)
+    for traffic in order:
         mine = [way for way in ways if way.traffic is traffic]
-        per_s = scale * traffic.per_h_km * usable_km(net, traffic.vclass) / 3600.0
+        per_s = scale * _per_hour(net, traffic, per_hour or {}) / 3600.0
+        if not mine or per_s <= 0.0:
+            continue
         if traffic.walks:
             lines += _walks(mine, traffic, per_s, generator(seed, "demand", "slices"))
             continue
@@ -192,6 +229,11 @@ def flows_text(net: Net, ways: tuple[Way, ...], seed: int, scale: float = 1.0) -
             rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
             lines.append(f"    <flow {head} {rate}>{route}</flow>")
     return "\n".join([*lines, "</routes>", ""])
+
+
+def _per_hour(net: Net, traffic: Traffic, per_hour: Mapping[str, float]) -> float:
+    usual = traffic.per_h_km * usable_km(net, traffic.vclass)
+    return per_hour.get(traffic.vclass, usual)
 
 
 def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Generator) -> list[str]:

@@ -69,6 +69,7 @@ def town_toml_text(
     kerb_height_m: float = 0.12,
     source: str = "",
     attribution: str = "",
+    rebuild: str = "",
     hashes: Mapping[str, str] | None = None,
 ) -> str:
     """`town.toml`, in the order and wording of `config.TownFile`."""
@@ -80,7 +81,8 @@ def town_toml_text(
         "lowered_kerb_m = 0.0",
         'chair_ways = ["sidewalk", "crossing", "shared"]',
     ]
-    lines += [f"{key} = {json.dumps(text)}" for key, text in (("source", source), ("attribution", attribution)) if text]
+    texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
+    lines += [f"{key} = {json.dumps(text)}" for key, text in texts if text]
     if hashes:
         lines += ["", "[hashes]", *(f"{json.dumps(key)} = {json.dumps(value)}" for key, value in hashes.items())]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The street as rasters, drawn from the mesh's own triangles so that both always agree."""
+"""A piece of the street as rasters, drawn from the mesh's own triangles so that both always agree."""
 
 from __future__ import annotations
 
@@ -9,43 +9,70 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
-from wcsim.errors import TownError
 from wcsim.jit import exact_kernel
 from wcsim.towns.ground import Ground
-from wcsim.types import F64, U8, ClassId, StreetGrid
+from wcsim.types import F64, U8, ClassId, Relief, StreetGrid
 
 CELL_M = 0.1
 FAR_DM = 255
-MAX_CELLS = 300_000_000  # three bytes each while a town is loaded, and more while it is built
+LOOK_M = 26.0  # solid things so far outside a piece still count for its clearances, which end at 25.5 m
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
+Box = tuple[float, float, float, float]
 
-def build_grid(ground: Ground, footprints: list[Polygon]) -> StreetGrid:
-    """Ground height and class at the middle of each cell, and the distance to the nearest solid footprint.
 
-    Raises TownError for a town too large to be held as one grid.
-    """
-    xy_m = ground.vertices_W_m[:, :2]
-    origin_m = np.floor(xy_m.min(axis=0))
-    cols, rows = (int(n) for n in np.ceil((xy_m.max(axis=0) - origin_m) / CELL_M))
-    if rows * cols > MAX_CELLS:
-        raise TownError(
-            f"the town spans {cols * CELL_M / 1000:.1f} x {rows * CELL_M / 1000:.1f} km; expected at most "
-            f"{MAX_CELLS * CELL_M**2 / 1e6:.0f} km2: clip it with netconvert --keep-edges.in-boundary"
+class GridMaker:
+    """Draws pieces of one town's raster; finds the triangles and footprints of a piece quickly."""
+
+    def __init__(self, ground: Ground, footprints: list[Polygon], relief: Relief) -> None:
+        self._triangles = ground.vertices_W_m[ground.faces]  # (F, 3, 3), heights above the relief
+        self._classes = ground.face_class
+        self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
+        self._footprints = footprints
+        self._tree = shapely.STRtree(footprints)
+        self._relief = relief
+
+    def bounds(self) -> Box:
+        """West, south, east, north of all ground, metres in W."""
+        (west, south), (east, north) = self._low.min(axis=0), self._high.max(axis=0)
+        return float(west), float(south), float(east), float(north)
+
+    def piece(self, box: Box) -> StreetGrid:
+        """The raster of a box with corners on whole cells: height, class and clearance at the middle of each cell."""
+        origin_m = np.array(box[:2])
+        cols, rows = (round((high - low) / CELL_M) for low, high in zip(box[:2], box[2:], strict=True))
+        height_cm = np.zeros((rows, cols), dtype=np.uint8)
+        ground_class = np.full((rows, cols), ClassId.VOID, dtype=np.uint8)
+        near = ((self._low < box[2:]) & (self._high > box[:2])).all(axis=1)
+        triangles = self._triangles[near]
+        triangles[:, :, :2] = (triangles[:, :, :2] - origin_m) / CELL_M - 0.5  # in cells; a cell's middle is an integer
+        _fill(triangles, self._classes[near], height_cm, ground_class)
+        return StreetGrid(
+            origin_W_m=(float(origin_m[0]), float(origin_m[1])),
+            cell_m=CELL_M,
+            height_cm=height_cm,
+            ground_class=ground_class,
+            clearance_dm=self._clearance_dm(box, (rows, cols)),
+            relief=self._relief,
         )
-    height_cm = np.zeros((rows, cols), dtype=np.uint8)  # centimetres above z = 0
-    ground_class = np.full((rows, cols), ClassId.VOID, dtype=np.uint8)
-    triangles = ground.vertices_W_m[ground.faces].copy()
-    triangles[:, :, :2] = (triangles[:, :, :2] - origin_m) / CELL_M - 0.5  # in cells; a cell's middle is an integer
-    _fill(triangles, ground.face_class, height_cm, ground_class)
-    return StreetGrid(
-        origin_W_m=(float(origin_m[0]), float(origin_m[1])),
-        cell_m=CELL_M,
-        height_cm=height_cm,
-        z_base_m=0.0,
-        ground_class=ground_class,
-        clearance_dm=_clearance_dm(footprints, origin_m, (rows, cols)),
-    )
+
+    def _clearance_dm(self, box: Box, shape: tuple[int, int]) -> U8:
+        """Distance (rows, cols) in whole decimetres, rounded down, from a cell's middle to something solid."""
+        wide = (box[0] - LOOK_M, box[1] - LOOK_M, box[2] + LOOK_M, box[3] + LOOK_M)
+        near = [self._footprints[i] for i in np.sort(self._tree.query(shapely.box(*wide)))]
+        if not near:
+            return np.full(shape, FAR_DM, dtype=np.uint8)
+        edge = round(LOOK_M / CELL_M)
+        free = np.ones((shape[0] + 2 * edge, shape[1] + 2 * edge), dtype=np.uint8)
+        for footprint in near:
+            rings = [footprint.exterior, *footprint.interiors]
+            cells = [(shapely.get_coordinates(ring) - wide[:2]) / CELL_M - 0.5 for ring in rings]
+            cv2.fillPoly(free, [np.rint(ring * (1 << _SHIFT)).astype(np.int32) for ring in cells], 0, shift=_SHIFT)
+        if free.all():
+            return np.full(shape, FAR_DM, dtype=np.uint8)
+        far_cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)[edge:-edge, edge:-edge]  # float32
+        far_dm = np.minimum(far_cells * np.float32(CELL_M * 10.0), FAR_DM)
+        return cast(U8, far_dm.astype(np.uint8))
 
 
 @exact_kernel
@@ -78,17 +105,3 @@ def _fill(triangles: F64, classes: U8, height_cm: U8, ground_class: U8) -> None:
                 z = az + gx * (col - ax) + gy * (row - ay)
                 height_cm[row, col] = int(max(0.0, min(255.0, np.round(100.0 * z))))
                 ground_class[row, col] = classes[t]
-
-
-def _clearance_dm(footprints: list[Polygon], origin_m: F64, shape: tuple[int, int]) -> U8:
-    """Distance (rows, cols) in whole decimetres, rounded down, from a cell's middle to something solid."""
-    free = np.ones(shape, dtype=np.uint8)
-    for footprint in footprints:
-        rings = [footprint.exterior, *footprint.interiors]
-        cells = [(shapely.get_coordinates(ring) - origin_m) / CELL_M - 0.5 for ring in rings]
-        cv2.fillPoly(free, [np.rint(ring * (1 << _SHIFT)).astype(np.int32) for ring in cells], 0, shift=_SHIFT)
-    if free.all():
-        return np.full(shape, FAR_DM, dtype=np.uint8)
-    far_cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)  # float32
-    np.multiply(far_cells, np.float32(CELL_M * 10.0), out=far_cells)
-    return cast(U8, np.minimum(far_cells, FAR_DM, out=far_cells).astype(np.uint8))

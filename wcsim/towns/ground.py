@@ -13,15 +13,18 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.streets import FLAT
+from wcsim.towns.kerbing import STEEPEST, Kerbing
+from wcsim.towns.patches import WHOLE_M, Patches, buffered
 from wcsim.towns.plane import cross_z
 from wcsim.towns.surfaces import GRID_M, Surfaces
-from wcsim.types import F64, I32, U8, Bool, ClassId
+from wcsim.types import F64, I32, U8, Bool, ClassId, Relief
 
 CELL_M = 40.0  # side of a chunk
-RAMP_RUN = 12.6  # metres of ramp for one metre of height: 1:12 also where a ring cuts a corner
+BLOCK_M = 5 * CELL_M  # of a large town that is cut at a time
+BESIDE_M = 2.0
 THIN_M = 0.06  # points are dropped whose triangle with their neighbours is smaller than half of this squared
-STEEPEST = 1.0 / 12.0
-RING_CHORD = 0.96  # the chords of a ring come this close to the middle of its arc
+LOW_CLASSES = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)  # at the height of the road
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,48 +38,16 @@ class Ground:
     cell: I32  # (F, 2) the chunk that a face belongs to
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kerbing:
-    """Heights of raised ground, and the lines where it comes down to the road."""
-
-    top_m: float
-    drop_m: float  # height of a lowered kerb
-    dropped: BaseGeometry  # where crossings meet the pavement
-
-    @property
-    def ramp_m(self) -> float:
-        """Length of a ramp."""
-        return RAMP_RUN * max(0.0, self.top_m - self.drop_m)
-
-    def height_m(self, xy_m: F64) -> F64:
-        """Height (n,) of raised ground at (n, 2)."""
-        if self.dropped.is_empty or self.ramp_m == 0.0 or not len(xy_m):
-            return np.full(len(xy_m), self.top_m)
-        far_m = shapely.distance(self.dropped, shapely.points(xy_m))
-        share = np.clip(far_m / (RING_CHORD * self.ramp_m), 0.0, 1.0)
-        height_m: F64 = np.round(self.drop_m + (self.top_m - self.drop_m) * share, 5)
-        return height_m
-
-
-def kerbing_of(surfaces: Surfaces, top_m: float, drop_m: float) -> Kerbing:
-    """Kerbs are lowered where the edge of a crossing touches pavement."""
-    edge = surfaces.crossing.boundary.intersection(surfaces.pavement.buffer(2 * GRID_M))
-    lines = [part for part in shapely.get_parts(edge) if part.geom_type == "LineString" and part.length > 0.1]
-    dropped = shapely.MultiLineString(lines)
-    shapely.prepare(dropped)
-    return Kerbing(top_m=top_m, drop_m=min(drop_m, top_m), dropped=dropped)
-
-
-def build_ground(surfaces: Surfaces, kerbing: Kerbing) -> Ground:
-    """Cut, classify and triangulate the ground."""
-    faces = _faces(surfaces, kerbing)
+def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) -> Ground:
+    """Cut, classify and triangulate the ground; where the land is not level, no triangle crosses a fold of it."""
+    faces = _faces(surfaces, kerbing, relief)
     inside = shapely.point_on_surface(faces)
     classes = classify(surfaces, shapely.get_coordinates(inside))
     kept = classes != ClassId.VOID
     faces, classes = faces[kept], classes[kept]
     triangles, owner = _triangles(faces)
     face_class = classes[owner]
-    low = (face_class == ClassId.ROAD) | (face_class == ClassId.CROSSWALK)
+    low = np.isin(face_class, LOW_CLASSES)
     vertices, indices = _index(triangles, low, kerbing)
     vertices[:, 2] = _eased(vertices, indices[~low])
     middle_m = triangles.mean(axis=1)
@@ -96,6 +67,7 @@ def classify(surfaces: Surfaces, xy_m: F64) -> U8:
         (surfaces.hull, ClassId.TERRAIN),
         (surfaces.pavement, ClassId.SIDEWALK),
         (surfaces.low, ClassId.ROAD),
+        (surfaces.rail, ClassId.RAIL_TRACK),
         (surfaces.crossing, ClassId.CROSSWALK),
     ):
         shapely.prepare(area)
@@ -103,16 +75,38 @@ def classify(surfaces: Surfaces, xy_m: F64) -> U8:
     return classes
 
 
-def _faces(surfaces: Surfaces, kerbing: Kerbing) -> np.ndarray:
-    """Polygons between all boundaries, ramp rings and chunk borders."""
-    lines = [surfaces.low.boundary, surfaces.crossing.boundary, surfaces.pavement.boundary, surfaces.hull.boundary]
-    if kerbing.ramp_m > 0.0 and not kerbing.dropped.is_empty:
-        rings = kerbing.dropped.buffer(kerbing.ramp_m, quad_segs=3).boundary
-        lines.append(rings.difference(surfaces.low))
+def _faces(surfaces: Surfaces, kerbing: Kerbing, relief: Relief) -> np.ndarray:
+    """Polygons between all boundaries, ramp rings, chunk borders and folds of the land."""
+    areas = (surfaces.low, surfaces.crossing, surfaces.pavement, surfaces.rail, surfaces.hull)
+    lines = [area.boundary for area in areas if not area.is_empty]
+    for place in kerbing.lowered:
+        lines.append(buffered(place.lines, place.ramp_m, quad_segs=3).boundary.difference(surfaces.low))
     lines.append(_chunk_borders(surfaces.hull))
+    if relief is not FLAT:
+        lines.append(_folds(surfaces.hull, relief))
+    x0, y0, x1, y1 = surfaces.hull.bounds
+    if max(x1 - x0, y1 - y0) <= WHOLE_M:
+        return np.asarray(shapely.coverage_simplify(_between(lines), THIN_M))
+    patches = [Patches(line) for line in lines]
+    corners = [
+        np.arange(np.floor(low / BLOCK_M), np.ceil(high / BLOCK_M)) * BLOCK_M for low, high in ((x0, x1), (y0, y1))
+    ]
+    return np.concatenate([_block(patches, x, y) for x in corners[0] for y in corners[1]])
+
+
+def _block(lines: list[Patches], x: float, y: float) -> np.ndarray:
+    """The faces in one square; its border is one of chunks, and neighbours cut it at the same points."""
+    around = (x - BESIDE_M, y - BESIDE_M, x + BLOCK_M + BESIDE_M, y + BLOCK_M + BESIDE_M)
+    faces = _between([line.near(around) for line in lines])
+    inside = np.floor(shapely.get_coordinates(shapely.point_on_surface(faces)) / BLOCK_M) * BLOCK_M
+    own = faces[(inside == (x, y)).all(axis=1)] if len(faces) else faces
+    return np.asarray(shapely.coverage_simplify(own, THIN_M, simplify_boundary=False)) if len(own) else own
+
+
+def _between(lines: list[BaseGeometry]) -> np.ndarray:
+    """The polygons between lines."""
     noded = shapely.unary_union(lines, grid_size=GRID_M)
-    faces = np.asarray(shapely.get_parts(shapely.polygonize(shapely.get_parts(noded))))
-    return np.asarray(shapely.coverage_simplify(faces, THIN_M))
+    return np.asarray(shapely.get_parts(shapely.polygonize(shapely.get_parts(noded))))
 
 
 def _chunk_borders(hull: BaseGeometry) -> BaseGeometry:
@@ -122,15 +116,27 @@ def _chunk_borders(hull: BaseGeometry) -> BaseGeometry:
     return shapely.MultiLineString(lines).intersection(hull)
 
 
+def _folds(hull: BaseGeometry, relief: Relief) -> BaseGeometry:
+    """The lines along which the land may bend: its lattice, and diagonals from lower left to upper right."""
+    rows, cols = relief.z_m.shape
+    x0, y0 = relief.origin_W_m
+    x1, y1 = x0 + (cols - 1) * relief.cell_m, y0 + (rows - 1) * relief.cell_m
+    xs, ys = x0 + relief.cell_m * np.arange(cols), y0 + relief.cell_m * np.arange(rows)
+    lines = [[(x, y0), (x, y1)] for x in xs] + [[(x0, y), (x1, y)] for y in ys]
+    for shift in range(1 - rows, cols - 1):
+        first, last = max(0, shift), min(cols - 1, rows - 1 + shift)
+        lines.append([(xs[first], ys[first - shift]), (xs[last], ys[last - shift])])
+    return shapely.MultiLineString(lines).intersection(hull)
+
+
 def _triangles(faces: np.ndarray) -> tuple[F64, I32]:
     """Triangles (F, 3, 2) counter-clockwise, and the face (F,) that each belongs to."""
-    groups = [shapely.get_parts(item) for item in shapely.constrained_delaunay_triangles(faces)]
-    owner = np.repeat(np.arange(len(groups), dtype=np.int32), [len(group) for group in groups])
-    corners = shapely.get_coordinates(np.concatenate(groups)).reshape(-1, 4, 2)[:, :3]
+    parts, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(faces), return_index=True)
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     twice_area = cross_z(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners[twice_area < 0] = corners[twice_area < 0][:, ::-1]
     kept = np.abs(twice_area) > 0
-    return corners[kept], owner[kept]
+    return corners[kept], owner[kept].astype(np.int32)
 
 
 def _index(triangles: F64, low: Bool, kerbing: Kerbing) -> tuple[F64, I32]:
@@ -155,10 +161,10 @@ def _eased(vertices: F64, faces: I32) -> F64:
         h = height_m[faces]
         u, w = h[:, 1] - h[:, 0], h[:, 2] - h[:, 0]
         slope = np.hypot(u * b[:, 1] - w * a[:, 1], w * a[:, 0] - u * b[:, 0]) / twice_area
-        steep = slope > 1.02 * STEEPEST
+        steep = slope > STEEPEST
         if not steep.any():
             break
         foot = h[steep].min(axis=1, keepdims=True)
-        eased = foot + (h[steep] - foot) * (STEEPEST / slope[steep])[:, None]
+        eased = foot + (h[steep] - foot) * (0.98 * STEEPEST / slope[steep])[:, None]
         np.minimum.at(height_m, faces[steep], eased)
     return np.round(height_m, 5)

@@ -1,4 +1,4 @@
-"""Import a town from OpenStreetMap: prefilter, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
+"""Import a town from OpenStreetMap: read, clean, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
 
 Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes.
 """
@@ -6,210 +6,204 @@ Everything is made in a folder beside the target and moved into place at the end
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import tempfile
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.demand import Way, build_ways, flows_text, vtypes_text
+from wcsim.towns.convert import NetOrder, convert_polygons
+from wcsim.towns.dem import Heights, make_dem, write_dem
+from wcsim.towns.demand import Way, build_ways, check_rates, flows_text, vtypes_text
 from wcsim.towns.folder import license_text, sumocfg_text, town_toml_text
-from wcsim.towns.netread import Net, read_net
-from wcsim.towns.osmfilter import filter_osm
-from wcsim.towns.tools import run_tool, sumo_home
+from wcsim.towns.handed import Side, side_at
+from wcsim.towns.lift import lift_net
+from wcsim.towns.manifest import hashes_of
+from wcsim.towns.netbuild import EXTRACT, BuiltNet, build_net
+from wcsim.towns.netread import read_net
+from wcsim.towns.osmread import Extract, read_extract
+from wcsim.towns.parking import Parking, find_parking
+from wcsim.towns.place import Box, check_box, middle_of
 from wcsim.towns.town import Town, open_town
 from wcsim.towns.trial import ROUNDS, stuck_ways
-from wcsim.towns.xmlio import content_digest, parse_root, read_bytes, without_comments, write_gzip
-
-_TYPEMAPS = ("osmNetconvert.typ.xml", "osmNetconvertUrbanDe.typ.xml", "osmNetconvertBicycle.typ.xml")
-_NETCONVERT = [
-    "--sidewalks.guess",
-    "--osm.sidewalks",
-    "--crossings.guess",
-    "--walkingareas",
-    "--osm.bike-access",
-    "--geometry.remove",
-    "--junctions.join",
-    "--junctions.corner-detail",
-    "5",
-    "--roundabouts.guess",
-    "--tls.guess-signals",
-    "--tls.discard-simple",
-    "--tls.default-type",
-    "actuated",
-    "--no-turnarounds.tls",
-    "--keep-edges.components",
-    "1",
-    "--remove-edges.isolated",
-    "--proj.utm",
-    "--output.street-names",
-    "--output.original-names",
-]
-_POLYCONVERT = [
-    "--osm.keep-full-type",
-    "--osm.merge-relations",
-    "1",
-    "--all-attributes",
-    "--discard",
-    "--prune.in-net",
-    "--prune.in-net.offsets",
-    "40,40,40,40",
-]
-_SEGFAULT = -11  # how a child that died so is reported
-_WAYS_LEFT_OUT = ("highway.steps", "highway.service", "highway.track")
+from wcsim.towns.xmlio import without_comments, write_gzip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOrder:
     """What to import and where to put it."""
 
-    osm: Path  # .osm, .osm.xml, plain or .gz
-    bbox: tuple[float, float, float, float]  # west, south, east, north
+    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf
+    bbox: Box | None = None  # west, south, east, north; None: all of the extract
     name: str
     split: str  # "train" or "test"
     out: Path  # the town's folder
-    lefthand: bool = False
+    lefthand: bool | None = None  # None: as the country does
     seed: int = 42
-    traffic: float = 1.0  # how dense, against `demand.MIX`
+    traffic: float = 1.0  # how dense, against `demand.MIX` or `per_hour`; 0: none
+    per_hour: Mapping[str, float] = field(default_factory=dict)  # departures an hour by SUMO vehicle class
+    parked: float = 0.7  # share of the mapped parking spaces that is taken
+    relief: Heights = field(default_factory=Heights)
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
     source: str = ""
-    options: tuple[str, ...] = field(default=())  # more netconvert options
+    options: tuple[str, ...] = ()  # more netconvert options
 
 
-def import_town(order: ImportOrder) -> Town:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """A town that was made, and what was found on the way."""
+
+    town: Town
+    side: Side
+    walkable_share: float  # of the walkable ground, in its largest part
+
+
+def import_town(order: ImportOrder, meanwhile: Callable[[Town], object] | None = None) -> Imported:
     """Build the town and move it to `order.out`, replacing a town that is there.
+
+    Args:
+        order: what and where to.
+        meanwhile: called with the town, before it is in place, while its demand is tried on another core.
 
     Raises:
         TownError: the order or the extract cannot be used, or the folder holds something else.
         SumoError: one of SUMO's tools failed.
     """
+    given, order = order.out, replace(order, out=order.out.resolve())
     _check(order)
+    extract = read_extract(order.osm, order.bbox)
+    side = _side(order, extract.box)
     order.out.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{order.name}-", dir=order.out.parent))
     try:
-        _build(order, work)
+        built = _build(order, extract, side, work, meanwhile)
         _move_in_place(work, order.out)
+    except (TownError, SumoError) as error:
+        raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    return open_town(order.out)
+    shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
+    return Imported(town=open_town(shown), side=side, walkable_share=built.share)
 
 
 def _check(order: ImportOrder) -> None:
-    west, south, east, north = order.bbox
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", order.name):
         raise TownError(f"a town cannot be named {order.name!r}; expected letters, digits, - and _")
     if order.split not in ("train", "test"):
         raise TownError(f"unknown split {order.split!r} of town {order.name}; expected train or test")
-    if not (-180 <= west < east <= 180 and -85 <= south < north <= 85):
-        raise TownError(f"bounding box {order.bbox} is not west,south,east,north in degrees")
-    if order.osm.suffix == ".pbf":
-        raise TownError(
-            f"{order.osm}: SUMO reads XML only; convert it: osmium cat {order.osm.name} -o {order.name}.osm.gz"
-        )
+    if order.bbox is not None:
+        check_box(order.bbox)
+    check_rates(order.per_hour)
+    if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
+        raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.out.is_dir() and any(order.out.iterdir()) and not (order.out / "town.toml").is_file():
         raise TownError(f"{order.out} is not empty and not a town; give another folder, or empty it")
 
 
-def _build(order: ImportOrder, work: Path) -> None:
-    extract = read_bytes(order.osm)
-    root = parse_root(extract, str(order.osm))
-    if root.tag != "osm" or root.find("way") is None:
-        raise TownError(f"{order.osm}: is not an OpenStreetMap extract (root <{root.tag}>); download an area as .osm")
-    cleaned = work / "clean.osm.xml"
-    cleaned.write_bytes(filter_osm(root).data)
-    net = _convert_net(order, work)
-    _convert_polygons(order, work)
-    cleaned.unlink()
-    for kind in ("net", "poly"):
-        plain = work / f"{order.name}.{kind}.xml"
-        write_gzip(work / f"{plain.name}.gz", without_comments(plain.read_bytes()))
-    ways = build_ways(net, work / f"{order.name}.net.xml", work, order.seed)
-    for kind in ("net", "poly"):
-        (work / f"{order.name}.{kind}.xml").unlink()
-    _write_folder(order, work, net, extract)
-    _write_demand(order, work, net, ways)
-    _write_manifest(order, work, net)
+def _side(order: ImportOrder, box: Box) -> Side:
+    return side_at(*middle_of(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
 
 
-def _write_demand(order: ImportOrder, work: Path, net: Net, ways: tuple[Way, ...]) -> None:
+def _build(
+    order: ImportOrder, extract: Extract, side: Side, work: Path, meanwhile: Callable[[Town], object] | None
+) -> BuiltNet:
+    name = order.name
+    (work / "osm").mkdir()
+    write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
+    dem = make_dem(order.relief, extract.box, order.seed)
+    net_order = NetOrder(
+        name=name,
+        box=extract.box,
+        lefthand=side.lefthand,
+        keep_service=order.keep_service,
+        more=order.options,
+    )
+    built = build_net(net_order, extract.root, work)
+    net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
+    convert_polygons(name, EXTRACT, work)
+    (work / EXTRACT).unlink()
+    if dem is not None:
+        write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
+        built = replace(built, net=read_net(net_path))
+    parking = find_parking(built.net, poly_path, order.parked, order.seed)
+    ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
+    for path in (net_path, poly_path):
+        write_gzip(work / f"{path.name}.gz", without_comments(path.read_bytes()))
+        path.unlink()
+    _write_folder(order, extract, work, parking)
+    _write_manifest(order, side, work, built, extract.box)
+    with ThreadPoolExecutor(1) as pool:
+        demand = pool.submit(_write_demand, order, work, built, ways, parking)
+        if meanwhile is not None:
+            meanwhile(_unfinished(work, order))
+        demand.result()
+    _write_manifest(order, side, work, built, extract.box)
+    return built
+
+
+def _unfinished(work: Path, order: ImportOrder) -> Town:
+    """The town without its demand, which is still being tried."""
+    town = open_town(work / f"{order.name}.sumocfg")
+    return replace(town, routes=())
+
+
+def _write_demand(order: ImportOrder, work: Path, built: BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
     """Write the flows, without the walking ways on which people get stuck."""
     for trials_left in reversed(range(ROUNDS + 1)):
-        if not ways:
-            raise TownError(f"town {order.name}: no way through it can be routed; take a larger area")
-        text = flows_text(net, ways, order.seed, order.traffic)
+        text = flows_text(built.net, ways, order.seed, order.traffic, order.per_hour, parking.vehicles)
         write_gzip(work / f"{order.name}.rou.xml.gz", text.encode())
-        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways) if trials_left else ()
+        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways) if trials_left and ways else ()
         if not stuck:
             return
         ways = tuple(way for way in ways if way not in stuck)
 
 
-def _convert_net(order: ImportOrder, work: Path) -> Net:
-    """Run netconvert; without --osm.crossings again when it crashes on one (netconvert 1.28 does on odd crossings)."""
-    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _TYPEMAPS)
-    left_out = _WAYS_LEFT_OUT[:1] if order.keep_service else _WAYS_LEFT_OUT
-    options = [
-        "--osm-files",
-        "clean.osm.xml",
-        "--type-files",
-        maps,
-        *_NETCONVERT,
-        "--remove-edges.by-type",
-        ",".join(left_out),
-    ]
-    options += ["--keep-edges.in-geo-boundary", ",".join(map(str, order.bbox)), "-o", f"{order.name}.net.xml"]
-    options += ["--lefthand"] * order.lefthand + list(order.options)
-    run = run_tool("netconvert", [*options, "--osm.crossings"], work)
-    if run.returncode == _SEGFAULT:
-        run = run_tool("netconvert", options, work)
-    if run.returncode:
-        raise SumoError(
-            f"town {order.name}: no net could be built: {run.reason()}; check the extract and the bounding box"
-        )
-    net = read_net(work / f"{order.name}.net.xml")
-    if not any(edge.function == "walkingarea" for edge in net.edges):
-        raise TownError(f"town {order.name}: the area has no pavements; choose a larger or another bounding box")
-    return net
-
-
-def _convert_polygons(order: ImportOrder, work: Path) -> None:
-    types = Path(__file__).parent / "polytypes.xml"
-    options = ["--osm-files", "clean.osm.xml", "--net-file", f"{order.name}.net.xml", "--type-file", str(types)]
-    run = run_tool("polyconvert", [*options, *_POLYCONVERT, "-o", f"{order.name}.poly.xml"], work)
-    if run.returncode:
-        raise SumoError(f"town {order.name}: buildings could not be read: {run.reason()}; check the extract")
-
-
-def _write_folder(order: ImportOrder, work: Path, net: Net, extract: bytes) -> None:
+def _write_folder(order: ImportOrder, extract: Extract, work: Path, parking: Parking) -> None:
     name = order.name
-    (work / f"{name}.add.xml").write_text(vtypes_text(), encoding="utf-8")
+    (work / f"{name}.add.xml").write_text(vtypes_text(parking.areas), encoding="utf-8")
     routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
     (work / f"{name}.sumocfg").write_text(sumocfg_text(name, order.seed, routes, additional), encoding="utf-8")
+    write_gzip(work / routes, b"<routes/>")  # until the demand is there
     (work / "LICENSE-DATA").write_text(license_text(name), encoding="utf-8")
-    (work / "osm").mkdir()
-    write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract)
-    (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox)) + "\n", encoding="utf-8")
+    (work / "osm" / "bbox").write_text(",".join(map(str, extract.box)) + "\n", encoding="utf-8")
 
 
-def _write_manifest(order: ImportOrder, work: Path, net: Net) -> None:
-    name = order.name
-    corners_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
+def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet, box: Box) -> None:
+    corners_m = np.concatenate([lane.points_m for edge in built.net.edges for lane in edge.lanes])
     middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
-    hashes = {
-        kind: content_digest(work / f"{name}.{kind}") for kind in ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "add.xml")
-    }
-    origin_m = (round(float(middle_m[0])), round(float(middle_m[1])))
     text = town_toml_text(
-        name=name,
+        name=order.name,
         split=order.split,
-        origin_m=origin_m,
+        origin_m=(round(float(middle_m[0])), round(float(middle_m[1]))),
         source=order.source,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
-        hashes=hashes,
+        rebuild=rebuild_command(order, box, side.lefthand),
+        hashes=hashes_of(work, order.name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
+
+
+def rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
+    """The command that makes the same town again from what its folder holds, run in that folder."""
+    words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
+    words += [f"--bbox={','.join(map(str, box))}", "--lefthand" if lefthand else "--righthand"]
+    words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
+    if order.per_hour:
+        words += ["--per-hour", ",".join(f"{key}={value:g}" for key, value in order.per_hour.items())]
+    if order.relief.dem is not None:
+        words += ["--dem", f"{order.name}.dem.tif"]
+    if order.relief.hill_m:
+        words += ["--hill", f"{order.relief.hill_m:g}"]
+    if order.relief.dem is not None or order.relief.hill_m:
+        words += ["--max-grade", f"{order.relief.max_grade:g}"]
+    words += ["--keep-service"] * order.keep_service
+    words += ["--source", order.source] if order.source else []
+    return shlex.join(["wcsim", "town", "import", *words])
 
 
 def _move_in_place(work: Path, out: Path) -> None:

@@ -6,14 +6,20 @@ from collections import defaultdict
 
 import numpy as np
 
+from wcsim.streets import FLAT
 from wcsim.towns.ground import CELL_M, Ground
 from wcsim.towns.shapes import Piece, joined
-from wcsim.types import F64, I32, StreetMesh
+from wcsim.types import F64, I32, Relief, StreetMesh
 
 
-def build_mesh(ground: Ground, walls: tuple[F64, I32, I32], large: list[Piece], small: list[Piece]) -> StreetMesh:
-    """One chunk for each ground cell with its kerbs, for each large piece, and for the small pieces of each cell."""
-    pieces = [*_ground_pieces(ground, walls), *large, *_by_cell(small)]
+def build_mesh(
+    ground: Ground, walls: tuple[F64, I32, I32], large: list[Piece], small: list[Piece], relief: Relief = FLAT
+) -> StreetMesh:
+    """One chunk for each ground cell with its kerbs, for each large piece, and for the small pieces of each cell.
+
+    Ground and kerbs are lifted by the relief; the other pieces stand at their height already.
+    """
+    pieces = [*_ground_pieces(ground, walls, relief), *large, *_by_cell(small)]
     return StreetMesh(
         vertices_W_m=np.concatenate([piece.vertices_W_m for piece in pieces]).astype(np.float32),
         faces=joined(pieces).faces,
@@ -23,13 +29,14 @@ def build_mesh(ground: Ground, walls: tuple[F64, I32, I32], large: list[Piece], 
     )
 
 
-def _ground_pieces(ground: Ground, walls: tuple[F64, I32, I32]) -> list[Piece]:
+def _ground_pieces(ground: Ground, walls: tuple[F64, I32, I32], relief: Relief) -> list[Piece]:
     triangles = np.concatenate([ground.vertices_W_m[ground.faces], walls[0]])  # (T, 3, 3)
+    triangles[:, :, 2] += relief.at(triangles)
     classes = np.concatenate([ground.face_class, walls[1]]).astype(np.uint8)
     cells, owner = np.unique(np.concatenate([ground.cell, walls[2]]), axis=0, return_inverse=True)
-    return [
-        _indexed(triangles[chosen], classes[chosen]) for chosen in (owner.reshape(-1) == i for i in range(len(cells)))
-    ]
+    order = np.argsort(owner.reshape(-1), kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(owner.reshape(-1), minlength=len(cells)))[:-1])
+    return [_indexed(triangles[group], classes[group]) for group in groups]
 
 
 def _indexed(triangles: F64, classes: np.ndarray) -> Piece:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -14,6 +14,8 @@ from wcsim.towns.xmlio import read_root
 from wcsim.types import F64
 
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
+WIDEST_M = 60.0  # a wider lane is a slip of the pen
+_NO_Z = np.zeros(1)
 _WALKERS = {"pedestrian", "wheelchair"}
 _RIDERS = {"bicycle", "scooter"}
 _RAILS = {"rail", "tram", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car", "ship"}
@@ -45,6 +47,7 @@ class Lane:
     kind: LaneKind
     internal: bool  # inside a junction
     points_m: F64  # (K, 2) net coordinates minus the origin
+    z_m: F64  # (K,) height above the net's `z_origin_m`
     width_m: float
     length_m: float
     speed_mps: float
@@ -87,6 +90,7 @@ class Junction:
     id: str
     kind: str
     outline_m: F64  # (K, 2)
+    z_m: F64  # (K,) height above the net's `z_origin_m`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +100,9 @@ class Net:
     edges: tuple[Edge, ...]
     connections: tuple[Connection, ...]
     junctions: tuple[Junction, ...]
+    lefthand: bool = False  # traffic keeps to the left
+    phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
+    z_origin_m: float = 0.0  # the net's own height of W's z = 0
 
     def lanes(self, *kinds: LaneKind) -> list[Lane]:
         """All lanes of these kinds, in file order."""
@@ -111,20 +118,50 @@ def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
         edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
         connections = tuple(_connection(element) for element in root.iterfind("connection"))
         junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
+        lefthand = root.get("lefthand", "0").lower() in ("1", "true")
     except (KeyError, ValueError) as error:
         raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
     if not any(edge.lanes for edge in edges):
         raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
-    return Net(edges=edges, connections=connections, junctions=junctions)
+    phases = phases_of(root)
+    return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
+
+
+def _levelled(net: Net) -> Net:
+    """The same net with heights counted from the middle one of its streets, so that a level town lies at 0."""
+    streets = [lane.z_m for edge in net.edges if not edge.function for lane in edge.lanes]
+    heights_m = np.sort(np.concatenate([_NO_Z, *streets])[1 if streets else 0 :])
+    if not heights_m.any():
+        return net
+    origin_m = float(heights_m[len(heights_m) // 2])
+    edges = tuple(
+        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes)) for edge in net.edges
+    )
+    junctions = tuple(replace(junction, z_m=junction.z_m - origin_m) for junction in net.junctions)
+    return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
+
+
+def phases_of(root: Element) -> tuple[tuple[str, str], ...]:
+    """Traffic light and state string of each phase of a file's <tlLogic> elements."""
+    return tuple(
+        (logic.get("id", ""), phase.get("state", ""))
+        for logic in root.iterfind("tlLogic")
+        for phase in logic.iterfind("phase")
+    )
 
 
 def points(text: str, origin_m: tuple[int, int]) -> F64:
     """SUMO's "x,y[,z] x,y[,z] ..." as (K, 2), moved by -origin. Raises ValueError."""
-    rows = [part.split(",")[:2] for part in text.split()]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    return _shape(text, origin_m)[0]
+
+
+def _shape(text: str, origin_m: tuple[int, int]) -> tuple[F64, F64]:
+    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none. Raises ValueError."""
+    rows = [(*part.split(","), "0")[:3] for part in text.split()]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(table).all():
         raise ValueError(f"a shape holds a number that is not finite: {text[:60]!r}")
-    return table - np.asarray(origin_m, dtype=np.float64)
+    return table[:, :2] - np.asarray(origin_m, dtype=np.float64), table[:, 2]
 
 
 def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
@@ -141,19 +178,27 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
     allow, disallow = _permissions(element)
+    points_m, z_m = _shape(element.attrib["shape"], origin_m)
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
         index=int(element.attrib["index"]),
         kind=lane_kind(function, allow),
         internal=function == "internal",
-        points_m=points(element.attrib["shape"], origin_m),
-        width_m=float(element.get("width", DEFAULT_LANE_WIDTH_M)),
+        points_m=points_m,
+        z_m=z_m,
+        width_m=_width_m(element),
         length_m=float(element.get("length", "0")),
         speed_mps=float(element.get("speed", "13.89")),
         allow=allow,
         disallow=disallow,
     )
+
+
+def _width_m(element: Element) -> float:
+    """A lane's width; SUMO writes -1 for one that was not set."""
+    width_m = float(element.get("width", DEFAULT_LANE_WIDTH_M))
+    return width_m if 0.0 < width_m < WIDEST_M else DEFAULT_LANE_WIDTH_M
 
 
 def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
@@ -201,8 +246,5 @@ def _connection(element: Element) -> Connection:
 
 
 def _junction(element: Element, origin_m: tuple[int, int]) -> Junction:
-    return Junction(
-        id=element.attrib["id"],
-        kind=element.get("type", ""),
-        outline_m=points(element.get("shape", ""), origin_m),
-    )
+    outline_m, z_m = _shape(element.get("shape", ""), origin_m)
+    return Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)

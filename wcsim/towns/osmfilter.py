@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from wcsim.towns.osmbuildings import mark_buildings
+
 _NO_STREET = {"corridor", "elevator", "proposed", "construction"}
 _NO_RAIL = {"subway", "construction", "disused", "abandoned", "proposed", "razed"}
+_NUMBERS = re.compile(r"^(lanes|width|est_width|layer|maxspeed|((cycleway|sidewalk):.*:?width))(:(forward|backward))?$")
+_NUMBER = re.compile(r"^[+-]?\d{1,4}([.,]\d+)?\s*[a-z/'\"]*$")
+_WORDS = {"none", "signals", "walk", "variable", "default", "national"}
 _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 
@@ -26,16 +32,41 @@ def filter_osm(root: Element) -> Filtered:
     dead = [way for way, tag in tags.items() if _is_hidden(tag)]
     for way in dead:
         root.remove(way)
-        del tags[way]
-    on_street = {node.get("ref") for way, tag in tags.items() if "highway" in tag for node in way.iterfind("nd")}
+    for item in (*root.iterfind("way"), *root.iterfind("node")):
+        for tag in item.findall("tag"):
+            if _is_senseless(tag.get("k", ""), tag.get("v", "")):
+                item.remove(tag)
+    orphans = strip_orphans(root)
+    mark_buildings(root)
+    data = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return Filtered(data=data, dropped_ways=len(dead), orphan_crossings=orphans)
+
+
+def strip_orphans(root: Element) -> int:
+    """Take the crossing tag off nodes that lie on no street, and say how many there were; changes `root`."""
+    on_street = {
+        node.get("ref")
+        for way in root.iterfind("way")
+        if any(item.get("k") == "highway" for item in way.iterfind("tag"))
+        for node in way.iterfind("nd")
+    }
     orphans = 0
     for node in root.iterfind("node"):
         for item in node.findall("tag"):
             if item.get("k") == "highway" and item.get("v") == "crossing" and node.get("id") not in on_street:
                 node.remove(item)
                 orphans += 1
-    data = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return Filtered(data=data, dropped_ways=len(dead), orphan_crossings=orphans)
+    return orphans
+
+
+def _is_senseless(key: str, value: str) -> bool:
+    """True for a tag without a value, or a word where netconvert wants a number: it stops at some of them."""
+    if not key or not value.strip():
+        return True
+    if not _NUMBERS.match(key):
+        return False
+    told = value.strip()
+    return not (_NUMBER.match(told) or told in _WORDS or ":" in told)  # as "DE:urban"
 
 
 def _tags(way: Element) -> dict[str, str]:

@@ -61,11 +61,12 @@ class Router:
 
     def random_goal(self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float) -> XY:
         """A place on a pavement, min_m to max_m of way from `start_xy`, or as near to that as the town allows."""
-        reach_m = self._reach_m(start_xy)
-        near_m = np.array([min(reach_m[e.start], reach_m[e.end]) for e in self.walk.edges])[self._starts]
+        reach_m, near_m = self._reach(start_xy, max_m)
         middle_m = near_m + 0.5 * self._length_m[self._starts]
         fits = (middle_m >= min_m) & (middle_m <= max_m)
         if not fits.any():
+            reach_m, near_m = self._reach(start_xy, None)
+            middle_m = near_m + 0.5 * self._length_m[self._starts]
             miss_m = np.maximum(min_m - middle_m, middle_m - max_m)
             fits = miss_m <= miss_m.min() + 1e-9
         weights = np.where(fits, self._length_m[self._starts], 0.0)
@@ -76,7 +77,8 @@ class Router:
             for bound in (min_m, max_m)
         )
         along_m = float(rng.uniform(low_m, max(low_m, high_m)))
-        at_m = along_m if reach_m[edge.start] <= reach_m[edge.end] else length_m - along_m
+        starts_nearer = reach_m.get(edge.start, np.inf) <= reach_m.get(edge.end, np.inf)
+        at_m = along_m if starts_nearer else length_m - along_m
         goal = self._at(index, at_m)
         return float(goal[0]), float(goal[1])
 
@@ -89,13 +91,19 @@ class Router:
                 graph.add_edge(edge.start, edge.end, weight=cost_m, index=index)
         return graph
 
-    def _reach_m(self, start_xy: XY) -> dict[int, float]:
-        """Cost of the way from a point to each node."""
+    def _reach(self, start_xy: XY, cutoff_m: float | None) -> tuple[dict[int, float], F64]:
+        """Cost of the way from a point to each node, up to a limit, and to the nearer end of each edge of `_starts`."""
         first, at_m = self._snap(start_xy)
         edge = self.walk.edges[first]
         ends = ((edge.start, at_m), (edge.end, float(self._length_m[first]) - at_m))
-        maps = [(offset_m, networkx.single_source_dijkstra_path_length(self._graph, node)) for node, offset_m in ends]
-        return {node: min(offset_m + cost_m[node] for offset_m, cost_m in maps) for node in self._graph}
+        reach_m: dict[int, float] = {}
+        for node, offset_m in ends:
+            found = networkx.single_source_dijkstra_path_length(self._graph, node, cutoff=cutoff_m)
+            for other, cost_m in found.items():
+                reach_m[other] = min(reach_m.get(other, np.inf), offset_m + cost_m)
+        edges = (self.walk.edges[index] for index in self._starts.tolist())
+        near_m = [min(reach_m.get(e.start, np.inf), reach_m.get(e.end, np.inf)) for e in edges]
+        return reach_m, np.array(near_m)
 
     def _snap(self, xy: XY) -> tuple[int, float]:
         """The nearest edge and the distance along it."""
@@ -113,12 +121,13 @@ class Router:
     def _through(self, first: int, first_m: float, last: int, last_m: float) -> list[tuple[int, F64]]:
         """Pieces of the cheapest way over one end of the first and one end of the last edge."""
         a, b = self.walk.edges[first], self.walk.edges[last]
-        graph = self._graph.copy()
+        graph = self._graph
         graph.add_edge("start", a.start, weight=first_m)
         graph.add_edge("start", a.end, weight=float(self._length_m[first]) - first_m)
         graph.add_edge("goal", b.start, weight=last_m)
         graph.add_edge("goal", b.end, weight=float(self._length_m[last]) - last_m)
         nodes = networkx.shortest_path(graph, "start", "goal", weight="weight")[1:-1]
+        graph.remove_nodes_from(("start", "goal"))
         pieces = [(first, _part(a.points_W_m, first_m, 0.0 if nodes[0] == a.start else float(self._length_m[first])))]
         for node, following in pairwise(nodes):
             index = self._graph[node][following]["index"]

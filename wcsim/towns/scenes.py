@@ -6,14 +6,17 @@ import re
 import shutil
 from pathlib import Path
 
-from wcsim.config import SceneFile, read_toml
+from wcsim.config import read_toml
 from wcsim.errors import SumoError, TownError
+from wcsim.scene_file import SceneFile
 from wcsim.towns.folder import sumocfg_text, town_toml_text
 from wcsim.towns.tools import run_tool
 from wcsim.towns.town import Town, open_town, town_roots
 from wcsim.towns.xmlio import without_comments, write_gzip
 
-_NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
+NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
+"""Options of netconvert and netedit, and the kinds of files that they take."""
+
 _MORE_FILES = ("add", "poly")
 # normalisation off: the net keeps the coordinates that the author wrote
 _OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
@@ -51,7 +54,7 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
     """
     scene = read_toml(folder / "scene.toml", SceneFile)
     work.mkdir(parents=True, exist_ok=True)
-    _build_net(scene.name, folder, work)
+    _build_net(scene, folder, work)
     additional = []
     for kind in ("rou", *_MORE_FILES):
         source = _only(folder, kind, needed=kind == "rou")
@@ -65,9 +68,10 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
     return open_town(work / f"{scene.name}.sumocfg"), scene
 
 
-def _build_net(name: str, folder: Path, work: Path) -> None:
-    options: list[str] = []
-    for option, kind in _NETCONVERT_FILES:
+def _build_net(scene: SceneFile, folder: Path, work: Path) -> None:
+    name = scene.name
+    options = ["--lefthand"] if scene.lefthand else []
+    for option, kind in NETCONVERT_FILES:
         source = _only(folder, kind, needed=kind in ("nod", "edg"))
         if source is not None:
             options += [option, str(source.resolve())]

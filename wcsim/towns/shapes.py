@@ -1,8 +1,8 @@
-"""Solid things as triangles: prisms, posts, trees, benches. Triangles are counter-clockwise seen from outside."""
+"""Solid things as triangles: prisms, posts, boxes, wheels. Triangles are counter-clockwise seen from outside."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -31,11 +31,46 @@ def joined(pieces: list[Piece]) -> Piece:
     )
 
 
-def prism(outline: Polygon, low_m: float, high_m: float, class_id: int) -> Piece:
-    """An upright prism over a polygon with or without holes: walls and a flat roof, no floor."""
+def moved(piece: Piece, xy_m: F64, yaw_rad: float = 0.0) -> Piece:
+    """A piece turned about the z axis of its own frame, then set down with that frame's origin at a point."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    vertices = piece.vertices_W_m.copy()
+    vertices[:, :2] = piece.vertices_W_m[:, :2] @ np.array([[c, s], [-s, c]]) + xy_m
+    return replace(piece, vertices_W_m=vertices)
+
+
+def raised(piece: Piece, height_m: float | F64) -> Piece:
+    """A piece lifted by one height, or each vertex by its own (V,)."""
+    vertices = piece.vertices_W_m.copy()
+    vertices[:, 2] += height_m
+    return replace(piece, vertices_W_m=vertices)
+
+
+def scaled(piece: Piece, factors: tuple[float, float, float]) -> Piece:
+    """A piece made longer, wider and higher about its origin; what reaches into the ground stays as deep."""
+    vertices = piece.vertices_W_m * (factors[0], factors[1], 1.0)
+    vertices[:, 2] *= np.where(vertices[:, 2] > 0.0, factors[2], 1.0)
+    return replace(piece, vertices_W_m=vertices)
+
+
+def prism(outline: Polygon, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Piece:
+    """An upright prism over a polygon with or without holes: walls, a flat roof and, if asked for, a floor."""
     oriented = shapely.orient_polygons(outline)  # outline counter-clockwise, holes clockwise
     rings = [shapely.get_coordinates(ring)[:-1] for ring in (oriented.exterior, *oriented.interiors)]
     base = np.concatenate(rings)  # (N, 2)
+    return _extruded(rings, _cover(outline, base), low_m, high_m, class_id, floor)
+
+
+def convex_prism(ring: F64, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Piece:
+    """An upright prism over a convex ring (N, 2), counter-clockwise and open; far cheaper to make than `prism`."""
+    middle = np.arange(1, len(ring) - 1, dtype=np.int32)
+    cover = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
+    return _extruded([ring], cover, low_m, high_m, class_id, floor)
+
+
+def _extruded(rings: list[F64], cover: I32, low_m: float, high_m: float, class_id: int, floor: bool) -> Piece:
+    """Walls along rings that have the solid on their left, and `cover` (R, 3) over all their corners."""
+    base = np.concatenate(rings)
     count = len(base)
     walls: list[I32] = []
     first = 0
@@ -44,22 +79,34 @@ def prism(outline: Polygon, low_m: float, high_m: float, class_id: int) -> Piece
         b = first + np.roll(np.arange(len(ring)), -1)
         walls += [np.stack([a, b, b + count], axis=1), np.stack([a, b + count, a + count], axis=1)]
         first += len(ring)
-    roof = _roof(outline, base) + count
-    faces = np.concatenate([*walls, roof]).astype(np.int32)
+    faces = np.concatenate([*walls, cover + count, *([cover[:, ::-1]] if floor else [])]).astype(np.int32)
     vertices = np.empty((2 * count, 3))
     vertices[:, :2] = np.tile(base, (2, 1))
     vertices[:, 2] = np.repeat([low_m, high_m], count)
     return Piece(vertices_W_m=vertices, faces=faces, face_class=np.full(len(faces), class_id, np.uint8))
 
 
-def post(xy_m: F64, radius_m: float, low_m: float, high_m: float, class_id: int, sides: int = 6) -> Piece:
+def post(
+    xy_m: F64, radius_m: float, low_m: float, high_m: float, class_id: int, sides: int = 6, floor: bool = False
+) -> Piece:
     """An upright regular prism."""
-    return prism(Polygon(_ring(xy_m, radius_m, sides)), low_m, high_m, class_id)
+    return convex_prism(_ring(xy_m, radius_m, sides), low_m, high_m, class_id, floor)
 
 
-def box(xy_m: F64, size_lwh_m: tuple[float, float, float], low_m: float, yaw_rad: float, class_id: int) -> Piece:
+def box(
+    xy_m: F64, size_lwh_m: tuple[float, float, float], low_m: float, yaw_rad: float, class_id: int, floor: bool = False
+) -> Piece:
     """An upright box turned about its middle."""
-    return prism(rectangle(xy_m, size_lwh_m[0], size_lwh_m[1], yaw_rad), low_m, low_m + size_lwh_m[2], class_id)
+    ring = shapely.get_coordinates(rectangle(xy_m, size_lwh_m[0], size_lwh_m[1], yaw_rad))[:-1]
+    return convex_prism(ring, low_m, low_m + size_lwh_m[2], class_id, floor)
+
+
+def disc(x_m: float, radius_m: float, thick_m: float, class_id: int, sides: int = 8) -> Piece:
+    """A wheel that stands on the ground at (x, 0) and rolls along x."""
+    lying = post(np.zeros(2), radius_m, -thick_m / 2, thick_m / 2, class_id, sides, floor=True)
+    x, y, z = lying.vertices_W_m.T
+    upright = np.column_stack([x + x_m, -z, y + radius_m])  # a quarter turn about x
+    return replace(lying, vertices_W_m=upright)
 
 
 def rectangle(xy_m: F64, length_m: float, width_m: float, yaw_rad: float) -> Polygon:
@@ -92,7 +139,7 @@ def _ring(xy_m: F64, radius_m: float, sides: int) -> F64:
     return np.asarray(xy_m) + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _roof(outline: Polygon, base: F64) -> I32:
+def _cover(outline: Polygon, base: F64) -> I32:
     """Triangles (R, 3) over the outline, as indices into its corners."""
     number = {(x, y): i for i, (x, y) in enumerate(base.tolist())}
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(outline))

@@ -6,20 +6,28 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.errors import TownError
 from wcsim.towns.buildings import Building, buildings_of
-from wcsim.towns.cache import cached_street, street_key
-from wcsim.towns.furniture import BASE_M, Place, things_of
-from wcsim.towns.grid import build_grid
-from wcsim.towns.ground import build_ground, kerbing_of
-from wcsim.towns.items import Item, read_items
+from wcsim.towns.cache import cached_street, pack_street, street_key
+from wcsim.towns.fittings import fittings_of
+from wcsim.towns.grid import GridMaker
+from wcsim.towns.ground import build_ground
+from wcsim.towns.items import read_items
+from wcsim.towns.kerbing import Kerbing, kerbing_of
 from wcsim.towns.kerbs import kerb_walls
+from wcsim.towns.looks import FOOT_M
 from wcsim.towns.mesh import build_mesh
-from wcsim.towns.netread import LaneKind, Net, read_net
+from wcsim.towns.netread import read_net
+from wcsim.towns.obstacles import author_things
+from wcsim.towns.patches import buffered
+from wcsim.towns.relief import on_land, relief_of
 from wcsim.towns.shapes import Piece, prism
-from wcsim.towns.surfaces import surfaces_of
+from wcsim.towns.standing import HeightAt, Place, footprints_of, set_on_ground
+from wcsim.towns.surfaces import Surfaces, surfaces_of
+from wcsim.towns.tiles import Packed, pack_tiles
 from wcsim.towns.town import Town
 from wcsim.towns.walkgraph import build_walk_graph, free_space
-from wcsim.types import F64, ClassId, Street, WalkGraph
+from wcsim.types import F64, ClassId, Relief, Street, WalkGraph
 
 LOW_KERB_M = 0.03  # lower ones need no distance kept
 
@@ -29,30 +37,40 @@ def load_street(town: Town) -> Street:
     return cached_street(street_key(town), lambda: build_street(town))
 
 
-def build_street(town: Town) -> Street:
-    """Make the street of a town from its net and polygons, without any cache."""
-    net = read_net(town.net, town.file.origin_m)
+def build_street(town: Town) -> Packed:
+    """Make the street of a town from its net and polygons, without any cache; `cache.street_of` opens it."""
+    whole = read_net(town.net, town.file.origin_m)
+    items = read_items(town.additional, town.file.origin_m, whole)
+    relief = relief_of(whole)
+    net = on_land(whole, relief)
     surfaces = surfaces_of(net, town.file.chair_ways)
-    kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m)
-    ground = build_ground(surfaces, kerbing)
+    if surfaces.low.is_empty and surfaces.pavement.is_empty:
+        raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
+    kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
+    ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
-    items = [*read_items(town.additional, town.file.origin_m), *_signal_posts(net)]
+    placed = author_things(items, surfaces.hull)
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
-    buildings = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
+    buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
-    walk = build_walk_graph(net, free_space(walkable, _kerb_lines(walls[0]), blocks), town.file.chair_ways)
-    place = Place(low=surfaces.low.buffer(0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull)
-    things = things_of(items, place)
-    large = [_block(building, town.file.kerb_height_m) for building in buildings]
-    return Street(
-        mesh=build_mesh(ground, walls, large, [thing.piece for thing in things]),
-        grid=build_grid(ground, [*(b.outline for b in buildings), *(thing.footprint for thing in things)]),
-        walk=walk,
-    )
+    solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
+    walk = build_walk_graph(net, free_space(walkable, _kerb_lines(walls[0]), solids), town.file.chair_ways)
+    place = Place(low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull)
+    things = fittings_of(items, net, town.additional, place, placed)
+    pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
+    large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
+    mesh = build_mesh(ground, walls, large, pieces, relief)
+    grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
+    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, net.z_origin_m)
 
 
-def _block(building: Building, ground_m: float) -> Piece:
-    return prism(building.outline, BASE_M, ground_m + building.height_m, ClassId.BUILDING)
+def _block(building: Building, ground_m: float, relief: Relief) -> Piece:
+    """A building stands on the lowest land below its walls, or hangs over the highest, and rises from the highest."""
+    land_m = relief.at(shapely.get_coordinates(building.outline))
+    top_m = float(land_m.max()) + ground_m
+    hangs = building.low_m > 0.0
+    low_m = top_m + building.low_m if hangs else FOOT_M + float(land_m.min())
+    return prism(building.outline, low_m, top_m + building.height_m, ClassId.BUILDING, floor=hangs)
 
 
 def _kerb_lines(walls: F64) -> BaseGeometry:
@@ -66,17 +84,11 @@ def _lines(walk: WalkGraph) -> BaseGeometry:
     return shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
 
 
-def _signal_posts(net: Net) -> list[Item]:
-    """A post at the right-hand end of each crossing that has a signal."""
-    lights = {link.end for link in net.connections if link.tls_id}
-    posts: list[Item] = []
-    for lane in net.lanes(LaneKind.CROSSING):
-        if lane.edge_id in lights and len(lane.points_m) > 1:
-            for end, inner in ((0, 1), (-1, -2)):
-                along = lane.points_m[end] - lane.points_m[inner]
-                along = along / max(1e-6, float(np.hypot(*along)))
-                place = lane.points_m[end] + 0.4 * along + (0.5 * lane.width_m + 0.3) * np.array([along[1], -along[0]])
-                posts.append(
-                    Item(id=lane.id, kind="traffic_signals", detail="", points_W_m=place[None], filled=False, tags={})
-                )
-    return posts
+def _height_at(surfaces: Surfaces, kerbing: Kerbing, relief: Relief) -> HeightAt:
+    """How high the ground is at points (n, 2)."""
+
+    def height_at(xy_m: F64) -> F64:
+        on_road = shapely.contains_xy(surfaces.low, xy_m)
+        return np.where(on_road, 0.0, kerbing.height_m(xy_m)) + relief.at(xy_m)
+
+    return height_at

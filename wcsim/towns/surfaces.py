@@ -10,6 +10,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.netread import WALK_KINDS, Lane, LaneKind, Net
+from wcsim.towns.patches import Patches, buffered
 
 GRID_M = 0.01  # all ground points lie on this grid
 SIMPLIFY_M = 0.05
@@ -19,7 +20,6 @@ POCKET_M2 = 12.0
 REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
 DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
 MARGIN_M = 15.0  # terrain beyond the outermost street
-MITRE = {"join_style": "mitre", "mitre_limit": 2.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +28,7 @@ class Surfaces:
 
     low: BaseGeometry  # carriageway and crossings: height 0
     crossing: BaseGeometry  # part of `low`
+    rail: BaseGeometry  # part of `low` that rail vehicles have to themselves
     pavement: BaseGeometry
     hull: BaseGeometry
 
@@ -43,20 +44,34 @@ def surfaces_of(net: Net, chair_ways: tuple[str, ...]) -> Surfaces:
     walk = shapely.union_all([lane_area(lane) for lane in walk_lanes] + _outlines(net))
     junctions = shapely.union_all([_polygon(j.outline_m) for j in net.junctions if j.kind != "internal"])
     walk = walk.union(_corners(junctions, other, walk))
-    inner = shapely.union_all([junctions, other]).difference(walk.buffer(GRID_M))
+    inner = shapely.union_all([junctions, other]).difference(buffered(walk, GRID_M))
     low = shapely.union_all([motor, inner, crossing])
     both = _cleaned(shapely.union_all([low, walk]))
-    low = _cleaned(_without_pockets(_opened(low.buffer(STRIP_M, **MITRE).buffer(-STRIP_M, **MITRE), STRIP_M), motor))
+    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * STRIP_M and not lane.internal]
+    low = shapely.union_all([_opened(_closed(low, STRIP_M), STRIP_M), *narrow])
+    low = _cleaned(_without_pockets(low, motor))
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
     reaches = _reaches(net.lanes(LaneKind.CROSSING), low, pavement)
     crossing = shapely.set_precision(shapely.union_all([crossing.intersection(low), *reaches]), GRID_M)
     hull = shapely.set_precision(both.convex_hull.buffer(MARGIN_M, quad_segs=2), GRID_M)
-    return Surfaces(low=low, crossing=_areas(crossing), pavement=_areas(pavement), hull=hull)
+    rail = _rail(low_lanes, low, [crossing, junctions])
+    return Surfaces(low=low, crossing=_areas(crossing), rail=rail, pavement=_areas(pavement), hull=hull)
+
+
+def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> BaseGeometry:
+    """Where only rail vehicles drive, between junctions."""
+    rail = shapely.union_all([lane_area(lane) for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal])
+    if rail.is_empty:
+        return MultiPolygon()
+    others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
+    own = _opened(rail.difference(shapely.union_all([*others, *taken])), STRIP_M).simplify(SIMPLIFY_M)
+    parts = shapely.get_parts(_areas(shapely.set_precision(own.intersection(low), GRID_M)))
+    return MultiPolygon([part for part in parts if part.area > POCKET_M2])
 
 
 def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
     """Parts of junctions beside the pavement that no vehicle comes near: SUMO's walking areas leave them out."""
-    near = driven.buffer(DRIVEN_M, quad_segs=2).buffer(0.5 - DRIVEN_M, quad_segs=2)
+    near = buffered(buffered(driven, DRIVEN_M, quad_segs=2), 0.5 - DRIVEN_M, quad_segs=2)
     corners = _opened(junctions.difference(walk).difference(near), 0.2)
     shapely.prepare(walk)
     return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, CLOSE_M)])
@@ -65,6 +80,7 @@ def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) 
 def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> list[BaseGeometry]:
     """Road between the end of a crossing and the pavement: SUMO ends a crossing at the junction's own outline."""
     shapely.prepare(pavement)
+    roads, pavements = Patches(low), Patches(pavement)
     found: list[BaseGeometry] = []
     for lane in crossings:
         area = lane_area(lane)
@@ -72,8 +88,8 @@ def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -
             along = lane.points_m[end] - lane.points_m[inner]
             along = along / max(1e-6, float(np.hypot(*along)))
             ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
-            strip = ahead.buffer(lane.width_m / 2, cap_style="flat").difference(pavement)
-            strip = strip.intersection(shapely.clip_by_rect(low, *strip.bounds)) if not strip.is_empty else strip
+            strip = ahead.buffer(lane.width_m / 2, cap_style="flat")
+            strip = strip.difference(pavements.near(strip.bounds)).intersection(roads.near(strip.bounds))
             parts = [part for part in shapely.get_parts(strip) if part.geom_type == "Polygon" and part.intersects(area)]
             found += [part for part in parts if shapely.dwithin(pavement, part, 2 * GRID_M)]
     return found
@@ -88,10 +104,12 @@ def lane_area(lane: Lane) -> BaseGeometry:
     """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
     if lane.kind is LaneKind.WALKINGAREA:
         return _polygon(lane.points_m)
+    if len(lane.points_m) < 2:
+        return Polygon()
     points_m = lane.points_m[np.r_[True, np.any(np.diff(lane.points_m, axis=0) != 0.0, axis=1)]]
     if len(points_m) < 2:
         return Polygon()
-    return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", **MITRE)
+    return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2.0)
 
 
 def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane]]:
@@ -122,13 +140,21 @@ def _polygon(points_m: np.ndarray) -> BaseGeometry:
 
 def _cleaned(area: BaseGeometry) -> BaseGeometry:
     """Gaps closed, points thinned and put on the grid."""
-    closed = area.buffer(CLOSE_M, **MITRE).buffer(-CLOSE_M, **MITRE).simplify(SIMPLIFY_M)
-    return _areas(shapely.set_precision(closed, GRID_M))
+    return _areas(shapely.set_precision(_closed(area, CLOSE_M).simplify(SIMPLIFY_M), GRID_M))
+
+
+def _closed(area: BaseGeometry, half_m: float) -> BaseGeometry:
+    """With gaps narrower than twice `half_m` filled."""
+    return _mitred(_mitred(area, half_m), -half_m)
+
+
+def _mitred(area: BaseGeometry, distance_m: float) -> BaseGeometry:
+    return buffered(area, distance_m, join_style="mitre", mitre_limit=2.0)
 
 
 def _opened(area: BaseGeometry, half_m: float) -> BaseGeometry:
     """Without strips narrower than twice `half_m`."""
-    return _areas(area.buffer(-half_m, **MITRE).buffer(half_m, **MITRE).intersection(area))
+    return _areas(_mitred(_mitred(area, -half_m), half_m).intersection(area))
 
 
 def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:

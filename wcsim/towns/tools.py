@@ -8,7 +8,7 @@ import resource
 import signal
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,16 +60,20 @@ def sumo_home() -> Path:
 
 def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits | None = None) -> ToolRun:
     """Run a tool of the eclipse-sumo wheel in `folder`. Raises SumoError when it cannot start or takes too long."""
-    limits = limits or Limits()
     home = sumo_home()
     projections = str(home / "data" / "proj")  # without it netconvert says "Cannot find proj.db"
     environment = os.environ | {"SUMO_HOME": str(home), "PROJ_LIB": projections, "PROJ_DATA": projections}
+    return run_child(name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits())
+
+
+def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str, str], limits: Limits) -> ToolRun:
+    """Run a command under limits, `name` being what messages call it. Raises SumoError as `run_tool` does."""
     with tempfile.TemporaryFile() as log:
         try:
             child = subprocess.Popen(
-                [str(home / "bin" / name), *arguments],
+                list(command),
                 cwd=folder,
-                env=environment,
+                env=dict(env),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -7,19 +7,17 @@ import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element
 
 from wcsim.config import TownFile, read_toml
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.xmlio import content_digest, read_root
+from wcsim.towns.scenario_options import Configuration, read_configuration
+from wcsim.towns.xmlio import content_digest, is_folder, is_there, read_head, read_root, shown
 
 log = logging.getLogger("wcsim.towns")
 
 NOT_TOWNS = ("scenes",)
-MAX_CFG_BYTES = 1 << 20
-_NET_KEYS = ("net-file", "net", "n")
-_ROUTE_KEYS = ("route-files", "routes", "r")
-_MORE_KEYS = ("additional-files", "additional", "a")
+_BOUNDARY = re.compile(rb"""<location\b[^>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
+_LOCATION_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +34,14 @@ class Town:
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
 
+    @property
+    def address(self) -> str:
+        """What `find_town` takes to find this town again, in this process or another one."""
+        try:
+            return str(self.folder if _main_config(self.folder) == self.sumocfg else self.sumocfg)
+        except TownError:
+            return str(self.sumocfg)
+
 
 def find_town(name_or_path: str) -> Town:
     """The town of that name (in ./scenarios/sumo, then in the package), or at that path (a folder or a .sumocfg).
@@ -47,13 +53,13 @@ def find_town(name_or_path: str) -> Town:
         raise TownError("a town has no name; give one of: " + _known() + ", or a path to a folder with a .sumocfg")
     for root in town_roots():
         folder = root / name_or_path
-        if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _configs(folder):
+        if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
             return open_town(folder)
     path = Path(name_or_path).expanduser()
-    if path.is_dir() or path.is_file():
+    if is_folder(path) or is_there(path):
         return open_town(path)
     raise TownError(
-        f"unknown town {name_or_path!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
+        f"unknown town {name_or_path[:160]!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
     )
 
 
@@ -65,7 +71,7 @@ def list_towns() -> tuple[Town, ...]:
     towns: dict[str, Town] = {}
     for root in town_roots():
         for folder in sorted(root.iterdir()):
-            if folder.name not in NOT_TOWNS and folder.name not in towns and _configs(folder):
+            if folder.name not in NOT_TOWNS and folder.name not in towns and _is_town(folder):
                 try:
                     towns[folder.name] = open_town(folder)
                 except (TownError, ConfigError) as error:
@@ -82,18 +88,18 @@ def town_roots() -> tuple[Path, ...]:
 
 def open_town(path: Path) -> Town:
     """The town in a folder, or of a .sumocfg file. Raises TownError with the cure when a file is missing."""
-    sumocfg = path if path.is_file() else _only_config(path)
-    folder = sumocfg.parent
-    root = read_root(sumocfg, MAX_CFG_BYTES)
-    nets = _inputs(root, _NET_KEYS, folder)
+    sumocfg = path if path.is_file() else _main_config(path)
+    config = read_configuration(sumocfg)
+    nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
-    routes, additional = _inputs(root, _ROUTE_KEYS, folder), _inputs(root, _MORE_KEYS, folder)
-    missing = [str(item) for item in (*nets, *routes, *additional) if not item.is_file()]
+    routes, additional = config.files("route-files"), config.files("additional-files")
+    missing = [shown(item) for item in (*nets, *routes, *additional) if not is_there(item)]
     if missing:
         raise TownError(f"{sumocfg}: names a file that is not there: {missing[0]}; restore it or correct the sumocfg")
     poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
-    file = town_file(folder, sumocfg)
+    folder = path.parent if path.is_file() else path
+    file = town_file(folder, config)
     return Town(
         name=file.name,
         split=file.split,
@@ -107,13 +113,39 @@ def open_town(path: Path) -> Town:
     )
 
 
-def town_file(folder: Path, sumocfg: Path) -> TownFile:
-    """`town.toml` of a folder; a SUMO scenario that was made elsewhere has none and gets the defaults."""
+def town_file(folder: Path, config: Configuration) -> TownFile:
+    """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
     toml = folder / "town.toml"
     if toml.is_file():
         return read_toml(toml, TownFile)
-    name = re.sub(r"[^A-Za-z0-9_-]", "-", folder.resolve().name)[:64] or "town"
-    return TownFile(name=name, split="train")
+    place, alone = folder.resolve(), len(_configs(folder)) == 1
+    words = place.name if alone else f"{place.name}-{config.path.stem}"
+    name = re.sub(r"(-|[^A-Za-z0-9_])+", "-", words).strip("-")[:64] or "town"
+    return TownFile(name=name, split="train", origin_m=net_middle(config.files("net-file")[0]))
+
+
+def net_middle(net: Path) -> tuple[int, int]:
+    """The middle of a net in its own coordinates, in whole metres; (0, 0) where it does not say how far it reaches.
+
+    Raises:
+        TownError: the file cannot be read, or is no XML.
+    """
+    found = _BOUNDARY.search(read_head(net, _LOCATION_BYTES))
+    try:
+        bounds_m = [float(part) for part in found.group(1).decode().split(",")] if found else []
+        west_m, south_m, east_m, north_m = bounds_m or _junction_bounds(net)
+        return round((west_m + east_m) / 2), round((south_m + north_m) / 2)
+    except (ValueError, OverflowError):  # whoever opens the net says what is wrong with it
+        return 0, 0
+
+
+def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
+    places = [
+        (float(junction.get("x", "0")), float(junction.get("y", "0")))
+        for junction in read_root(net).iterfind("junction")
+    ]
+    xs, ys = zip(*places, strict=True) if places else ((0.0,), (0.0,))
+    return min(xs), min(ys), max(xs), max(ys)
 
 
 def content_hash(town: Town) -> str:
@@ -127,7 +159,17 @@ def streets_hash(town: Town) -> str:
     return content_digest(town.net)
 
 
-def _only_config(folder: Path) -> Path:
+def _main_config(folder: Path) -> Path:
+    """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
+    toml = folder / "town.toml"
+    named_by_toml = read_toml(toml, TownFile).sumocfg if toml.is_file() else ""
+    if named_by_toml:
+        path = folder / named_by_toml
+        if not path.is_file():
+            raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
+        return path
+    if (folder / "scene.toml").is_file():
+        raise TownError(f"{folder} is a scene, not a town; run or film it: wcsim scene run {folder} [--film FILE.webm]")
     configs = _configs(folder)
     named = [item for item in configs if item.stem == folder.resolve().name]
     if len(named or configs) == 1:
@@ -136,21 +178,16 @@ def _only_config(folder: Path) -> Path:
     raise TownError(f"{folder}: expected one .sumocfg file, got {got}; give the path of the one that is meant")
 
 
+def _is_town(folder: Path) -> bool:
+    return bool(_configs(folder)) or (folder / "town.toml").is_file()
+
+
 def _configs(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.sumocfg")) if folder.is_dir() else []
 
 
-def _inputs(root: Element, keys: tuple[str, ...], folder: Path) -> tuple[Path, ...]:
-    found: list[Path] = []
-    for element in root.iter():
-        if element.tag in keys:
-            value = element.get("value") or element.get("v") or ""
-            found += [folder / part.strip() for part in value.split(",") if part.strip()]
-    return tuple(found)
-
-
 def _known() -> str:
     names = {
-        item.name for root in town_roots() for item in root.iterdir() if item.name not in NOT_TOWNS and _configs(item)
+        item.name for root in town_roots() for item in root.iterdir() if item.name not in NOT_TOWNS and _is_town(item)
     }
     return ", ".join(sorted(names)) or "(no town is installed)"

@@ -12,8 +12,8 @@ from wcsim.errors import SumoError
 from wcsim.towns.demand import Way
 from wcsim.towns.tools import Limits, run_tool
 
-TRIAL_S = 1200
-ROUNDS = 3
+TRIAL_S = 600
+ROUNDS = 2
 _JAMMED = re.compile(r"Person 'walkers\.\d+\.(\d+)\.\d+' is jammed")
 
 

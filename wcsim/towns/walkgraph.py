@@ -12,6 +12,7 @@ from shapely import MultiPolygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.netread import Lane, LaneKind, Net
+from wcsim.towns.patches import Patches, buffered
 from wcsim.towns.paths import shortest_inside
 from wcsim.towns.plane import length_of
 from wcsim.towns.surfaces import walkable_lanes
@@ -22,6 +23,7 @@ KERB_M = 0.35  # ... to the edge of a kerb
 SOFT_M = 0.10  # ... to terrain or road at the same height
 SEAM_M = 0.05  # pavements and crossings may be this far apart and still count as one
 SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
+SHORTEST_M = 3.0  # of the part of a lane that is kept when the whole cannot be passed
 REACH_M = 1.5  # how far a way may leave the lane or walking area that it belongs to
 
 
@@ -35,10 +37,10 @@ class _Port:
 
 def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
     """Where the middle of a wheelchair may be: walkable ground without the strips along kerbs and walls."""
-    space = walkable.buffer(SEAM_M, join_style="mitre").buffer(-SEAM_M - SOFT_M, join_style="mitre")
+    space = buffered(buffered(walkable, SEAM_M, join_style="mitre"), -SEAM_M - SOFT_M, join_style="mitre")
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, SOLID_M)):
         if not obstacle.is_empty:
-            space = space.difference(obstacle.buffer(gap_m, quad_segs=2))
+            space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
     areas = [part for part in shapely.get_parts(space.simplify(0.02)) if part.geom_type == "Polygon"]
     return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
 
@@ -93,28 +95,36 @@ class _Builder:
     def __init__(self, space: BaseGeometry) -> None:
         self.nodes: list[F64] = []
         self.edges: list[WalkEdge] = []
-        self._space = space
-        self._ports: dict[str, tuple[_Port, _Port]] = {}
+        self._space = Patches(space)
+        self._ports: dict[str, list[_Port]] = {}
 
     def add_lane(self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())) -> None:
-        """The way along a lane, as close to its middle as there is room; both its ends become nodes."""
-        line = shapely.LineString(lane.points_m)
-        local = self._local(line.buffer(lane.width_m / 2 + REACH_M))
+        """The way along a lane, as close to its middle as there is room; both its ends become nodes.
+
+        Of a lane that cannot be passed, as far as one comes from either end.
+        """
+        if len(lane.points_m) < 2:
+            return
+        local = self._local(shapely.LineString(lane.points_m).buffer(lane.width_m / 2 + REACH_M))
         ends = [_snapped(local, lane.points_m[k]) for k in (0, -1)]
-        if ends[0] is None or ends[1] is None:
-            return
-        points_m = np.concatenate([[ends[0]], lane.points_m[1:-1], [ends[1]]])
-        way = _along(local, points_m)
-        if way is None:
-            return
-        ports = (self._port(ends[0]), self._port(ends[1]))
-        self._ports[lane.id] = ports
-        self._add(lane.id, kind, ports, way, lane.width_m, signal)
+        ports = self._ports.setdefault(lane.id, [])
+        if ends[0] is not None and ends[1] is not None:
+            way = _along(local, np.concatenate([[ends[0]], lane.points_m[1:-1], [ends[1]]]))
+            if way is not None:
+                both = (self._port(ends[0]), self._port(ends[1]))
+                ports += both
+                self._add(lane.id, kind, both, way, lane.width_m, signal)
+                return
+        for end, points_m in zip(ends, (lane.points_m, lane.points_m[::-1]), strict=True):
+            part = _first_part(local, np.concatenate([[end], points_m[1:]])) if end is not None else None
+            if part is not None:
+                ports.append(self._port(part[0]))
+                self._add(lane.id, kind, (ports[-1], self._port(part[-1])), part, lane.width_m, signal)
 
     def link(self, area: Lane, lane_ids: list[str]) -> None:
         """Ways through a walking area, from each lane that ends in it to each other."""
         outline = shapely.MultiPoint(area.points_m).convex_hull
-        ports = [self._near(lane_id, outline) for lane_id in lane_ids if lane_id in self._ports]
+        ports = [self._near(lane_id, outline) for lane_id in lane_ids if self._ports.get(lane_id)]
         local = self._local(outline.buffer(REACH_M)) if len(ports) > 1 else outline
         for i, a in enumerate(ports):
             for b in ports[i + 1 :]:
@@ -123,12 +133,10 @@ class _Builder:
                     self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
 
     def _near(self, lane_id: str, outline: BaseGeometry) -> _Port:
-        first, last = self._ports[lane_id]
-        return min(first, last, key=lambda port: shapely.distance(outline, shapely.points(port.p_m)))
+        return min(self._ports[lane_id], key=lambda port: shapely.distance(outline, shapely.points(port.p_m)))
 
     def _local(self, around: BaseGeometry) -> BaseGeometry:
-        box = shapely.clip_by_rect(self._space, *around.bounds)
-        return box.intersection(around)
+        return self._space.near(around.bounds).intersection(around)
 
     def _port(self, p_m: F64) -> _Port:
         self.nodes.append(p_m)
@@ -171,6 +179,16 @@ def _along(space: BaseGeometry, points_m: F64) -> F64 | None:
     if shapely.covers(space.buffer(1e-4), line):
         return points_m
     return shortest_inside(space, points_m[0], points_m[-1])
+
+
+def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
+    """How far a polyline stays in `space` from its start on, or None when that is not worth going."""
+    inside = shapely.LineString(points_m).intersection(space.buffer(1e-4))
+    for part in shapely.get_parts(inside):
+        if part.length > SHORTEST_M and shapely.dwithin(part, shapely.points(points_m[0]), 0.05):
+            found: F64 = shapely.get_coordinates(part)
+            return found if np.hypot(*(found[0] - points_m[0])) < 0.06 else found[::-1]
+    return None
 
 
 def largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:

@@ -29,6 +29,39 @@ def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
     return bytes(data)
 
 
+def is_there(path: Path) -> bool:
+    """Whether a path that somebody wrote names a file; one that no system could hold does not."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path that somebody wrote names a folder."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def shown(path: Path) -> str:
+    """A path that somebody wrote, for a message: at most 160 letters, its end where it is longer."""
+    text = str(path)
+    return text if len(text) <= 160 else "..." + text[-157:]
+
+
+def read_head(path: Path, size: int) -> bytes:
+    """The first `size` bytes of a plain or gzip-compressed file's content. Raises TownError."""
+    try:
+        with path.open("rb") as file:
+            packed = file.read(2) == b"\x1f\x8b"
+        with gzip.open(path, "rb") if packed else path.open("rb") as file:
+            return bytes(file.read(size))
+    except (OSError, EOFError, zlib.error) as error:
+        raise TownError(f"{path}: cannot be read ({error}); expected an XML file, plain or gzip-compressed") from None
+
+
 def read_root(path: Path, limit: int = MAX_XML_BYTES) -> ElementTree.Element:
     """Root element of an XML file; document type definitions are refused. Raises TownError."""
     return parse_root(read_bytes(path, limit), str(path))

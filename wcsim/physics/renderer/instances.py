@@ -11,15 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.physics.renderer.kernels import place_models
-from wcsim.physics.renderer.templates import GAIT_PHASES, Template, template_of
-from wcsim.types import F64, I32, ActorKind, ActorState, PlantState
+from wcsim.physics.renderer.models import GAIT_PHASES, POSTURES, STANDING
+from wcsim.physics.renderer.templates import Template, template_of
+from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, PlantState
 
 U32 = npt.NDArray[np.uint32]
 
-STRIDE_M = 1.4  # two steps of a walking adult
+STRIDE = 0.8  # length of two steps against a walker's height
 WALKING_MPS = 0.2  # slower than this, a pedestrian stands
-STANDING_PHASE = 1
 GAIT_HEADINGS = 16
+CHILD_BELOW_M = 1.45
 _TEMPLATES = {kind: int(template_of(kind)) for kind in ActorKind}
 
 # The box of a wheelchair with its user, seen from the body frame B (origin below the drive axle).
@@ -31,13 +32,14 @@ CHAIR_SIZE_LWH_M = (1.12, 0.62, 1.45)
 class Instances:
     """n placed models; each is turned by roll, then pitch (nose up), then yaw, and put at the middle of its foot."""
 
-    template: I32  # (n,) Template, for pedestrians plus the gait phase
+    template: I32  # (n,) Template, for pedestrians plus figure and posture
     p_W_m: F64  # (n, 3)
     yaw_rad: F64  # (n,)
     pitch_rad: F64  # (n,) nose up positive
     roll_rad: F64  # (n,) left side up positive
     scale_m: F64  # (n, 3) length, width, height
     colour_seed: U32  # (n,)
+    lamps: I32  # (n,) SUMO's vehicle signals, for brake lights and turn lamps
 
     def __len__(self) -> int:
         return len(self.template)
@@ -63,22 +65,29 @@ def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ())
 
 
 def actor_instances(actors: Sequence[ActorState]) -> Instances:
-    """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint."""
-    seed = np.array([zlib.crc32(actor.id.encode()) for actor in actors], np.uint32)
+    """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint and a tram has one."""
+    names = [a.id.rpartition("~")[0] if a.piece else a.id for a in actors]
+    seed = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
     p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
     yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
-    template = np.array([_TEMPLATES[actor.kind] for actor in actors], np.int32)
+    scale_m = np.array([actor.size_lwh_m for actor in actors], np.float64).reshape(-1, 3)
+    template = np.array(
+        [_TEMPLATES[a.kind] if a.look is ActorLook.USUAL else template_of(a.kind, a.look) for a in actors], np.int32
+    )
     walks = template == Template.PEDESTRIAN
     speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])
-    template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks])
+    stride_m = STRIDE * scale_m[walks, 2]
+    template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
+    template[walks] += POSTURES * figures(scale_m[walks, 2], seed[walks])
     return Instances(
         template=template,
         p_W_m=p_W_m,
         yaw_rad=yaw_rad,
         pitch_rad=np.array([actor.pitch_rad for actor in actors], np.float64),
         roll_rad=np.zeros(len(actors)),
-        scale_m=np.array([actor.size_lwh_m for actor in actors], np.float64).reshape(-1, 3),
+        scale_m=scale_m,
         colour_seed=seed,
+        lamps=np.array([actor.signals for actor in actors], np.int64).astype(np.int32),
     )
 
 
@@ -94,6 +103,7 @@ def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
         roll_rad=np.array([math.atan2(R[2, 1], R[2, 2]) for R in turns], np.float64),
         scale_m=np.tile(CHAIR_SIZE_LWH_M, (len(chairs), 1)).astype(np.float64),
         colour_seed=np.array([zlib.crc32(b"chair %d" % chair.seat) for chair in chairs], np.uint32),
+        lamps=np.zeros(len(chairs), np.int32),
     )
 
 
@@ -111,6 +121,7 @@ def joined(first: Instances, second: Instances) -> Instances:
         roll_rad=np.concatenate([first.roll_rad, second.roll_rad]),
         scale_m=np.concatenate([first.scale_m, second.scale_m]),
         colour_seed=np.concatenate([first.colour_seed, second.colour_seed]),
+        lamps=np.concatenate([first.lamps, second.lamps]),
     )
 
 
@@ -148,16 +159,21 @@ def rotation_quaternion(yaw_rad: float, pitch_rad: float, roll_rad: float) -> li
     ]
 
 
-def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32) -> I32:
-    """Phase (n,) in 0..3 of each walker's step, from the place (n, 3) alone: one snapshot always gives one picture.
+def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:
+    """Phase (n,) in 0..3 of each walker's step, 4 for who stands.
 
-    The distance walked is read off along the nearest of 16 headings: a walker who turns a little does not skip phases.
-    The seed lets people out of step.
+    It comes from the place (n, 3) alone: one snapshot always gives one picture. The distance walked is read off along
+    the nearest of 16 headings: a walker who turns a little does not skip phases. The seed lets people out of step.
     """
     heading = np.rint(yaw_rad * (GAIT_HEADINGS / (2 * np.pi))) % GAIT_HEADINGS * (2 * np.pi / GAIT_HEADINGS)
     walked_m = p_W_m[:, 0] * np.cos(heading) + p_W_m[:, 1] * np.sin(heading)
-    steps = np.floor((walked_m / STRIDE_M + (seed & 255) / 256.0) * GAIT_PHASES)
-    return np.where(speed_mps < WALKING_MPS, STANDING_PHASE, steps % GAIT_PHASES).astype(np.int32)
+    steps = np.floor((walked_m / stride_m + (seed & 255) / 256.0) * GAIT_PHASES)
+    return np.where(speed_mps < WALKING_MPS, STANDING, steps % GAIT_PHASES).astype(np.int32)
+
+
+def figures(height_m: F64, seed: U32) -> I32:
+    """Which figure (n,) of `templates.FIGURES` each person is: a child, or one of two kinds of grown-ups."""
+    return np.where(height_m < CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
 
 
 def _rows(vectors: Sequence[F64]) -> F64:

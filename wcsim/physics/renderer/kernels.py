@@ -25,6 +25,9 @@ SKY_ID = np.uint8(23)
 BUCKETS = 256
 OUT = np.float32(-1e30)  # the depth of what is out of view
 PLAIN, STRIPES, WINDOWS = 0, 1, 2  # how a face of the street is patterned
+# Numbers of `paint.Paint`, and the bits of SUMO's vehicle signals that light them: 1 right, 2 left, 4 both, 8 brake.
+TAILLIGHT, LEFT_LAMP, RIGHT_LAMP, SHINING, BRAKING, TURNING = 4, 19, 20, 22, 22, 23
+LEFT_BITS, RIGHT_BITS, BRAKE_BIT = 6, 5, 8
 
 
 class StreetArrays(NamedTuple):
@@ -63,6 +66,7 @@ class InstanceArrays(NamedTuple):
     roll_rad: F64
     scale_m: F64
     colour_seed: U32Array
+    lamps: I32  # (n,) SUMO's vehicle signals
 
 
 class View(NamedTuple):
@@ -200,8 +204,17 @@ def draw_chunk(street: StreetArrays, chunk: int, view: View, scratch: F32, out: 
 
 
 @kernel
+def lit_paint(paint: int, lamps: int) -> int:
+    """The paint of a face of an actor whose signals are `lamps`."""
+    if paint == TAILLIGHT and lamps & BRAKE_BIT:
+        return BRAKING
+    turns = (paint == LEFT_LAMP and lamps & LEFT_BITS) or (paint == RIGHT_LAMP and lamps & RIGHT_BITS)
+    return TURNING if turns else paint
+
+
+@kernel
 def draw_model(
-    models: ModelArrays, t: int, seed: int, T_CM: F64, solid: bool, view: View, scratch: F32, out: Target
+    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, view: View, scratch: F32, out: Target
 ) -> None:
     """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped."""
     painted = out.words.shape[0] > 0
@@ -219,7 +232,9 @@ def draw_model(
             length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
             lit = (nx * view.sun_C[0] + ny * view.sun_C[1] + nz * view.sun_C[2]) / length
             shade = view.light[0] + view.light[1] * max(lit, 0.0)
-            paint = models.face_paint[face]
+            paint = lit_paint(int(models.face_paint[face]), lamps)
+            if paint >= SHINING:
+                shade = 1.0
             variant = ((seed ^ (seed >> 9)) >> (paint * 2)) & (models.paints.shape[1] - 1)
             word = COLOURED
             for k in range(3):
@@ -245,12 +260,12 @@ def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: 
 
 @kernel
 def half_diagonal(T: F64) -> float:
-    """Half the diagonal of a placed model's box, with room for rounding; T (3, 4) its place."""
+    """Half the diagonal of a placed model's box, with room for a stride and for rounding; T (3, 4) its place."""
     total = 0.0
     for row in range(3):
         for k in range(3):
             total += T[row, k] * T[row, k]
-    return float(0.5001 * np.sqrt(total) + 1e-3)
+    return float(0.54 * np.sqrt(total) + 1e-3)
 
 
 @kernel
@@ -349,7 +364,8 @@ def draw(
         for row in range(3):
             away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
         solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
-        draw_model(models, actors.template[i], actors.colour_seed[i], T_CM, solid, view, scratch, out)
+        seed, lamps = actors.colour_seed[i], actors.lamps[i]
+        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, view, scratch, out)
     finish(view, out)
 
 

@@ -36,6 +36,20 @@ class Paint(IntEnum):
     CARGO = 12
     BUS = 13
     TRAM = 14
+    TAXI = 15
+    WHITE = 16
+    BLUE = 17
+    RED = 18
+    LEFT_LAMP = 19
+    RIGHT_LAMP = 20
+    UNLIT = 21
+    # From here on a face shines: it has no shade.
+    BRAKING = 22  # a TAILLIGHT while its driver brakes
+    TURNING = 23  # a lamp of the side that its driver turns to
+    RED_LIGHT = 24
+    AMBER_LIGHT = 25
+    GREEN_LIGHT = 26
+    BLUE_LIGHT = 27
 
 
 GROUND_RGB: tuple[tuple[ClassId, tuple[int, int, int]], ...] = (
@@ -106,6 +120,19 @@ def paint_table() -> F32:
         Paint.CARGO: _CARGOS,
         Paint.BUS: _BUSES,
         Paint.TRAM: _TRAMS,
+        Paint.TAXI: ((242, 196, 30),),
+        Paint.WHITE: ((238, 238, 236),),
+        Paint.BLUE: ((34, 66, 150),),
+        Paint.RED: ((202, 40, 36),),
+        Paint.LEFT_LAMP: ((176, 104, 40),),
+        Paint.RIGHT_LAMP: ((176, 104, 40),),
+        Paint.UNLIT: ((34, 36, 38),),
+        Paint.BRAKING: ((255, 40, 32),),
+        Paint.TURNING: ((255, 170, 20),),
+        Paint.RED_LIGHT: ((255, 36, 30),),
+        Paint.AMBER_LIGHT: ((255, 184, 20),),
+        Paint.GREEN_LIGHT: ((30, 230, 110),),
+        Paint.BLUE_LIGHT: ((60, 120, 255),),
     }
     table = np.zeros((len(Paint), VARIANTS, 3), np.float32)
     for paint, colours in choices.items():

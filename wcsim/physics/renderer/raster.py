@@ -84,4 +84,5 @@ def _arrays(instances: Instances) -> kernels.InstanceArrays:
         roll_rad=instances.roll_rad,
         scale_m=instances.scale_m,
         colour_seed=instances.colour_seed,
+        lamps=instances.lamps,
     )

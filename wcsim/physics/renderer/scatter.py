@@ -11,11 +11,12 @@ from wcsim import seeding
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.camera import camera_matrix, mount, pose_of
-from wcsim.types import F64, ActorKind, ActorState, ClassId, Street, StreetGrid, WalkGraph, WayKind
+from wcsim.types import F64, ActorKind, ActorState, ClassId, Ground, Street, WalkGraph, WayKind
 
 RADIUS_M = 45.0
 PEDESTRIAN_SHARE = 0.6
-CLEAR_DM = 15  # distance of a vehicle's middle from walls and poles
+CELL_M = 0.1
+CLEAR_M = 1.5  # distance of a vehicle's middle from walls and poles
 ROAD_KINDS: tuple[tuple[ActorKind, tuple[float, float, float]], ...] = (
     (ActorKind.CAR, (4.6, 1.8, 1.5)),
     (ActorKind.CAR, (4.2, 1.75, 1.45)),
@@ -60,12 +61,9 @@ def scatter(street: Street, camera: CameraConfig, poses: int, actors: int, seed:
     return Scene(poses=matrices, actors=_actors(street, centre, actors, taken, rng))
 
 
-def ground_m(grid: StreetGrid, x_m: float, y_m: float) -> float:
+def ground_m(grid: Ground, x_m: float, y_m: float) -> float:
     """Height of the ground at a point; the nearest cell's when it is off the grid."""
-    row = int((y_m - grid.origin_W_m[1]) / grid.cell_m)
-    column = int((x_m - grid.origin_W_m[0]) / grid.cell_m)
-    rows, columns = grid.height_cm.shape
-    return grid.z_base_m + float(grid.height_cm[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]) / 100.0
+    return float(grid.height_at(np.array([x_m, y_m])))
 
 
 def _on_edge(street: Street, index: int, rng: np.random.Generator) -> tuple[F64, float]:
@@ -83,8 +81,8 @@ def _actors(
 ) -> tuple[ActorState, ...]:
     """Up to `count` actors; `taken` holds discs (x, y, radius) where nobody may stand, and grows."""
     grid = street.grid
-    road = _cells(grid, centre, (ClassId.ROAD,), CLEAR_DM)
-    walk = _cells(grid, centre, (ClassId.SIDEWALK, ClassId.CROSSWALK), 4)
+    road = _cells(grid, centre, (ClassId.ROAD,), CLEAR_M)
+    walk = _cells(grid, centre, (ClassId.SIDEWALK, ClassId.CROSSWALK), 0.4)
     out: list[ActorState] = []
     for number in range(4 * count):
         on_foot = bool(rng.random() < PEDESTRIAN_SHARE)
@@ -113,16 +111,13 @@ def _actors(
     return tuple(out)
 
 
-def _cells(grid: StreetGrid, centre: F64, classes: tuple[ClassId, ...], clear_dm: int) -> F64:
-    """Middles (n, 2) of the cells of these classes around a place, some distance from walls."""
-    low = np.floor((centre - RADIUS_M - grid.origin_W_m) / grid.cell_m).astype(int)
-    high = low + int(2 * RADIUS_M / grid.cell_m)
-    first, last = np.maximum(low, 0), np.maximum(high, 0)
-    window = np.s_[first[1] : last[1], first[0] : last[0]]
-    free = np.isin(grid.ground_class[window], classes) & (grid.clearance_dm[window] >= clear_dm)
-    rows, columns = np.nonzero(free)
-    cells = np.stack([columns + first[0], rows + first[1]], axis=1)
-    return np.asarray((cells + 0.5) * grid.cell_m + grid.origin_W_m, np.float64)
+def _cells(grid: Ground, centre: F64, classes: tuple[ClassId, ...], clear_m: float) -> F64:
+    """Middles (n, 2) of decimetre cells of these classes around a place, some distance from walls."""
+    first = np.floor((centre - RADIUS_M) / CELL_M)
+    steps = np.arange(round(2 * RADIUS_M / CELL_M)) + 0.5
+    middles = np.stack(np.meshgrid(first[0] + steps, first[1] + steps), axis=-1).reshape(-1, 2) * CELL_M
+    free = np.isin(grid.class_at(middles), classes) & (grid.clearance_at(middles) >= clear_m)
+    return np.asarray(middles[free], np.float64)
 
 
 def _along(walk: WalkGraph, x_m: float, y_m: float) -> float:

@@ -70,13 +70,13 @@ def limb(start: Point, end: Point, start_radius: float, end_radius: float, sides
 
 
 def barrel(
-    low_z: float, high_z: float, low: tuple[float, float], high: tuple[float, float], x: float = 0.0, lean: float = 0.0
+    low_z: float, high_z: float, low: tuple[float, float], high: tuple[float, float], x: float, lean: float, sides: int
 ) -> Part:
-    """An eight-sided trunk; `low` and `high` are half axes (x, y) of its ends, `lean` shifts the upper one in x."""
-    turns = 2.0 * np.pi * (np.arange(8) + 0.5) / 8
-    ring = np.c_[np.cos(turns), np.sin(turns)] / np.cos(np.pi / 8)
-    lower = np.c_[x + low[0] * ring[:, 0], low[1] * ring[:, 1], np.full(8, low_z)]
-    upper = np.c_[x + lean + high[0] * ring[:, 0], high[1] * ring[:, 1], np.full(8, high_z)]
+    """A trunk of some sides; `low` and `high` are half axes (x, y) of its ends, `lean` shifts the upper one in x."""
+    turns = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
+    ring = np.c_[np.cos(turns), np.sin(turns)] / np.cos(np.pi / sides)
+    lower = np.c_[x + low[0] * ring[:, 0], low[1] * ring[:, 1], np.full(sides, low_z)]
+    upper = np.c_[x + lean + high[0] * ring[:, 0], high[1] * ring[:, 1], np.full(sides, high_z)]
     return _between_rings(lower, upper)
 
 

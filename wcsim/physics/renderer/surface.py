@@ -25,7 +25,7 @@ U32 = npt.NDArray[np.uint32]
 
 WELD_M = 0.02
 BAY_M = 2.8
-TRUNK_TOP_M = 2.0  # a tree's faces below this height above its foot are its trunk
+TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
 WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
 
 
@@ -46,7 +46,8 @@ def paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> SurfacePaint:
     thing = connected_parts(vertices_W_m, faces, face_class)
     foot, top = _extent(corners[:, :, 2], thing)
     steep = np.abs(normal[:, 2]) < 0.5
-    colour = _colours(face_class, thing, steep, corners[:, :, 2].mean(axis=1) - foot)
+    east, north = (np.subtract(*_extent(corners[:, :, axis], thing)[::-1]) for axis in (0, 1))
+    colour = _colours(face_class, _dice(corners, thing), steep, np.maximum(east, north) < TRUNK_WIDE_M)
     shade = AMBIENT + DIFFUSE * np.maximum(normal @ SUN_W, 0.0)
     pattern = np.zeros(len(faces), np.uint8)
     windows = (face_class == ClassId.BUILDING) & steep & (top - foot > WINDOW_WALL_MIN_M)
@@ -104,25 +105,33 @@ def connected_parts(vertices_W_m: F32, faces: I32, face_class: U8) -> I64:
 def _welded(vertices_W_m: F32) -> I64:
     """A number for the place of every vertex (V,); vertices of one WELD_M cell share it."""
     cell = np.rint(vertices_W_m.astype(np.float64) / WELD_M).astype(np.int64)
-    cell -= cell.min(axis=0)
-    spans = cell.max(axis=0) + 1
+    cell -= cell.min(axis=0, initial=0)
+    spans = cell.max(axis=0, initial=0) + 1
     _, place = np.unique((cell[:, 0] * spans[1] + cell[:, 1]) * spans[2] + cell[:, 2], return_inverse=True)
     return place.astype(np.int64)
 
 
-def _extent(z_m: F64, thing: I64) -> tuple[F64, F64]:
-    """Lowest and highest z of the thing of every face, (F,) each, from the faces' corner heights (F, 3)."""
+def _extent(at_m: F64, thing: I64) -> tuple[F64, F64]:
+    """Least and largest coordinate of the thing of every face, (F,) each, from those of the faces' corners (F, 3)."""
     count = int(thing.max()) + 1 if len(thing) else 0
     foot, top = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(foot, thing, z_m.min(axis=1))
-    np.maximum.at(top, thing, z_m.max(axis=1))
+    np.minimum.at(foot, thing, at_m.min(axis=1))
+    np.maximum.at(top, thing, at_m.max(axis=1))
     return foot[thing], top[thing]
 
 
-def _colours(face_class: U8, thing: I64, steep: Bool, height_m: F64) -> F64:
-    """Unshaded colour (F, 3) of every face: by class, and by thing for buildings and trees."""
+def _dice(corners: F64, thing: I64) -> I64:
+    """A number for the thing of every face (F,), from where its corners (F, 3, 3) begin, whatever else is drawn."""
+    first = np.full((int(thing.max(initial=-1)) + 1, 2), np.inf)
+    np.minimum.at(first, thing, corners[:, :, :2].min(axis=1))
+    place = np.rint(first * 10.0).astype(np.int64).astype(np.uint64)
+    mixed = (place[:, 0] * np.uint64(73856093) ^ place[:, 1] * np.uint64(19349663)) * np.uint64(2654435761)
+    return (mixed[thing] >> np.uint64(40)).astype(np.int64)
+
+
+def _colours(face_class: U8, dice: I64, steep: Bool, thin: Bool) -> F64:
+    """Unshaded colour (F, 3) of every face: by class, and by chance for each building and tree."""
     colour = class_paint_table()[face_class]
-    dice = (thing.astype(np.uint64) * np.uint64(2654435761) >> np.uint64(7)).astype(np.int64)
     building, tree = face_class == ClassId.BUILDING, face_class == ClassId.VEGETATION
     for where, choices in (
         (building & steep, BUILDING_RGB),
@@ -131,7 +140,7 @@ def _colours(face_class: U8, thing: I64, steep: Bool, height_m: F64) -> F64:
     ):
         table = np.array(choices, np.float64)
         colour[where] = table[dice[where] % len(table)]
-    colour[tree & (height_m < TRUNK_TOP_M) & steep] = TRUNK_RGB
+    colour[tree & thin] = TRUNK_RGB
     return colour
 
 

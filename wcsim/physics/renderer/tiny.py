@@ -17,7 +17,7 @@ from wcsim.errors import PhysicsError
 from wcsim.physics.quiet import pybullet
 from wcsim.physics.renderer.base import Images, Pinhole, check_images
 from wcsim.physics.renderer.instances import Instances, rotation_quaternion
-from wcsim.physics.renderer.paint import VARIANTS, class_paint_table, paint_table
+from wcsim.physics.renderer.paint import VARIANTS, Paint, class_paint_table, paint_table
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.types import F64, U8, ClassId
 
@@ -117,15 +117,16 @@ class TinyRenderer:
         pybullet.resetBasePositionAndOrientation(body, p_W_m, q, physicsClientId=self._client)
 
     def _actor(self, model: _Model) -> tuple[int, ...]:
-        """Bodies of one new actor, one a class."""
+        """Bodies of one new actor, one a class, and one a colour of what shines."""
         table = self._store.templates
         vertices = table.vertices[table.vertices_of[model.template] : table.vertices_of[model.template + 1]]
         rows = slice(table.faces_of[model.template], table.faces_of[model.template + 1])
         corners = (vertices.astype(np.float64) * model.scale_m)[table.faces[rows]]
-        classes, paints = table.face_class[rows], table.face_paint[rows]
+        classes, paints = table.face_class[rows].astype(np.int64), table.face_paint[rows]
+        part = classes * 256 + np.where(paints >= Paint.UNLIT, paints, 0).astype(np.int64)
         bodies = []
-        for class_id in np.unique(classes):
-            mine = classes == class_id
+        for number in np.unique(part):
+            mine, class_id = part == number, number // 256
             colour = paint_table()[np.bincount(paints[mine]).argmax(), model.colour]
             bodies.append(self._body(corners[mine], int(class_id), colour.astype(np.float64)))
         return tuple(bodies)

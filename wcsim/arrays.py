@@ -1,0 +1,29 @@
+"""Names for NumPy arrays, and dataclasses that hold some."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+I32 = npt.NDArray[np.int32]
+U8 = npt.NDArray[np.uint8]
+Bool = npt.NDArray[np.bool_]
+
+
+class ComparesArrays:
+    """Equality that holds for arrays too: same type, equal fields, arrays equal element by element."""
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return False
+        return all(
+            bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else a == b
+            for a, b in ((getattr(self, item.name), getattr(other, item.name)) for item in fields(self))  # type: ignore[arg-type]
+        )

@@ -1,0 +1,74 @@
+"""What the street knows of a wheelchair, and what it tells its actors to do about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim import seeding
+from wcsim.types import F64, ActorState
+
+CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of its footprint
+LET_GO = -1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChairInStreet:
+    """What others see of a wheelchair."""
+
+    p_W_m: F64  # (2,) middle of the chair
+    v_W_mps: F64  # (2,)
+    on_road: bool  # on a carriageway or a crossing, not up on a pavement
+    yaw_rad: float = 0.0
+
+    def row(self) -> F64:
+        """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
+        return np.array([*self.p_W_m, math.cos(self.yaw_rad), math.sin(self.yaw_rad), *CHAIR_HALF_M, *self.v_W_mps])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """What an actor is told for one tick; `LET_GO` as speed gives everything back to SUMO."""
+
+    actor_id: str
+    speed_mps: float
+    hard: bool = False  # harder than SUMO's service brake: the speed is taken as it is
+    keep_lane: bool = False  # no lane change of SUMO's own
+    pushy: bool = False  # a lane change that is ordered takes smaller gaps
+    lane_index: int | None = None  # change to this lane
+    aside_m: float | None = None  # move over within the lane, left positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocked:
+    """An actor that stands because of a chair."""
+
+    actor_id: str
+    for_s: float
+    could_pass: bool  # there is room beside the chair, or another lane
+
+
+def is_person(actor: ActorState) -> bool:
+    """Whether SUMO moves this actor as a person, whatever its class."""
+    return actor.id.startswith("p:")
+
+
+class Attention:
+    """Who looks out for wheelchairs: a property of the actor and of the seed."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        self._share = share
+        self._seed = seed
+        self._known: dict[str, bool] = {}
+
+    def looks(self, actor_id: str) -> bool:
+        """Whether this actor notices wheelchairs at all."""
+        if self._share >= 1.0:
+            return True
+        known = self._known.get(actor_id)
+        if known is None:
+            draw = seeding.generator(self._seed, "attention", actor_id).random()
+            known = self._known[actor_id] = bool(draw < self._share)
+        return known

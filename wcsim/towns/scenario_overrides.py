@@ -1,0 +1,163 @@
+"""What wcsim overrides of a scenario's own options: one list of rules, which also makes the table in the guide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wcsim.towns.scenario_options import Configuration, Treatment, sumo_options
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Override:
+    """One option of a scenario that a world runs with another value than its author's."""
+
+    option: str
+    author: str  # "" where the author says nothing
+    wcsim: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What a world decides about a scenario."""
+
+    step_s: float
+    seed: int
+    demand_scale: float = 1.0  # times the author's own
+    jam_teleport_s: float | None = None  # None keeps the author's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """What happens to an option, in words for the guide; `value` is fixed, or "" where it depends on the run."""
+
+    option: str
+    says: str
+    why: str
+    value: str = ""
+
+
+RULES = (
+    Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
+    Rule(option="seed", says="drawn from `--seed`", why="one seed for all that chance decides"),
+    Rule(option="random", says="false", value="false", why="equal seeds give equal traffic"),
+    Rule(
+        option="scale",
+        says="the author's times `world.demand_scale`; kept while that is 1",
+        why="the run asks for more or less traffic",
+    ),
+    Rule(
+        option="time-to-teleport",
+        says="kept, unless `world.jam_teleport_s` is set",
+        why="the run says when a jam ends",
+    ),
+    Rule(option="no-step-log", says="true", value="true", why="the console is wcsim's"),
+    Rule(option="no-warnings", says="true", value="true", why="the console is wcsim's"),
+    Rule(option="duration-log.disable", says="true", value="true", why="the console is wcsim's"),
+    Rule(option="xml-validation", says="never", value="never", why="no schema from the network"),
+    Rule(option="xml-validation.net", says="never", value="never", why="no schema from the network"),
+    Rule(option="xml-validation.routes", says="never", value="never", why="no schema from the network"),
+)
+_FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
+_WHY = {rule.option: rule.why for rule in RULES}
+END_WHY = "kept for flows that have no end of their own; the run itself decides when it stops"
+OUTPUT_WHY = "into the run folder only"
+DROP_WHY = {
+    "configuration": "a run writes no configurations",
+    "gui_only": "there is no window",
+    "traci_server": "no other program steers this simulation",
+}
+PREFIX_WHY = "outputs keep their names"
+
+
+def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, str], ...]:
+    """Option and value of everything that a world sets, in a fixed order."""
+    set_here = [("step-length", repr(settings.step_s)), ("seed", str(settings.seed))]
+    if settings.demand_scale != 1.0:
+        set_here.append(("scale", repr(author_scale * settings.demand_scale)))
+    if settings.jam_teleport_s is not None:
+        set_here.append(("time-to-teleport", repr(settings.jam_teleport_s)))
+    return (*set_here, *_FIXED)
+
+
+def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]) -> tuple[Override, ...]:
+    """The rows for one scenario: only what differs from what its author wrote, or what SUMO would else do.
+
+    Args:
+        config: The author's configuration.
+        settings: What the world decides.
+        outputs: Options of the author that write files, each with the value it gets.
+    """
+    rows = []
+    for name, value in forced(settings, author_scale(config)):
+        author = config.value(name)
+        if not _same(sumo_options()[name].default if author is None else author, value):
+            rows.append(Override(option=name, author=author or "", wcsim=value, why=_WHY[name]))
+    for name, value in outputs:
+        rows.append(Override(option=name, author=config.value(name) or "", wcsim=value, why=OUTPUT_WHY))
+    for item in config.given:
+        if item.option.treatment is Treatment.DROP:
+            why = DROP_WHY.get(item.option.topic, PREFIX_WHY if item.option.topic == "output" else _WHY["no-step-log"])
+            rows.append(Override(option=item.option.name, author=item.value, wcsim="(left out)", why=why))
+        elif item.option.name == "end":
+            rows.append(Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY))
+    return tuple(rows)
+
+
+def author_scale(config: Configuration) -> float:
+    """The author's own factor of the demand."""
+    try:
+        return float(config.value("scale") or 1.0)
+    except ValueError:
+        return 1.0  # SUMO refuses it with a message of its own
+
+
+def overrides_markdown() -> str:
+    """The page `docs/overrides.md`."""
+    rows = [(f"`{rule.option}`", rule.says, rule.why) for rule in RULES]
+    rows += [
+        ("`end`", "kept, but it does not end the run", END_WHY),
+        ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they are the traffic"),
+        ("every option that writes a file", "a file of the same name in `RUN/sumo/`", OUTPUT_WHY),
+        ("`output-prefix`, `output-suffix`", "left out", PREFIX_WHY),
+        ("options of sumo-gui", "left out", DROP_WHY["gui_only"]),
+        ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
+        ("`save-configuration`, `save-template`, ...", "left out", DROP_WHY["configuration"]),
+    ]
+    lines = [f"| {' | '.join(row)} |" for row in (("option", "in a run", "why"), ("---", "---", "---"), *rows)]
+    return _PAGE.format(table="\n".join(lines))
+
+
+_PAGE = """# What wcsim overrides of a SUMO scenario
+
+A `.sumocfg` and the files it names stay as they are. A world runs filtered copies of them from `RUN/sumo/`: a file that
+writes nothing is read where it lies; one that names outputs (detectors, `edgeData`, `timedEvent`, `<param>` of devices
+and signals, at any depth of `<include>`) is copied with those names led to `RUN/sumo/`. Everything else in it stays.
+
+{table}
+
+The rows that differ from the author's values are printed when a run begins, and kept in its manifest. The filtered
+`RUN/sumo/TOWN.sumocfg` opens in sumo and sumo-gui as it is. Without a run folder (a Gymnasium environment) everything
+that SUMO writes goes when the world closes. When a world is made anew, its outputs begin anew.
+
+With `wcsim town run TOWN --chairs 0` the traffic is that of plain sumo with the same step length and seed (`sumo_seed`
+in the manifest): `--outputs fcd,tripinfo` writes the same bytes, but for the comment at their top.
+
+## Your own logic: a step hook
+
+`--hook module:Class` (`town run`, `train`, `test`) names a class of yours, in the current folder or on the Python path.
+It is made with the libsumo module for every epoch of the world; `before_step(time_s)` and `after_step(time_s)` are
+called around each step of SUMO, either may be missing. An example is `examples/own_signals.py`. Code is loaded from
+your own command line alone: a town cannot name a hook, because towns are made by others. What a hook does to vehicles
+and signals is up to you; do not step, load or close the simulation in it.
+"""
+
+
+def _same(author: str, value: str) -> bool:
+    if author.strip().lower() == value.lower():
+        return True
+    try:
+        return float(author) == float(value)
+    except ValueError:
+        return {author.strip().lower(), value.lower()} <= {"true", "1", "yes", "on", "t", "x"}

@@ -1,0 +1,98 @@
+"""A small scene that runs as it is, as a beginning for one's own: a street with a zebra, a car, a wheelchair."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+from wcsim.errors import TownError
+
+_FILES = {
+    "street.nod.xml": """\
+<nodes>
+    <!-- x is east, y is north, in metres; the zebra lies at C. A height z in metres would make a slope. -->
+    <node id="W" x="-60" y="0" type="priority"/>
+    <node id="C" x="0" y="0" type="priority"/>
+    <node id="E" x="60" y="0" type="priority"/>
+</nodes>
+""",
+    "street.typ.xml": """\
+<types>
+    <!-- one lane each way and a pavement of 2.5 m: the kerb is at y = 3.25, the pavement's middle at y = 4.5 -->
+    <type id="street" priority="3" numLanes="1" speed="11.11" width="3.25" sidewalkWidth="2.5"
+          disallow="pedestrian wheelchair"/>
+</types>
+""",
+    "street.edg.xml": """\
+<edges>
+    <edge id="WC" from="W" to="C" type="street"/>
+    <edge id="CW" from="C" to="W" type="street"/>
+    <edge id="EC" from="E" to="C" type="street"/>
+    <edge id="CE" from="C" to="E" type="street"/>
+</edges>
+""",
+    "street.con.xml": """\
+<connections>
+    <!-- kerbs are lowered where a crossing meets the pavement -->
+    <crossing node="C" edges="WC CW" priority="true" width="4"/>
+</connections>
+""",
+    "street.rou.xml": """\
+<routes>
+    <vType id="car" vClass="passenger" length="4.5" width="1.8" height="1.5"/>
+    <!-- what moves, in the order of its departures -->
+    <vehicle id="car.west" type="car" depart="0" departPos="5" departSpeed="max"><route edges="EC CW"/></vehicle>
+</routes>
+""",
+    "street.add.xml": """\
+<additional>
+    <!-- what stands here: wcsim.sign, wcsim.bench, wcsim.roadworks, ... and SUMO's own parking areas and stops -->
+    <poi id="sign" type="wcsim.sign" x="-20" y="-5.4" angle="90"/>
+</additional>
+""",
+    "scene.toml": """\
+name = "{name}"
+shows = "A wheelchair crosses at a zebra; a car brakes, lets it pass and drives on."
+seed = 1
+duration_s = 16.0
+kerb_height_m = 0.12
+# lefthand = true         # traffic keeps to the left
+# warmup_s = 30.0         # of traffic before the scene begins
+# attention_share = 1.0   # of those who notice the chair; 0.0 is nobody
+
+[[seats]]                 # one block for each wheelchair
+start_m = [0.0, -5.5]     # as in the .nod.xml
+heading_deg = 0.0         # SUMO's: 0 is north, 90 is east
+script = [[0.0, 0.0, 0.6], [10.8, 0.0, 0.0]]   # from this second on: right, forward
+# joystick = [0.0, 0.6]   # or instead of the script: held all the time; or a user with a way of its own:
+# goal_m = [-30.0, -4.5]
+# profile = "competent"
+
+[expect]                  # lowest and highest value that is right; a run prints all that can be asked for (--json FILE)
+crashed = false
+closest_vehicle_m = [0.8, 2.5]
+gave_way = [1, 1]
+went_on = [1, 1]
+""",
+}
+
+
+def write_scene(home: Path, name: str) -> Path:
+    """Write the template as the folder `name` in `home`, whole or not at all, and return it. Raises TownError."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
+        raise TownError(f"a scene cannot be called {name!r}; use up to 64 letters, digits, - and _")
+    folder = home / name
+    if folder.exists():
+        raise TownError(f"{folder} is there already; choose another name, or remove it first")
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=home, prefix=".new-") as work:
+            part = Path(work) / name
+            part.mkdir()
+            for file, text in _FILES.items():
+                (part / file).write_text(text.replace("{name}", name), encoding="utf-8")
+            part.rename(folder)
+    except OSError as error:
+        raise TownError(f"{folder}: cannot be written ({error.strerror}); choose another place (--out)") from None
+    return folder
