@@ -61,6 +61,18 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
         assert child.wait(timeout=60) in (1, 141)
 
 
+def test_an_import_that_is_ended_leaves_nothing(tmp_path):
+    town = Path(__file__).resolve().parents[2] / "scenarios" / "sumo" / "manhattan"
+    child = start(tmp_path, "town", "import", "--osm", town / "osm" / "manhattan.osm.xml.gz", "--name", "mine")
+    towns = tmp_path / "scenarios" / "sumo"
+    while not list(towns.glob(".mine-*")):
+        assert child.poll() is None
+    child.terminate()
+    _, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (143, "wcsim: terminated\n")
+    assert list(tmp_path.rglob("*")) == []
+
+
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
     total = 300
     words = (

@@ -7,6 +7,8 @@ import pytest
 from tests.towns import hostile
 from wcsim.errors import TownError
 from wcsim.towns.adopt import adopt_scenario
+from wcsim.towns.check import check_town
+from wcsim.towns.manifest import changes_of, own_work
 from wcsim.towns.town import Town, find_town, net_middle, open_town
 
 
@@ -20,17 +22,32 @@ def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path)
     (tmp_path / "theirs" / "in" / "b.xml").write_text("<additional><edgeData id='e' file='../e.xml'/></additional>")
     (tmp_path / "theirs" / "look.xml").write_text("<viewsettings/>")
     (tmp_path / "theirs" / "notes.txt").write_text("not named")
+    (tmp_path / "theirs" / "README.md").write_text("ours")
     before = contents(tmp_path / "theirs")
     town = adopt_scenario(sumocfg, "mine", tmp_path / "towns" / "mine", "test")
     assert contents(tmp_path / "theirs") == before
     made = contents(tmp_path / "towns" / "mine")
-    assert {name for name in made if name != "town.toml"} == set(before) - {"notes.txt"}
-    assert all(made[name] == before[name] for name in made if name != "town.toml")
+    ours = {"town.toml", "LICENSE-DATA"}
+    assert set(made) - ours == set(before) - {"notes.txt"}
+    assert all(made[name] == before[name] for name in set(made) - ours)
+    assert b"README.md" in made["LICENSE-DATA"]
     assert (town.name, town.split, town.file.origin_m) == ("mine", "test", net_middle(town.net))
-    assert set(town.file.hashes) == set(made) - {"town.toml"}
+    assert set(town.file.hashes) == set(made) - ours - {"README.md"}
     assert find_town(str(tmp_path / "towns" / "mine")) == town
     assert find_town(town.address) == town
     assert [path.name for path in (tmp_path / "towns").iterdir()] == ["mine"]
+
+
+def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(corner_town: Town, tmp_path: Path) -> None:
+    town = adopt_scenario(hostile.scenario(corner_town, tmp_path / "theirs"), "mine", tmp_path / "mine")
+    assert own_work(town.folder) and changes_of(town).all == ()
+    for name in ("a.net.xml", "a.rou.xml"):
+        path = town.folder / name
+        path.write_text(path.read_text(encoding="utf-8").replace("13.9", "8.3").replace("one", "two"), "utf-8")
+    report = check_town(town)
+    assert not [fault for fault in report.faults if "changed" in fault]
+    changed = [note for note in report.notes if "changed since the import" in note]
+    assert len(changed) == 2 and "a.rou.xml" in changed[0] and "duarouter -n a.net.xml" in changed[1]
 
 
 def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Town, tmp_path: Path) -> None:

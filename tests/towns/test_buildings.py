@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -218,7 +219,9 @@ def test_a_courtyard_and_a_part_come_through_polyconvert(tmp_path: Path) -> None
     tags = '<tag k="type" v="multipolygon"/><tag k="building" v="yes"/><tag k="height" v="12"/>'
     nodes = nodes_of((1, 0, 0), (2, 40, 0), *ring, *yard)
     text = f'<osm version="0.6">{nodes}{ways}{part}<relation id="7">{members}{tags}</relation></osm>'
-    (tmp_path / "a.osm.xml").write_bytes(filter_osm(parse_root(text.encode(), "test")).data)
+    root = parse_root(text.encode(), "test")
+    filter_osm(root)
+    (tmp_path / "a.osm.xml").write_bytes(ElementTree.tostring(root))
     types = Path(__file__).parents[2] / "wcsim" / "towns" / "polytypes.xml"
     assert (
         run_tool("netconvert", ["--osm-files", "a.osm.xml", "-o", "a.net.xml", "--proj.utm"], tmp_path).returncode == 0

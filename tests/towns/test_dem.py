@@ -9,7 +9,7 @@ from affine import Affine
 from rasterio.warp import transform
 
 from wcsim.errors import TownError
-from wcsim.towns.dem import Dem, Heights, heights_at, lowered, make_dem, own_projections, smoothed, write_dem
+from wcsim.towns.dem import Dem, Heights, heights_at, make_dem, own_projections, scaled, smoothed, write_dem
 from wcsim.towns.lift import lift_net, steepest_grade
 from wcsim.towns.netread import read_net
 from wcsim.towns.town import Town
@@ -63,10 +63,24 @@ def test_a_hill_is_smooth_seeded_and_as_high_as_ordered() -> None:
     assert make_dem(Heights(), BOX, 1) is None
 
 
+def test_a_file_of_our_own_is_taken_as_it_is_only_where_and_as_gentle_as_it_was_made(tmp_path: Path) -> None:
+    gentle = Heights(hill_m=20.0, max_grade=0.06)
+    made = make_dem(gentle, BOX, 1)
+    assert made is not None
+    path = tmp_path / "own.dem.tif"
+    write_dem(made, gentle, path)
+    kept, steeper, gentler = (make_dem(Heights(dem=path, max_grade=g), BOX, 0) for g in (0.06, 0.1, 0.03))
+    assert kept is not None and steeper is not None and gentler is not None
+    assert kept.smooth and steeper.smooth and not gentler.smooth
+    assert gentler.height_m == pytest.approx(made.height_m, abs=0.3)
+    with pytest.raises(TownError, match="give one that covers the town"):
+        make_dem(Heights(dem=path), (24.93, 60.16, 24.94, 60.17), 0)
+
+
 def test_smoothing_and_lowering_make_land_gentler() -> None:
     rough = Dem(height_m=np.random.Generator(np.random.Philox(3)).uniform(0, 30, (60, 60)), box=BOX)
     assert np.ptp(smoothed(rough, 30.0).height_m) < 0.6 * np.ptp(rough.height_m)
-    assert np.ptp(lowered(rough, 0.1).height_m) == pytest.approx(0.1 * np.ptp(rough.height_m))
+    assert np.ptp(scaled(rough, 0.1).height_m) == pytest.approx(0.1 * np.ptp(rough.height_m))
 
 
 def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: Path) -> None:

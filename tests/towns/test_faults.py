@@ -14,9 +14,10 @@ from wcsim.towns.convert import NetOrder, convert_net
 from wcsim.towns.faults import Findings, faults_of, notes_of
 from wcsim.towns.islands import islands_by_links, share_of, walkable_parts
 from wcsim.towns.netbuild import CHAIR_WAYS, build_net
-from wcsim.towns.netread import read_net
+from wcsim.towns.netread import LaneKind, read_net
 from wcsim.towns.osmfilter import filter_osm
 from wcsim.towns.osmread import read_extract
+from wcsim.towns.overlaps import Overlap
 from wcsim.towns.place import parse_box
 from wcsim.towns.town import Town
 from wcsim.towns.xmlio import read_bytes
@@ -36,7 +37,7 @@ FINE = Findings(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"walkingareas": 0}, "no walking areas.*netconvert -s .* --sidewalks.guess"),
+        ({"walkingareas": 0}, "no walking areas.*netconvert -s .* --sidewalks.guess.*name better.net.xml in .*sumocfg"),
         ({"crossings": 0}, "no crossings.*netconvert -s .* --crossings.guess"),
         ({"walkable_largest_share": 0.6}, "only 60% of the walkable ground.*netconvert"),
         ({"unroutable": 7}, "7 trips have no way.*duarouter -n .* --ignore-errors"),
@@ -50,6 +51,16 @@ def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, obj
     (fault,) = faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
     assert re.search(told, fault) and "\n" not in fault
     assert len(notes_of(replace(corner_town, poly=None), net)) == 1
+
+
+def test_streets_over_the_pavements_of_others_are_noted_and_many_are_a_fault(corner_town: Town) -> None:
+    net = read_net(corner_town.net)
+    paved_m2 = sum(lane.length_m * lane.width_m for lane in net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED))
+    for share, many in ((0.05, False), (0.2, True)):
+        over = (Overlap(street="a", pavement="b", area_m2=share * paved_m2),)
+        assert [bool(faults_of(corner_town, net, replace(FINE, overlaps=over)))] == [many]
+        told = [note for note in notes_of(corner_town, net, over) if "edge a over b" in note]
+        assert bool(told) is not many
 
 
 def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:

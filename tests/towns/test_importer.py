@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import gzip
+import os
 import shlex
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -23,6 +24,7 @@ from wcsim.towns.osmfilter import filter_osm
 from wcsim.towns.place import parse_box
 from wcsim.towns.tools import run_tool
 from wcsim.towns.town import Town
+from wcsim.towns.workplace import clear_stale
 from wcsim.towns.xmlio import parse_root, read_bytes, read_root
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "towns"
@@ -73,6 +75,7 @@ def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
     (tmp_path / "full" / "thesis.txt").write_text("mine", encoding="utf-8")
     cases = [
         (replace(order, name="a b"), "cannot be named"),
+        (replace(order, name="scenes"), "cannot be named"),
         (replace(order, split="both"), "unknown split"),
         (replace(order, bbox=(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
         (replace(order, bbox=(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
@@ -91,6 +94,16 @@ def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
     assert (tmp_path / "full" / "thesis.txt").read_text(encoding="utf-8") == "mine"
 
 
+def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(order: ImportOrder) -> None:
+    dead, alive = "99999999", str(os.getpid())
+    towns = order.out.parent
+    for name in (f".small-{dead}-abc", f".small-{alive}-abc", f".small-{dead}-xyz-old", f".other-{dead}-abc"):
+        (towns / name).mkdir(parents=True)
+        (towns / name / "town.toml").touch()
+    clear_stale("small", order.out)
+    assert {path.name for path in towns.iterdir()} == {"small", f".small-{alive}-abc", f".other-{dead}-abc"}
+
+
 def test_filter_takes_out_what_crashes_netconvert_or_lies_under_ground() -> None:
     text = b"""<osm>
       <node id="1"><tag k="highway" v="crossing"/></node><node id="2"><tag k="highway" v="crossing"/></node>
@@ -99,10 +112,9 @@ def test_filter_takes_out_what_crashes_netconvert_or_lies_under_ground() -> None
       <way id="12"><nd ref="2"/><tag k="highway" v="corridor"/></way>
       <way id="13"><nd ref="2"/><tag k="building" v="yes"/></way>
       <way id="14"><nd ref="2"/><tag k="railway" v="subway"/></way></osm>"""
-    filtered = filter_osm(parse_root(text, "text"))
-    root = parse_root(filtered.data, "filtered")
+    root = parse_root(text, "text")
+    filter_osm(root)
     assert [way.get("id") for way in root.iterfind("way")] == ["10", "13"]
-    assert (filtered.dropped_ways, filtered.orphan_crossings) == (3, 1)
     assert [len(node) for node in root.iterfind("node")] == [1, 0]
 
 
@@ -156,9 +168,13 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     per_s = [float(flow.attrib["period"][4:-1]) for flow in flows if flow.attrib["type"] == "bicycles"]
     assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
     assert not [flow for flow in flows if flow.tag == "personFlow"]
+    made = import_town(replace(order, per_hour={"tram": 60.0, "bicycle": 9.0}))
+    assert made.notes == ("no traffic of class tram: no street or track of this town is open to it",)
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
-    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1" in fault]
+    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1 " in fault]
+    still = import_town(replace(order, per_hour={"pedestrian": 0.0})).town
+    assert [fault for fault in check_town(still).faults if "nobody walks" in fault and "randomTrips" in fault]
 
 
 def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:
@@ -172,18 +188,33 @@ def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(o
     assert dem.stat().st_size < 200_000
     again = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.06))).town
     assert read_bytes(again.net) == first
+    assert "terrain model" in (again.folder / "LICENSE-DATA").read_text(encoding="utf-8")
+    gentler = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.03))).town
+    assert steepest_grade(read_net(gentler.net)) <= 0.031
+
+
+def test_a_hill_is_as_high_as_ordered_where_the_streets_are(order: ImportOrder) -> None:
+    town = import_town(replace(order, traffic=0.0, relief=Heights(hill_m=9.0, max_grade=0.25))).town
+    heights_m = np.concatenate([lane.z_m for edge in read_net(town.net).edges for lane in edge.lanes])
+    assert np.ptp(heights_m) == pytest.approx(9.0, abs=0.05)
 
 
 def test_the_noted_command_builds_the_town_again(order: ImportOrder, monkeypatch: pytest.MonkeyPatch) -> None:
     town = import_town(replace(order, traffic=0.3)).town
     before = {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
     town.net.write_bytes(gzip.compress(read_bytes(town.net).replace(b'speed="13.89"', b'speed="8.33"')))
-    (fault,) = check_town(town).faults
-    assert "small.net.xml.gz" in fault and "small.rou" not in fault
-    place, command = fault.split("; cd ")[1].split(" && ")
-    monkeypatch.chdir(place)
+    report = check_town(town)
+    assert report.faults == () and [note for note in report.notes if "small.net.xml.gz" in note and "duarouter" in note]
+    (town.folder / "thesis.txt").write_text("mine", encoding="utf-8")
+    monkeypatch.chdir(town.folder)
+    words = shlex.split(town.file.rebuild)[1:]
+    with redirect_stderr(StringIO()) as told:
+        assert main(words) == 2
+    assert "small.net.xml.gz, thesis.txt" in told.getvalue() and "--replace" in told.getvalue()
+    assert (town.folder / "thesis.txt").read_text(encoding="utf-8") == "mine"
     with redirect_stdout(StringIO()):
-        assert main(shlex.split(command)[1:]) == 0
+        assert main([*words, "--replace", "--json", "report.json"]) == 0
+    (town.folder / "report.json").unlink()  # it was written into the new folder
     assert {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()} == before
 
 

@@ -44,6 +44,15 @@ def test_every_format_gives_the_same_extract(tiny: Path, box: tuple[float, float
         assert (found.xml(), found.box) == (wanted.xml(), wanted.box), path.name
 
 
+def test_a_pbf_keeps_the_box_of_its_header(tiny: Path) -> None:
+    header = osmium.io.Header()
+    header.add_box(osmium.osm.Box(25.0, 60.0, 25.002, 60.001))
+    with osmium.SimpleWriter(str(tiny.with_name("b.osm.pbf")), header=header) as writer:
+        for item in osmium.FileProcessor(str(tiny)):
+            writer.add(item)
+    assert read_extract(tiny.with_name("b.osm.pbf")).box == (25.0, 60.0, 25.002, 60.001)
+
+
 def test_a_large_extract_is_cut_by_libosmium_to_the_same(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     packed = tiny.with_name("a.osm.gz")
     packed.write_bytes(gzip.compress(tiny.read_bytes()))

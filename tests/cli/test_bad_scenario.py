@@ -1,0 +1,150 @@
+"""Scenarios of strangers with one thing wrong: which command says so, of which file, and what cures it."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Result, files_in
+from tests.cli.test_bad_input import refused
+from tests.towns import hostile
+from tests.towns.nets import PAVED
+from wcsim.towns.tools import run_tool
+from wcsim.towns.town import find_town
+
+RUN = ("--seconds", "1", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24", "--out", "run")
+
+
+@pytest.fixture
+def theirs(corner: Path, folder: Path) -> Path:
+    """The sound town as a stranger's scenario: no town.toml, nothing compressed."""
+    return hostile.scenario(find_town(str(corner)), folder.parent / "theirs").parent
+
+
+def one_line(result: Result) -> str:
+    """What was printed, long lines joined again."""
+    return " ".join((result.out + result.err).split())
+
+
+def put_net(theirs: Path, *options: str) -> None:
+    """Another net in its place, of three streets by three, and a car that fits it."""
+    words = ["--grid", "--grid.number", "3", "--grid.length", "60", *options, "-o", "a.net.xml"]
+    run = run_tool("netgenerate", words, theirs)
+    assert run.returncode == 0, run.output
+    text = '<routes><vehicle id="one" depart="0"><route edges="A0A1 A1A2"/></vehicle></routes>'
+    (theirs / "a.rou.xml").write_text(text, encoding="utf-8")
+
+
+def change(path: Path, pattern: str, by: str | Callable[[re.Match[str]], str]) -> None:
+    text, count = re.subn(pattern, by, path.read_text(encoding="utf-8"))
+    assert count
+    path.write_text(text, encoding="utf-8")
+
+
+def test_a_net_without_pavements(wcsim, folder, theirs):
+    put_net(theirs)
+    refused(
+        wcsim("town", "run", theirs, *RUN),
+        *("a.net.xml", "no pavement", "netconvert -s a.net.xml --sidewalks.guess", "--chairs 0"),
+    )
+    assert files_in(folder) == set()
+    assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
+    checked = wcsim("town", "check", theirs)
+    assert checked.code == 1
+    assert "fault: the net has no walking areas, so nobody can walk; add pavements: netconvert -s" in one_line(checked)
+
+
+def test_a_net_without_crossings(wcsim, folder, theirs):
+    put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
+    checked = wcsim("town", "check", theirs, "--json", "check.json")
+    assert checked.code == 1
+    assert "fault: the net has no crossings, so nobody can cross a street; add them: netconvert -s" in one_line(checked)
+    assert json.loads(Path("check.json").read_text())["crossings"] == 0
+    assert wcsim("town", "run", theirs, *RUN).code == 0
+
+
+def test_a_net_that_was_never_projected(wcsim, folder, theirs):
+    def degrees(match: re.Match[str]) -> str:
+        places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[1].split()]
+        return ' shape="' + " ".join(f"{25 + x / 6e4:.7f},{60 + y / 1.1e5:.7f}" for x, y in places) + '"'
+
+    change(theirs / "a.net.xml", r' shape="([^"]+)"', degrees)
+    for words in (
+        ("check", theirs),
+        ("run", theirs, *RUN),
+        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
+    ):
+        refused(wcsim("town", *words), "a.net.xml", "degrees", "netconvert --osm-files", "--proj.utm")
+    assert files_in(folder) == set()
+
+
+def test_nobody_in_the_street(wcsim, folder, theirs):
+    (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
+    checked = wcsim("town", "check", theirs)
+    assert checked.code == 1
+    assert "fault: nobody walks in this town: its demand has no persons; add some: randomTrips.py" in one_line(checked)
+    ran = wcsim("town", "run", theirs, *RUN)
+    assert ran.code == 0
+    assert "nobody walked: the demand has no persons" in one_line(ran) and "--pedestrians" in ran.out
+
+
+def test_a_file_that_is_not_there(wcsim, folder, theirs):
+    (theirs / "a.rou.xml").unlink()
+    for words in (
+        ("check", theirs),
+        ("run", theirs, *RUN),
+        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
+    ):
+        refused(wcsim("town", *words), "a.sumocfg", "names a file that is not there", "a.rou.xml", "restore it")
+    assert files_in(folder) == set()
+
+
+def test_polygons_of_another_town(wcsim, folder, theirs):
+    house = '<poly id="h" type="building" color="red" fill="1" shape="9000,9000 9010,9000 9010,9010"/>'
+    (theirs / "a.poly.xml").write_text(f"<additional>{house}</additional>", encoding="utf-8")
+    change(theirs / "a.sumocfg", "a.add.xml", "a.add.xml,a.poly.xml")
+    checked = wcsim("town", "check", theirs)
+    assert checked.code == 1
+    assert "none of the 1 things of a.poly.xml lies at the streets, so it was made for another net" in one_line(checked)
+    assert "polyconvert --osm-files EXTRACT --net-file a.net.xml" in one_line(checked)
+
+
+def test_routes_for_another_net(wcsim, folder, theirs):
+    car = '<vehicle id="one" depart="0"><route edges="elsewhere nowhere"/></vehicle>'
+    walker = '<person id="two" depart="0"><walk edges="elsewhere"/></person>'
+    (theirs / "a.rou.xml").write_text(f"<routes>{car}{walker}</routes>", encoding="utf-8")
+    refused(wcsim("town", "run", theirs, *RUN), "a.rou.xml", "'elsewhere'", "correct the file", "sumo -c")
+    assert files_in(folder) == set()
+    checked = wcsim("town", "check", theirs)
+    assert checked.code in (1, 2)
+    assert "trips have no way through the net; drop them: duarouter" in one_line(checked)
+
+
+def test_archives_that_are_none_and_files_that_are_archives(wcsim, folder, theirs):
+    shutil.move(theirs / "a.net.xml", theirs / "a.net.xml.gz")
+    change(theirs / "a.sumocfg", "a.net.xml", "a.net.xml.gz")
+    plain = (theirs / "a.net.xml.gz").read_bytes()
+    assert wcsim("town", "run", theirs, *RUN).code == 0  # plain XML under a name that says otherwise
+    shutil.rmtree(folder / "run")
+    for data in (gzip.compress(plain)[:-500], b"\x1f\x8b" + plain):
+        (theirs / "a.net.xml.gz").write_bytes(data)
+        for words in (("check", theirs), ("run", theirs, *RUN)):
+            refused(wcsim("town", *words), "a.net.xml.gz", "cannot be read", "expected an XML file")
+    assert files_in(folder) == set()
+
+
+def test_a_scenario_that_kills_sumo(wcsim, folder, theirs):
+    change(theirs / "a.net.xml", r"<connection [^>]*/>", "")
+    for words in (
+        ("check", theirs),
+        ("run", theirs, *RUN),
+        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
+    ):
+        refused(wcsim("town", *words), "a.net.xml", "SUMO cannot open this net", "netconvert")
+    assert files_in(folder) == set()
