@@ -65,7 +65,7 @@ class StraightRoads:
             id=lane_id, edge_id="E", index=index, points_W_m=points, length_m=400.0, width_m=LANE_M, internal=False
         )
 
-    def lanes_beside(self, actor_id: str) -> tuple[int, ...]:
+    def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
         index = self._index(actor_id)
         return tuple(i for i in (index + 1, index - 1) if 0 <= i < self.lanes)
 

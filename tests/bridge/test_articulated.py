@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.physics.rig import actor
@@ -62,6 +62,7 @@ def test_a_tram_does_not_sweep_over_the_pavement_in_a_curve():
 
 
 @given(st.floats(0.05, 1.4), st.sampled_from([ActorKind.TRAM, ActorKind.BUS, ActorKind.TRUCK]), st.floats(18.0, 60.0))
+@example(1.0, ActorKind.BUS, 53.5)
 @settings(max_examples=25, deadline=None)
 def test_pieces_hang_together_and_the_first_has_sumo_s_front_and_id(step_m, kind, length_m):
     bends = Articulation()

@@ -163,3 +163,42 @@ def test_a_jump_of_sumos_does_not_carry_a_person_into_the_chair():
     moved.update((jumped,), (there,))
     (real,) = moved.shifted((jumped,))
     assert gap_m(real, there) >= 0.0
+
+
+def aside(there, person, ticks=8, others=()):
+    """A person that has stepped aside for a chair."""
+    moved = deflection()
+    for _ in range(ticks):
+        moved.update((person, *others), there)
+    assert moved.shifted((person,))[0].deflect_m != 0.0
+    return moved
+
+
+def test_who_is_put_far_away_by_sumo_is_there_and_not_beside():
+    there, person = (chair(7.0, 5.4, on_road=False),), walker(5.0, 5.6)
+    moved = aside(there, person)
+    elsewhere = replace(person, p_W_m=np.array([40.0, 5.6, 0.0]))
+    moved.update((elsewhere,), there)
+    assert moved.shifted((elsewhere,))[0].deflect_m == 0.0
+
+
+def test_a_jump_of_sumos_does_not_carry_who_is_aside_into_a_bicycle():
+    there, person = (chair(7.0, 5.2, on_road=False),), walker(5.0, 5.6)
+    bicycle = actor(ActorKind.BICYCLE, x=6.6, y=6.2, speed=0.0, size=(1.7, 0.6, 1.7), name="v:b")
+    moved = aside(there, person)
+    jumped = replace(person, p_W_m=np.array([5.9, 5.6, 0.0]))
+    moved.update((jumped, bicycle), there)
+    real = moved.shifted((jumped,))[0]
+    assert gap_to_box(*real.p_W_m[:2].tolist(), 6.6, 6.2, 1.0, 0.0, 0.85, 0.3) >= 0.25 - 1e-9
+
+
+def test_who_stands_aside_makes_way_for_a_bicycle_that_comes():
+    there, person = (chair(7.0, 5.2, on_road=False),), walker(5.0, 5.6, speed=0.0)
+    moved = aside(there, person, ticks=20)
+    gaps = []
+    for x in np.arange(-4.0, 5.0, 0.4):
+        bicycle = actor(ActorKind.BICYCLE, x=x, y=6.4, speed=4.0, size=(1.7, 0.6, 1.7), name="v:b")
+        moved.update((person, bicycle), there)
+        (real, _) = moved.shifted((person, bicycle))
+        gaps.append(gap_to_box(*real.p_W_m[:2].tolist(), x, 6.4, 1.0, 0.0, 0.85, 0.3) - 0.25)
+    assert min(gaps) >= 0.0

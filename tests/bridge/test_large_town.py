@@ -13,6 +13,7 @@ import pytest
 from tests.towns.big import make_big_town
 from tests.worlds import follow, open_world
 from wcsim.towns.street import load_street
+from wcsim.towns.tiles import TILE_M
 from wcsim.towns.town import find_town
 from wcsim.types import WayKind
 
@@ -37,7 +38,7 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
 
 
 def _tile(p_W_m):
-    return int(p_W_m[0] // 200), int(p_W_m[1] // 200)
+    return int(p_W_m[0] // TILE_M), int(p_W_m[1] // TILE_M)
 
 
 @pytest.mark.proof

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from wcsim.bridge.footprint import boxes_touch, gap_to_box
 from wcsim.bridge.lanes import STEP_M, LaneShape, OnLane, lay_out
 from wcsim.bridge.passing import ROOM_M, Touch, first_touches, room_beside
-from wcsim.bridge.sidestep import Block, block_of, ways_round
+from wcsim.bridge.sidestep import Block, block_of, block_of_disc, ways_round
 
 GAPS_M = np.array([0.1, 0.4, 3.0])
 
@@ -131,3 +131,17 @@ def test_the_way_round_is_the_shorter_one_and_none_leads_through_a_block():
     wall = Block(near_m=1.0, far_m=2.0, right_m=-5.0, left_m=-0.3)
     assert next(iter(ways_round([chair_like, wall], 0.0))) == pytest.approx(0.2 + 0.81)
     assert next(iter(ways_round([], 0.7))) == 0.0
+
+
+def test_nobody_steps_through_what_is_beside():
+    beside = Block(near_m=-0.9, far_m=0.9, right_m=-0.6, left_m=0.8)
+    assert set(ways_round([beside], 0.9)) == {0.8, 0.9}
+    ahead = Block(near_m=0.5, far_m=2.3, right_m=-0.6, left_m=0.8)
+    assert -0.6 in ways_round([ahead], 0.9)
+
+
+def test_of_somebody_half_behind_only_the_part_beside_counts():
+    behind, ahead = block_of_disc(-0.3, 0.6, 0.5), block_of_disc(0.3, 0.6, 0.5)
+    assert behind.right_m == pytest.approx(0.6 - 0.4)
+    assert ahead.right_m == pytest.approx(0.1)
+    assert behind.far_m == pytest.approx(0.2)

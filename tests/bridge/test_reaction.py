@@ -20,17 +20,17 @@ BEFORE_S = 60.0
 
 @pytest.fixture(scope="module")
 def streets(tmp_path_factory):
-    """The small streets by name, as town and ground."""
+    """The small streets by name, as town and what was built of it."""
     found = {}
     for street in SMALL_STREETS:
         town = build_small_street(street, tmp_path_factory.mktemp(street.name), seed=1)
-        found[street.name] = (town, load_street(town).grid)
+        found[street.name] = (town, load_street(town))
     return found
 
 
 def stage_in(streets, name, attention=1.0, warmup_s=BEFORE_S):
-    town, ground = streets[name]
-    return ReactionStage(town, ground, WorldConfig(attention_share=attention), seed=5, warmup_s=warmup_s)
+    town, street = streets[name]
+    return ReactionStage(town, street, WorldConfig(attention_share=attention), seed=5, warmup_s=warmup_s)
 
 
 @pytest.mark.parametrize(

@@ -171,10 +171,20 @@ def test_who_drives_in_the_next_lane_does_not_change_into_the_chair():
 def test_only_who_has_just_come_into_being_on_the_chair_is_turned_away():
     reaction = street()
     old, far = actor(x=50.0, name="v:old"), actor(x=0.0, name="v:far")
-    assert reaction.turned_away((old, far), (chair(49.0),)) == ()
+    assert reaction.turned_away((old, far), (chair(49.0),), ()) == ()
     fresh = actor(x=51.0, name="v:fresh")
-    assert reaction.turned_away((old, far, fresh), (chair(49.0),)) == ("v:fresh",)
-    assert reaction.turned_away((old, far, fresh), ()) == ()
+    assert reaction.turned_away((old, far, fresh), (chair(49.0),), {"v:fresh", "v:far"}) == ("v:fresh",)
+    assert reaction.turned_away((old, far, fresh), (), {"v:fresh"}) == ()
+
+
+def test_who_comes_into_reach_brakes_after_its_reaction_and_no_harder_than_it_can():
+    """A fast car that the mirror meets for the first time is no newcomer to the street."""
+    reaction, roads = street(reaction_s=0.7), StraightRoads()
+    fast = actor(x=0.0, speed=25.0, name="v:fast")
+    orders = [order_for(fast, (chair(40.0),), roads, reaction) for _ in range(12)]
+    assert orders[:6] == [None] * 6
+    hardest_mps = 25.0 - 0.1 * roads.brakes("v:fast").emergency_mps2
+    assert orders[-1].hard and orders[-1].speed_mps == pytest.approx(hardest_mps)
 
 
 class Bend(StraightRoads):
@@ -204,3 +214,20 @@ def test_a_bus_that_cuts_the_corner_stops_for_a_chair_inside_it():
     order = order_for(bus, (inside,), Bend())
     assert order is not None
     assert 0.0 <= order.speed_mps < 6.0
+
+
+def test_a_lane_beside_counts_only_where_the_route_goes_on_from_there():
+    class Ends(StraightRoads):
+        def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
+            return tuple(i for i in super().lanes_beside(actor_id, ahead_m) if ahead_m <= 15.0)
+
+    for lanes_end, wanted in ((False, 1), (True, None)):
+        roads = (Ends if lanes_end else StraightRoads)(lanes=2, sublanes=False)
+        assert order_for(actor(x=0.0, speed=0.0), (chair(9.0),), roads).lane_index == wanted
+
+
+def test_who_stands_near_a_chair_begins_no_change_of_lanes_of_sumos_own():
+    """SUMO moves sideways even who stands, and turns its body while it does."""
+    order = order_for(actor(x=0.0, speed=0.0), (chair(8.0, 2.4),), StraightRoads(lanes=2))
+    assert order is not None
+    assert order.keep_lane

@@ -294,6 +294,7 @@ def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
         ("--osm tiny.osm --per-hour passenger", ("CLASS=NUMBER",)),
         ("--osm tiny.osm --per-hour bicycle=nan", ("CLASS=NUMBER",)),
         ("--osm tiny.osm --per-hour bicycle=-5", ("bicycle",)),
+        ("--sumocfg tiny.osm --hill 5 --lefthand --seed 3", ("--sumocfg", "--lefthand", "--hill", "--seed")),
         ("--bbox 24,60,25,61", ("at most 12 km",)),
         ("--bbox 25,60,25.01,60.01 --url ftp://localhost/", ("--url", "http")),
         ("--bbox 25,60,25.01,60.01 --url http://127.0.0.1:9/", ("127.0.0.1:9", "--osm FILE")),

@@ -28,7 +28,9 @@ BRIDGE = {"bridge": "yes", "layer": "1"}
 
 def osm(*ways: tuple[int, list[int], Tags]) -> bytes:
     """An extract of the nodes above, in metres, with these ways."""
-    lines = [f'<node id="{k}" lat="{52 + y / 111_320:.7f}" lon="{13 + x / 68_500:.7f}"/>' for k, (x, y) in NODES.items()]
+    lines = [
+        f'<node id="{k}" lat="{52 + y / 111_320:.7f}" lon="{13 + x / 68_500:.7f}"/>' for k, (x, y) in NODES.items()
+    ]
     for number, nodes, tags in ways:
         refs = "".join(f'<nd ref="{node}"/>' for node in nodes)
         told = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
@@ -94,6 +96,12 @@ def test_streets_that_have_no_pavement_get_none(tmp_path: Path, tags: Tags) -> N
     assert {"13", "20"} <= paved and "12" not in paved
     crossed = {edge.lstrip("-").split("#")[0] for item in net.edges for edge in item.crossed}
     assert net.lanes(LaneKind.CROSSING) and ("12" not in crossed or tags["highway"] not in ("motorway", "trunk"))
+
+
+def test_a_town_of_footways_alone_has_no_bridges_and_no_overlaps(tmp_path: Path) -> None:
+    assert cut_bridges(parse_root(osm((1, [1, 2], {"waterway": "river"})), "text")) == ()
+    made = built(tmp_path, (20, RING[0][1], {"highway": "footway"}), (11, [5, 6], {"highway": "footway"}))
+    assert made.bridges == () and overlaps_of(made.net) == ()
 
 
 def test_only_slow_motorways_are_made_faster() -> None:

@@ -48,16 +48,6 @@ ODD = {
 
 
 @pytest.mark.parametrize("name", list(ODD))
-def test_a_small_loop_of_road_is_filled_and_a_large_one_or_an_island_of_pavement_is_not(tmp_path: Path) -> None:
-    ring = "0,0 {0},0 {0},{0} 0,{0} 0,0"
-    for size_m, holes in ((12, 0), (40, 1)):
-        net = write_net(tmp_path, street(y=-30), edge("loop", lane(ring.format(size_m))))
-        assert sum(len(part.interiors) for part in surfaces_of(net, WAYS).low.geoms) == holes
-    island = edge("island", lane("4,6 8,6", WALK, "3.0"))
-    net = write_net(tmp_path, edge("loop", lane(ring.format(12))), island)
-    assert surfaces_of(net, WAYS).pavement.area > 8.0
-
-
 def test_odd_nets_have_sound_ground(name: str, tmp_path: Path) -> None:
     assert_sound(write_net(tmp_path, *ODD[name]))
 
@@ -116,3 +106,13 @@ def test_rails_of_their_own_are_no_road(tmp_path: Path) -> None:
     assert surfaces.rail.area == pytest.approx(60 * 3.2, rel=0.02)  # the other track lies in the carriageway
     ground = ground_of(net)
     assert ground.low[ground.face_class == ClassId.RAIL_TRACK].all()
+
+
+def test_a_small_loop_of_road_is_filled_and_a_large_one_or_an_island_of_pavement_is_not(tmp_path: Path) -> None:
+    ring = "0,0 {0},0 {0},{0} 0,{0} 0,0"
+    for size_m, holes in ((12, 0), (40, 1)):
+        net = write_net(tmp_path, street(y=-30), edge("loop", lane(ring.format(size_m))))
+        assert sum(len(part.interiors) for part in surfaces_of(net, WAYS).low.geoms) == holes
+    island = edge("island", lane("4,6 8,6", WALK, "3.0"))
+    net = write_net(tmp_path, edge("loop", lane(ring.format(12))), island)
+    assert surfaces_of(net, WAYS).pavement.area > 8.0

@@ -71,7 +71,7 @@ class Articulation:
         if way is None or math.dist(front[:2], way[0][:2]) > JUMP_M:
             return [front, front, rear]
         known = way if math.dist(front[:2], way[1][:2]) >= STEP_M else way[1:]  # the newest moves until a step ahead
-        return _cut([front, *known], length_m + 2 * STEP_M)
+        return _cut([front, *known], 0.5 * math.pi * length_m + 2 * STEP_M)  # an arc is longer than its chord
 
     def _pieces(self, actor: ActorState) -> tuple[ActorState, ...]:
         lengths = piece_lengths(actor.kind, actor.size_lwh_m[0])
@@ -132,8 +132,11 @@ def _reach(way: list[F64], first: int, start: F64, length: float) -> tuple[int, 
         share = (-q + math.sqrt(max(q * q - p * r, 0.0))) / p if p > 0.0 else 0.0
         return i, a + min(max(share, 0.0), 1.0) * ab
     end = way[-1] - way[-2]
-    reach = length - math.dist(way[-1], start)
-    return len(way) - 2, way[-1] + max(reach, 0.0) * end / max(float(np.linalg.norm(end)), 1e-9)
+    end = end / max(float(np.linalg.norm(end)), 1e-9)
+    sa = way[-1] - start  # straight on from the end of the way, until it is as far from the start as it must be
+    along = float(sa @ end)
+    reach = -along + math.sqrt(max(along * along - float(sa @ sa) + length * length, 0.0))
+    return len(way) - 2, way[-1] + max(reach, 0.0) * end
 
 
 def _cut(way: list[F64], length_m: float) -> list[F64]:

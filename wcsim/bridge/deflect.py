@@ -10,58 +10,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from wcsim.bridge.footprint import Box, box_of, gap_to_box
-from wcsim.bridge.orders import CHAIR_HALF_M, LET_GO, Attention, Blocked, ChairInStreet, Order, is_person
-from wcsim.bridge.sidestep import FURTHEST_M, Block, block_of, ways_round
-from wcsim.types import F64, ActorState, ClassId, Ground
+from wcsim.bridge.crowd import (
+    CHAIR,
+    PEOPLE_AHEAD_M,
+    VEHICLE,
+    Vehicle,
+    Walker,
+    crowd_of,
+    near,
+    queue_behind,
+    vehicles_near,
+)
+from wcsim.bridge.footing import can_stand, way_is_open
+from wcsim.bridge.footprint import Box, gap_to_box
+from wcsim.bridge.orders import CHAIR_HALF_M, LET_GO, Attention, Blocked, ChairInStreet, Order
+from wcsim.bridge.sidestep import FURTHEST_M, Block, block_of, block_of_disc, ways_round
+from wcsim.types import ActorState, Ground
 
 SIDESTEP_MPS = 0.8
-CROWD_M = 7.0  # people this near a chair are looked at
 LOOK_AHEAD_M = 4.0
-PEOPLE_AHEAD_M = 2.5
-SOLID_GAP_M = 0.3
 CHAIR_GAP_M, TIGHT_GAP_M = 0.25, 0.08  # beside a chair, and when there is no more room for long
 PERSON_GAP_M = 0.12  # what a way round keeps to people and vehicles
+TIGHT_PERSON_GAP_M = 0.07
 BRUSH_M = 0.06  # nearer than this one stands, and does not step
-SHOULDER = 0.8  # of a body's radius stays over walkable ground
 BEHIND_M = 0.2  # clear of its rear before one steps back
 STOP_SHORT_M = 0.45
 PATIENCE_S = 3.0
 BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
 FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
-WALKABLE = (int(ClassId.SIDEWALK), int(ClassId.CROSSWALK), int(ClassId.TERRAIN))
-
-
-@dataclass(slots=True)
-class _Walker:
-    """One person near a chair, during one tick."""
-
-    id: str
-    x: float  # SUMO's place
-    y: float
-    cos: float
-    sin: float
-    speed_mps: float
-    radius_m: float
-    ox: float  # the offset
-    oy: float
-    chair_m: float = math.inf  # to the nearest chair: who is nearer goes first
-
-    @property
-    def left_m(self) -> float:
-        return self.oy * self.cos - self.ox * self.sin
-
-    @property
-    def at(self) -> tuple[float, float]:
-        return self.x + self.ox, self.y + self.oy
-
-    @property
-    def aside(self) -> bool:
-        return self.ox != 0.0 or self.oy != 0.0
 
 
 class Deflection:
@@ -76,10 +56,14 @@ class Deflection:
         self._stuck: set[str] = set()  # who found no way past a chair
         self._seen: set[str] = set()  # everybody near a chair a tick ago
         self._queueing: set[str] = set()  # who stands behind somebody that cannot go on, or will not in SUMO
-        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago
+        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago,
+        self._bare: dict[str, tuple[float, float]] = {}  # and where SUMO had them
+        self._halted: set[str] = set()  # whom SUMO does not move, whatever speed it tells
 
     def shifted(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
         """The actors where they really walk; `deflect_m` is the offset's part to their left."""
+        if not self._offsets:
+            return tuple(actors)
         return tuple(self._shift(actor) if actor.id in self._offsets else actor for actor in actors)
 
     def blocked(self) -> tuple[Blocked, ...]:
@@ -91,17 +75,24 @@ class Deflection:
 
     def holds(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> tuple[Order, ...]:
         """Who has to stand during this tick, and who walks on again; `actors` where they really are."""
-        crowd = self._crowd(actors, chairs, shifted=True)
+        crowd = crowd_of(actors, chairs, self._offsets, shifted=True)
+        if not (crowd or self._standing_s):
+            return ()
         boxes = [_chair_box(chair, self._tick_s) for chair in chairs]
-        still = {walker.id for walker in crowd if walker.speed_mps < 0.1 and walker.id not in self._standing_s}
+        vehicles = vehicles_near(actors, crowd) if self._offsets else []
+        still = {
+            walker.id
+            for walker in crowd
+            if (walker.speed_mps < 0.1 or walker.id in self._halted) and walker.id not in self._standing_s
+        }
         standing_s: dict[str, float] = {}
         behind: dict[str, str] = {}
         for walker in crowd:
-            holder = self._held_by(walker, boxes, crowd, actors)
+            holder = self._held_by(walker, boxes, crowd, vehicles)
             if holder is not None:
                 standing_s[walker.id] = self._standing_s.get(walker.id, 0.0) + self._tick_s
                 behind[walker.id] = holder
-        self._queueing = _queue(behind, still | self._stuck)
+        self._queueing = queue_behind(behind, still | self._stuck | {VEHICLE})
         go_on = [name for name in self._standing_s if name not in standing_s]
         self._standing_s = standing_s
         orders = [Order(actor_id=name, speed_mps=0.0) for name in standing_s]
@@ -109,69 +100,63 @@ class Deflection:
 
     def update(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
         """Move every offset by one tick; `actors` as SUMO has them, without offsets."""
-        crowd = self._crowd(actors, chairs, shifted=False)
-        boxes = [_chair_box(chair, 0.0) for chair in chairs]
-        self._stuck.intersection_update(walker.id for walker in crowd)
+        crowd = crowd_of(actors, chairs, self._offsets, shifted=False)
+        boxes = [_chair_box(chair, 0.0) for chair in chairs] if crowd else []
+        vehicles = vehicles_near(actors, crowd) if crowd else []
+        self._stuck.intersection_update([walker.id for walker in crowd])
+        bare = {walker.id: (walker.x, walker.y) for walker in crowd}
+        self._halted = {name for name, place in bare.items() if self._bare.get(name) == place}
+        self._bare = bare
         for walker in crowd:
-            self._stay_clear(walker, boxes, crowd)
+            self._stay_clear(walker, boxes, crowd, vehicles)
         for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
-            wish_m = self._wish(walker, boxes, crowd, actors)
-            self._move(walker, wish_m, boxes, crowd, actors)
+            wish_m = self._wish(walker, boxes, crowd, vehicles)
+            self._move(walker, wish_m, boxes, crowd, vehicles)
         self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
         self._places = {walker.id: walker.at for walker in crowd}
         self._seen = {actor.id for actor in actors}
 
-    def _crowd(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet], shifted: bool) -> list[_Walker]:
-        """The persons near a chair, and those that are still aside, in the actors' order."""
-        crowd = []
-        places = [chair.p_W_m.tolist() for chair in chairs]
-        for actor in actors:
-            if not is_person(actor):
-                continue
-            x, y, _ = actor.p_W_m.tolist()
-            chair_m = min((math.hypot(x - px, y - py) for px, py in places), default=math.inf)
-            ox, oy = self._offsets.get(actor.id, (0.0, 0.0))
-            if chair_m > CROWD_M and not (ox or oy):
-                continue
-            crowd.append(
-                _Walker(
-                    id=actor.id,
-                    x=x - ox if shifted else x,
-                    y=y - oy if shifted else y,
-                    cos=math.cos(actor.yaw_rad),
-                    sin=math.sin(actor.yaw_rad),
-                    speed_mps=math.hypot(actor.v_W_mps[0], actor.v_W_mps[1]),
-                    radius_m=0.5 * max(actor.size_lwh_m[:2]),
-                    ox=ox,
-                    oy=oy,
-                    chair_m=chair_m,
-                )
-            )
-        return crowd
-
-    def _stay_clear(self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker]) -> None:
+    def _stay_clear(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> None:
         """SUMO lets people jump a little at the ends of lanes; a body does not jump into a chair or another body."""
         before = self._places.get(walker.id)
-        if before is None and walker.id not in self._seen and self._overlaps(walker, walker.at, chairs, crowd):
-            self._begin_beside(walker, chairs, crowd)
-        if before is None or math.dist(before, (walker.x, walker.y)) > FURTHEST_M:
+        jumped = before is not None and math.dist(before, walker.at) > FURTHEST_M
+        if jumped:  # SUMO has put it elsewhere
+            walker.ox = walker.oy = 0.0
+        if before is None or jumped:
+            fresh = jumped or walker.id not in self._seen
+            if fresh and self._overlaps(walker, walker.at, chairs, crowd, vehicles):
+                self._begin_beside(walker, chairs, crowd, vehicles)
             return
-        if self._overlaps(walker, walker.at, chairs, crowd) and not self._overlaps(walker, before, chairs, crowd):
+        hits = self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+        if hits and not self._overlaps(walker, before, chairs, crowd, vehicles):
             walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
 
-    def _begin_beside(self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker]) -> None:
+    def _begin_beside(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> None:
         """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
         for left_m in BEGIN_BESIDE_M:
             walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
-            free = not self._overlaps(walker, walker.at, chairs, crowd)
-            if free and self._walkable(walker, np.array([walker.at])):
+            free = not self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+            if free and self._walkable(walker, *walker.at):
                 return
         walker.ox = walker.oy = 0.0
 
     def _overlaps(
-        self, walker: _Walker, at: tuple[float, float], chairs: Sequence[Box], crowd: Sequence[_Walker]
+        self,
+        walker: Walker,
+        at: tuple[float, float],
+        chairs: Sequence[Box],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
     ) -> bool:
         if self._attention.looks(walker.id) and any(gap_to_box(*at, *box) < walker.radius_m for box in chairs):
+            return True
+        if walker.aside and any(
+            gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
+        ):
             return True
         return any(
             math.dist(at, other.at) < walker.radius_m + other.radius_m
@@ -180,9 +165,9 @@ class Deflection:
         )
 
     def _held_by(
-        self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker], actors: Sequence[ActorState]
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> str | None:
-        """What a step ahead would bring this person against: "" for a chair or a vehicle, somebody's id; None if free.
+        """What a step ahead would bring this person against: CHAIR, VEHICLE or somebody's id; None if nothing.
 
         Of people only those count that SUMO does not see where they are.
         """
@@ -195,7 +180,7 @@ class Deflection:
                 if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
                     side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
                     if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
-                        return ""
+                        return CHAIR
         for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
@@ -205,24 +190,25 @@ class Deflection:
             if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
                 return other.id
         hits = walker.aside and any(
-            gap_to_box(nx, ny, *box) < min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *box))
-            for box in _vehicles_near(actors, x, y)
+            gap_to_box(nx, ny, *vehicle.box) < min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *vehicle.box))
+            for vehicle in near(vehicles, x, y)
+            if gap_to_box(walker.x, walker.y, *vehicle.box) > 0.0  # else SUMO itself leads it through
         )
-        return "" if hits else None
+        return VEHICLE if hits else None
 
     def _wish(
-        self, walker: _Walker, chairs: Sequence[Box], crowd: Sequence[_Walker], actors: Sequence[ActorState]
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> float:
         """How far left of its line this person would like to be now."""
         now_m = walker.left_m
         tight = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
         blocks = self._blocks(walker, chairs, TIGHT_GAP_M if tight else CHAIR_GAP_M)
-        people = self._people(walker, crowd)
-        if walker.aside or any(block.blocks(0.0) for block in (*blocks, *people)):
-            people += self._riders(walker, actors)
-        if not any(block.blocks(0.0) for block in (*blocks, *people)) and not walker.aside:
+        people = self._people(walker, crowd, TIGHT_PERSON_GAP_M if tight else PERSON_GAP_M)
+        if not walker.aside and not any([block.blocks(0.0) for block in (*blocks, *people)]):
             self._stuck.discard(walker.id)
             return 0.0
+        stand, drive = self._riders(walker, vehicles)
+        people += stand + drive
         ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*blocks, *people)), default=0.0)
         for left_m in ways_round((*blocks, *people), now_m):
             if left_m == 0.0 or self._open_way(walker, left_m, ahead_m):
@@ -234,9 +220,10 @@ class Deflection:
         for left_m in ways_round(people, now_m):
             if left_m == 0.0 or self._open_way(walker, left_m, 0.0):
                 return left_m
-        return now_m
+        run_over = any(block.beside and block.blocks(now_m) for block in drive)
+        return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
 
-    def _blocks(self, walker: _Walker, chairs: Sequence[Box], gap_m: float) -> list[Block]:
+    def _blocks(self, walker: Walker, chairs: Sequence[Box], gap_m: float) -> list[Block]:
         if not self._attention.looks(walker.id):
             return []
         seen = [
@@ -247,7 +234,7 @@ class Deflection:
         ]
         return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
 
-    def _people(self, walker: _Walker, crowd: Sequence[_Walker]) -> list[Block]:
+    def _people(self, walker: Walker, crowd: Sequence[Walker], gap_m: float) -> list[Block]:
         """Those who are where SUMO does not see them, or in whose way this person is, and who go first."""
         found = []
         for other in crowd:
@@ -255,35 +242,40 @@ class Deflection:
                 continue
             if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
                 continue
-            x, y = other.at
             along = walker.cos * other.cos + walker.sin * other.sin
             same_way = along > 0.5 and other.speed_mps > 0.5 * walker.speed_mps > 0.0
-            radius_m = walker.radius_m + other.radius_m + PERSON_GAP_M
-            block = block_of(walker.x, walker.y, walker.cos, walker.sin, (x, y, 1.0, 0.0, 0.0, 0.0), radius_m, radius_m)
+            x, y = other.at
+            dx, dy = x - walker.x, y - walker.y
+            block = block_of_disc(
+                dx * walker.cos + dy * walker.sin,
+                dy * walker.cos - dx * walker.sin,
+                walker.radius_m + other.radius_m + gap_m,
+            )
             if block.far_m > 0.0 and block.near_m < (0.3 if same_way else PEOPLE_AHEAD_M):
                 found.append(block)
         return found
 
-    def _riders(self, walker: _Walker, actors: Sequence[ActorState]) -> list[Block]:
-        gap_m = walker.radius_m + PERSON_GAP_M
-        seen = [
-            block_of(walker.x, walker.y, walker.cos, walker.sin, box, gap_m, gap_m)
-            for box in _vehicles_near(actors, *walker.at)
-        ]
-        now_m = walker.left_m  # in the gap beside a vehicle already, one may move along it: the step itself keeps clear
-        return [
-            block
-            for block in seen
-            if block.far_m > 0.0 and block.near_m < PEOPLE_AHEAD_M and not (block.beside and block.blocks(now_m))
-        ]
+    def _riders(self, walker: Walker, vehicles: Sequence[Vehicle]) -> tuple[list[Block], list[Block]]:
+        """The vehicles beside that stand, and where those that move are going to be."""
+        gap_m, now_m = walker.radius_m + PERSON_GAP_M, walker.left_m
+        stand, drive = [], []
+        for vehicle in near(vehicles, *walker.at):
+            block = block_of(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
+            if block.far_m <= 0.0 or block.near_m >= PEOPLE_AHEAD_M:
+                continue
+            if vehicle.moves:
+                drive.append(block)
+            elif not (block.beside and block.blocks(now_m)):  # else one is in the gap already, and may move along it
+                stand.append(block)
+        return stand, drive
 
     def _move(
         self,
-        walker: _Walker,
+        walker: Walker,
         wish_m: float,
         chairs: Sequence[Box],
-        crowd: Sequence[_Walker],
-        actors: Sequence[ActorState],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
     ) -> None:
         """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
         wx, wy = -wish_m * walker.sin - walker.ox, wish_m * walker.cos - walker.oy
@@ -296,9 +288,9 @@ class Deflection:
         x, y = walker.at
         nx, ny = x + share * wx, y + share * wy
         back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
-        if self._crowded(walker, (x, y), (nx, ny), chairs, crowd, actors):
+        if self._crowded(walker, (x, y), (nx, ny), chairs, crowd, vehicles):
             return
-        leaves = not self._walkable(walker, np.array([[nx, ny]])) and self._walkable(walker, np.array([[x, y]]))
+        leaves = not self._walkable(walker, nx, ny) and self._walkable(walker, x, y)
         if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
             return
         walker.ox, walker.oy = (
@@ -309,12 +301,12 @@ class Deflection:
 
     def _crowded(
         self,
-        walker: _Walker,
+        walker: Walker,
         here: tuple[float, float],
         there: tuple[float, float],
         chairs: Sequence[Box],
-        crowd: Sequence[_Walker],
-        actors: Sequence[ActorState],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
     ) -> bool:
         """Whether a sideways step comes too near to a chair, a vehicle or a person, and nearer than before."""
         for other in crowd:
@@ -324,27 +316,23 @@ class Deflection:
                 apart_m = walker.radius_m + other.radius_m + BRUSH_M
                 if near_m < apart_m and near_m < math.hypot(here[0] - ax, here[1] - ay):
                     return True
-        for boxes, gap_m in ((chairs, 0.5 * TIGHT_GAP_M), (_vehicles_near(actors, *here), BRUSH_M)):
+        beside = [vehicle.box for vehicle in near(vehicles, *here)]
+        for boxes, gap_m in ((chairs, 0.5 * TIGHT_GAP_M), (beside, BRUSH_M)):
             for box in boxes:
                 near_m = gap_to_box(*there, *box)
                 if near_m < walker.radius_m + gap_m and near_m < gap_to_box(*here, *box):
                     return True
         return False
 
-    def _open_way(self, walker: _Walker, left_m: float, ahead_m: float) -> bool:
+    def _open_way(self, walker: Walker, left_m: float, ahead_m: float) -> bool:
         """Whether the ground beside the line is walkable, from here to where the way round ends."""
-        x, y = walker.x - left_m * walker.sin, walker.y + left_m * walker.cos
-        steps = np.linspace(0.0, max(ahead_m, 0.0), 1 + math.ceil(max(ahead_m, 0.0) / 0.5))
-        way = np.stack([x + steps * walker.cos, y + steps * walker.sin], axis=1)
-        there = np.linspace(0.2, 1.0, 5)[:, None]  # the way across, but for the place one has already
-        return self._walkable(walker, np.concatenate([way, (1.0 - there) * walker.at + there * (x, y)]))
+        grid = self._ground.around(walker.p_W_m)
+        there = walker.x - left_m * walker.sin, walker.y + left_m * walker.cos
+        return way_is_open(grid, walker.at, there, (walker.cos, walker.sin), max(ahead_m, 0.0), walker.radius_m)
 
-    def _walkable(self, walker: _Walker, p_W_m: F64) -> bool:
-        """Whether this person can stand on all of these points (n, 2) with both shoulders."""
-        side = SHOULDER * walker.radius_m * np.array([-walker.sin, walker.cos])
-        way = np.concatenate([p_W_m, p_W_m + side, p_W_m - side])
-        clear = bool((self._ground.clearance_at(p_W_m) >= SOLID_GAP_M).all())
-        return clear and bool(np.isin(self._ground.class_at(way), WALKABLE).all())
+    def _walkable(self, walker: Walker, x: float, y: float) -> bool:
+        """Whether this person can stand there with both shoulders."""
+        return can_stand(self._ground.around(walker.p_W_m), x, y, walker.cos, walker.sin, walker.radius_m)
 
     def _shift(self, actor: ActorState) -> ActorState:
         ox, oy = self._offsets[actor.id]
@@ -353,27 +341,7 @@ class Deflection:
         return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
 
 
-def _queue(behind: dict[str, str], ends: set[str]) -> set[str]:
-    """Who stands behind one of `ends`, or behind somebody who does; `behind` names for each the one before it."""
-    queue: set[str] = set()
-    for first in behind:
-        name, way = first, {first}
-        while (name := behind.get(name, "")) and name not in way and name not in ends and name not in queue:
-            way.add(name)
-        if name in ends or name in queue:
-            queue |= way
-    return queue
-
-
 def _chair_box(chair: ChairInStreet, ahead_s: float) -> Box:
     """The chair's footprint, where it is going to be; it turns so little in that time that its heading stays."""
     x, y = (chair.p_W_m + ahead_s * chair.v_W_mps).tolist()
     return x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *CHAIR_HALF_M
-
-
-def _vehicles_near(actors: Sequence[ActorState], x: float, y: float) -> list[Box]:
-    return [
-        box_of(actor)
-        for actor in actors
-        if not is_person(actor) and abs(actor.p_W_m[0] - x) + abs(actor.p_W_m[1] - y) < actor.size_lwh_m[0] + 4.0
-    ]

@@ -67,8 +67,11 @@ class Roads(Protocol):
     def lane(self, lane_id: str) -> LaneShape:
         """A lane's shape."""
 
-    def lanes_beside(self, actor_id: str) -> tuple[int, ...]:
-        """Indices of the lanes directly left and right of a vehicle's that its class may use, the left one first."""
+    def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
+        """Indices of the lanes directly left and right of a vehicle's, the left one first.
+
+        Only those that its class may use, and on which its route leads on so far.
+        """
 
     def brakes(self, actor_id: str) -> Brakes:
         """A vehicle's brakes."""

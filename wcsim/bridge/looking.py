@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,9 +27,9 @@ HARD_MPS2 = 6.0  # unless it would take a harder brake to let it go first
 MOST_SKEW_RAD = 0.6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Look:
-    """One vehicle that looks at one chair."""
+    """One vehicle that looks at one chair. Made for every vehicle near one in every tick."""
 
     actor: ActorState
     tube: Tube
@@ -37,10 +37,19 @@ class Look:
     speed_mps: float
     row: F64
 
-    @property
-    def now(self) -> int:
-        """Index of the pose that the body has reached."""
-        return int((self.front_m - self.tube.first_m) / STEP_M)
+    now: int = field(init=False)  # index of the pose that the body has reached
+    _here: list[float] = field(init=False)  # that pose
+    _stands: bool = field(init=False)  # the chair
+
+    def __post_init__(self) -> None:
+        """Find the vehicle on its way."""
+        self.now = int((self.front_m - self.tube.first_m) / STEP_M)
+        self._here = self._pose(self.now)
+        vx, vy = self.row[6:].tolist()
+        self._stands = vx == vy == 0.0
+
+    def _pose(self, at: int) -> list[float]:
+        return self.tube.poses[min(max(at, 0), len(self.tube.poses) - 1)].tolist()  # type: ignore[no-any-return]
 
     def front_of(self, at: int) -> float:
         """The front bumper's place on the line at a pose."""
@@ -53,7 +62,7 @@ class Look:
     @property
     def skew(self) -> float:
         """Tangent of the angle between the body and its line: a vehicle that changes lanes drags its tail behind."""
-        _, _, cos, sin = self.tube.poses[min(max(self.now, 0), len(self.tube.poses) - 1)]
+        _, _, cos, sin = self._here
         turned_rad = self.actor.yaw_rad - math.atan2(sin, cos)
         return math.tan(max(-MOST_SKEW_RAD, min(MOST_SKEW_RAD, frames.wrap(turned_rad))))
 
@@ -65,7 +74,7 @@ class Look:
         half_m = 0.5 * long_m, 0.5 * width_m
         span, skew = (max(0, self.now), last), 0.0 if straight else self.skew
         careful = first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace, SOONER_S)
-        if self._can_stop(careful.at[1]):
+        if self._stands or self._can_stop(careful.at[1]):
             return careful
         return first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace)
 
@@ -88,16 +97,20 @@ class Look:
 
     def passable(self, at: int) -> bool:
         """Whether the chair there stands, or rolls slowly along the way; one that moves across is waited for."""
-        vx, vy = self.row[6], self.row[7]
-        _, _, cos, sin = self.tube.poses[min(max(at, 0), len(self.tube.poses) - 1)]
+        if self._stands:
+            return True
+        vx, vy = self.row[6:].tolist()
+        _, _, cos, sin = self._pose(at)
         return bool(math.hypot(vx, vy) < SLOW_CHAIR_MPS and abs(vy * cos - vx * sin) < DRIFTING_MPS)
 
     def _goes_on_mps(self, at: int) -> float:
         """How fast a chair moves on in front of the vehicle; 0 for one beside it, which a turning body closes in on."""
-        x, y, cos, sin = self.tube.poses[min(max(self.now, 0), len(self.tube.poses) - 1)]
+        if self._stands:
+            return 0.0
+        x, y, cos, sin = self._here
         if (self.row[0] - x) * cos + (self.row[1] - y) * sin < 0.5 * self.actor.size_lwh_m[0]:
             return 0.0
-        _, _, cos, sin = self.tube.poses[min(max(at, 0), len(self.tube.poses) - 1)]
+        _, _, cos, sin = self._pose(at)
         return max(0.0, float(self.row[6] * cos + self.row[7] * sin))
 
 

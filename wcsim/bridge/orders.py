@@ -13,6 +13,8 @@ from wcsim.types import F64, ActorState
 CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of its footprint
 LET_GO = -1.0
 
+MOST_KNOWN = 10_000
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChairInStreet:
@@ -22,6 +24,7 @@ class ChairInStreet:
     v_W_mps: F64  # (2,)
     on_road: bool  # on a carriageway or a crossing, not up on a pavement
     yaw_rad: float = 0.0
+    z_m: float = 0.0
 
     def row(self) -> F64:
         """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
@@ -69,6 +72,8 @@ class Attention:
             return True
         known = self._known.get(actor_id)
         if known is None:
+            if len(self._known) > MOST_KNOWN:  # of those who have left long ago; the draw can be made again
+                self._known.clear()
             draw = seeding.generator(self._seed, "attention", actor_id).random()
             known = self._known[actor_id] = bool(draw < self._share)
         return known

@@ -45,11 +45,11 @@ class Pilot:
         return self._sublanes
 
     def on_lane(self, actor_id: str) -> OnLane | None:
-        """Where a vehicle is now; None when it is on no lane (teleported, gone)."""
+        """Where a vehicle is now; None when it is on no lane (teleported, gone), or stopped by its own plan."""
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         try:
             lane_id = vehicle.getLaneID(name)
-            if not lane_id:
+            if not lane_id or vehicle.isStopped(name):
                 return None
             along_m, left_m = vehicle.getLanePosition(name), vehicle.getLateralLanePosition(name)
         except self._api.TraCIException:
@@ -90,17 +90,17 @@ class Pilot:
             )
         return known
 
-    def lanes_beside(self, actor_id: str) -> tuple[int, ...]:
-        """Indices of the lanes directly left and right of a vehicle's that its class may use, the left one first."""
-        name = actor_id.partition(":")[2]
-        here = self.lane(self._api.vehicle.getLaneID(name))
-        kind = self._api.vehicle.getVehicleClass(name)
-        count = self._api.edge.getLaneNumber(here.edge_id)
-        return tuple(
-            index
-            for index in (here.index + 1, here.index - 1)
-            if 0 <= index < count and self._permits(f"{here.edge_id}_{index}", kind)
-        )
+    def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
+        """Indices of the lanes directly left and right of a vehicle's, the left one first.
+
+        Only those that its class may use, and on which its route leads on so far.
+        """
+        name, vehicle = actor_id.partition(":")[2], self._api.vehicle
+        here = self.lane(vehicle.getLaneID(name))
+        kind, need_m = vehicle.getVehicleClass(name), float(vehicle.getLanePosition(name)) + ahead_m
+        reach_m = {best[0]: best[1] for best in vehicle.getBestLanes(name)}  # from each lane's start, without a change
+        beside = ((index, f"{here.edge_id}_{index}") for index in (here.index + 1, here.index - 1))
+        return tuple(index for index, lane in beside if reach_m.get(lane, 0.0) >= need_m and self._permits(lane, kind))
 
     def brakes(self, actor_id: str) -> Brakes:
         """A vehicle's brakes."""

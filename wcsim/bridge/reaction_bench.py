@@ -22,7 +22,7 @@ from wcsim.errors import TownError
 from wcsim.towns.netread import read_net
 from wcsim.towns.street import load_street
 from wcsim.towns.town import Town, find_town
-from wcsim.types import ActorState, Ground
+from wcsim.types import ActorState, Street
 
 WARMUP_S = 120.0
 BEFORE_S = 2.5  # so far ahead of the next vehicle the chair comes out
@@ -189,14 +189,14 @@ class _Site:
     """One street or town of the battery."""
 
     town: Town
-    ground: Ground
+    street: Street
     seed: int
     per_kind: int
     warmup_s: float
 
     def stage(self, attention: float) -> ReactionStage:
         config = WorldConfig(attention_share=attention)
-        return ReactionStage(self.town, self.ground, config, seeding.derive(self.seed, "sumo"), self.warmup_s)
+        return ReactionStage(self.town, self.street, config, seeding.derive(self.seed, "sumo"), self.warmup_s)
 
     def stand_everywhere(self, standing_s: float, progress: Progress) -> Iterator[tuple[str, Standing]]:
         net = read_net(self.town.net, self.town.file.origin_m)
@@ -240,11 +240,11 @@ def _sites(town: str, work: Path, seed: int, streets: int, places: int, warmup_s
     for street in SMALL_STREETS[:streets]:
         built = build_small_street(street, work / street.name, seed)
         site_seed = seeding.derive(seed, "site", street.name)
-        yield _Site(town=built, ground=load_street(built).grid, seed=site_seed, per_kind=1, warmup_s=warmup_s)
+        yield _Site(town=built, street=load_street(built), seed=site_seed, per_kind=1, warmup_s=warmup_s)
     if town:
         found = find_town(town)
         site_seed = seeding.derive(seed, "site", found.name)
-        yield _Site(town=found, ground=load_street(found).grid, seed=site_seed, per_kind=places, warmup_s=warmup_s)
+        yield _Site(town=found, street=load_street(found), seed=site_seed, per_kind=places, warmup_s=warmup_s)
 
 
 def _told(town: str, place: Place, result: Standing) -> str:

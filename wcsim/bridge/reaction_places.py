@@ -46,6 +46,7 @@ class RollOut:
     yaw_rad: float
     lane_p_W_m: tuple[float, float]  # on the lane's middle, where the chair will cross it
     lane_yaw_rad: float
+    lane_width_m: float
 
     def arrives_s(self, actor: ActorState) -> float:
         """Seconds until a vehicle in this lane would be there; infinite for one that is past it, and everybody else."""
@@ -53,7 +54,8 @@ class RollOut:
         cos, sin = math.cos(self.lane_yaw_rad), math.sin(self.lane_yaw_rad)
         speed_mps = float(actor.v_W_mps[0] * cos + actor.v_W_mps[1] * sin)
         before_m = -(dx * cos + dy * sin) - 0.5 * actor.size_lwh_m[0]
-        if not actor.id.startswith("v:") or abs(dy * cos - dx * sin) > 1.2 or speed_mps < MOVING_MPS or before_m < -3.0:
+        beside = abs(dy * cos - dx * sin) > 0.5 * self.lane_width_m
+        if not actor.id.startswith("v:") or beside or speed_mps < MOVING_MPS or before_m < -3.0:
             return math.inf
         return float(before_m) / speed_mps
 
@@ -110,7 +112,13 @@ def _roll_out(lane: Lane, rng: np.random.Generator) -> RollOut:
     at_m = rng.uniform(FROM_ENDS_M, _length_m(lane) - FROM_ENDS_M)
     middle, yaw_rad = _along(lane.points_m, at_m, 0.0)
     start, _ = _along(lane.points_m, at_m, -0.5 * lane.width_m - FRONT_M)
-    return RollOut(start_W_m=start, yaw_rad=yaw_rad + 0.5 * math.pi, lane_p_W_m=middle, lane_yaw_rad=yaw_rad)
+    return RollOut(
+        start_W_m=start,
+        yaw_rad=yaw_rad + 0.5 * math.pi,
+        lane_p_W_m=middle,
+        lane_yaw_rad=yaw_rad,
+        lane_width_m=lane.width_m,
+    )
 
 
 def _passers(stage: ReactionStage, places_W_m: F64, scout_s: float, faster_mps: float = -1.0) -> F64:

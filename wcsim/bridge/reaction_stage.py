@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -19,7 +18,7 @@ from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
 from wcsim.config import WorldConfig
 from wcsim.towns.town import Town
-from wcsim.types import F64, ActorState, ClassId, Ground
+from wcsim.types import F64, ActorState, ClassId, Street
 
 ON_ROAD = (int(ClassId.ROAD), int(ClassId.CROSSWALK), int(ClassId.RAIL_TRACK))
 TOUCH_M = 0.01  # bodies that share less than this only touch
@@ -28,14 +27,14 @@ TOUCH_M = 0.01  # bodies that share less than this only touch
 class ReactionStage:
     """SUMO, the reaction and any chairs; `deflected_into` and `contacts` collect what should not happen."""
 
-    def __init__(self, town: Town, ground: Ground, config: WorldConfig, seed: int, warmup_s: float) -> None:
+    def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
         """Start SUMO and let it run for `warmup_s`. Raises WorldInUseError, SumoError."""
-        self._ground = ground
+        self._ground = street.grid
         self._config = config
         self._actors: tuple[ActorState, ...] = ()
         self.contacts: set[str] = set()
         self.deflected_into: set[str] = set()
-        self._sumo = SumoSession(_options(town.sumocfg, town.file.origin_m, config, seed))
+        self._sumo = SumoSession(_options(town, street, config, seed))
         self.attend(config.attention_share, seed)
         for _ in range(round(warmup_s / config.tick_s)):
             self._sumo.step()
@@ -56,7 +55,7 @@ class ReactionStage:
             pilot.obey(order)
         self._sumo.step()
         near = self.near(np.array([chair.p_W_m for chair in chairs]).reshape(-1, 2), self._config.mirror_radius_m)
-        away = self._street.turned_away(near, chairs, self._sumo.landed)
+        away = self._street.turned_away(near, chairs, self._sumo.come)
         for actor_id in away:
             pilot.turn_away(actor_id)
         near = tuple(actor for actor in near if actor.id not in away)
@@ -117,7 +116,9 @@ class ReactionStage:
         if walls[0] < min(radius_m - 0.1, walls[1]):  # the raster's cells are 0.1 m
             return True
         return any(
-            other.id != actor.id and _overlap_m(actor, other) > max(TOUCH_M, _overlap_m(bare, other_bare) + TOUCH_M)
+            other.id != actor.id
+            and _overlap_m(actor, other) > max(TOUCH_M, _overlap_m(bare, other_bare) + TOUCH_M)
+            and (is_person(other) or _overlap_m(bare, other_bare) <= TOUCH_M)  # else SUMO itself has them meet
             for other, other_bare in zip(self._actors, near, strict=True)
             if abs(other.p_W_m[0] - actor.p_W_m[0]) + abs(other.p_W_m[1] - actor.p_W_m[1]) < 15.0
         )
@@ -145,7 +146,12 @@ def _radius_m(person: ActorState) -> float:
     return 0.5 * max(person.size_lwh_m[:2])
 
 
-def _options(sumocfg: Path, origin_m: tuple[float, float], config: WorldConfig, seed: int) -> SumoOptions:
+def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> SumoOptions:
     return SumoOptions(
-        sumocfg=sumocfg, origin_m=origin_m, step_s=config.tick_s, seed=seed, jam_teleport_s=config.jam_teleport_s
+        sumocfg=town.sumocfg,
+        origin_m=town.file.origin_m,
+        step_s=config.tick_s,
+        seed=seed,
+        jam_teleport_s=config.jam_teleport_s,
+        z_origin_m=street.net_z_m,
     )

@@ -1,8 +1,7 @@
 """Reads from SUMO who is near a wheelchair and how the traffic lights there stand.
 
-Every vehicle and person of the town is asked for its place only every few steps; in between, only those that could have
-come near since then, and those who have departed. The session hands libsumo in: `bridge/sumo.py` stays the only file
-that loads it.
+Who is far away is asked for its place again only when it could have come near, and those who have departed at once. The
+session hands libsumo in: `bridge/sumo.py` stays the only file that loads it.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from wcsim import frames
 from wcsim.bridge.classes import kind_and_look, sane_size
 from wcsim.types import F64, ActorKind, ActorLook, ActorState, SignalState
 
-SCAN_EVERY = 5  # steps from one look at the whole town to the next
-FASTEST_MPS = {"v:": 60.0, "p:": 25.0}  # nobody comes nearer faster, but for a teleport; people may sit in a bus
-MOVED_M = 5.0  # who asks from somewhere else than last time gets a new look at the whole town
+FASTEST_MPS = {"v:": 70.0, "p:": 35.0}  # nobody and no chair together come nearer faster, but for a jump; people ride
+MOVED_M = 1.5  # a chair that is so far from where it was at the last question has been put there
+LONGEST_WAIT = 100  # steps
 Place = tuple[float, float, float]
 LONG_M = 20.0  # longer vehicles' rears may be near while their fronts are far
 
@@ -40,29 +39,32 @@ class ActorReader:
     def __init__(self, libsumo: Any, origin_m: tuple[float, float, float], step_s: float) -> None:
         self._api = libsumo
         self._origin = origin_m
-        self._margin_m = {kind: (SCAN_EVERY + 1) * step_s * mps + MOVED_M for kind, mps in FASTEST_MPS.items()}
+        self._closing_m = {kind: mps * step_s for kind, mps in FASTEST_MPS.items()}
         self.forget()
 
     def forget(self) -> None:
         """SUMO was loaded anew."""
         self._bodies: dict[str, _Body] = {}
+        self._measured: set[str] = set()
         self._long_m: dict[str, float] = {}
-        self._asked: dict[str, dict[str, None]] = {}  # who may be near by now, by kind; empty before a look at all
+        self._due: dict[str, dict[int, list[str]]] = {}  # by kind: who is asked next at which step; none before a look
         self._all: dict[str, tuple[list[str], F64]] = {}  # everybody after this step, by kind, once somebody has asked
         self._from_W_m, self._within_m = np.zeros((0, 2)), 0.0
-        self._steps_left = 0
+        self._step, self._asked_at, self._unsure = 0, -1, False
+
+    def forget_actor(self, actor_id: str) -> None:
+        """Somebody was taken out of the street between two steps."""
+        self._all.pop(actor_id[:2], None)
 
     def stepped(self, vehicles: Iterable[str], people: Iterable[str], unsure: bool) -> None:
         """SUMO has made a step in which these departed; `unsure`: others may have jumped, so all are looked at."""
-        self._steps_left = 0 if unsure else self._steps_left - 1
+        self._step += 1
+        self._unsure |= unsure
         self._all.clear()
-        for name in vehicles:
-            length_m = self._api.vehicle.getLength(name)
-            if length_m > LONG_M:
-                self._long_m[name] = length_m
+        self._measure(vehicles)
         for kind, names in (("v:", vehicles), ("p:", people)):
-            if kind in self._asked:
-                self._asked[kind].update(dict.fromkeys(names))
+            if kind in self._due and names:
+                self._due[kind].setdefault(self._step, []).extend(names)
 
     def near(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """Every vehicle and person within `radius_m` of any of the points (n, 2), sorted by id.
@@ -71,66 +73,83 @@ class ActorReader:
         """
         if not len(near_W_m):
             return ()
-        moved = near_W_m.shape != self._from_W_m.shape or bool((np.abs(near_W_m - self._from_W_m) > MOVED_M).any())
-        if moved or self._steps_left <= 0 or radius_m > self._within_m:
-            self._from_W_m, self._within_m, self._steps_left = near_W_m.copy(), radius_m, SCAN_EVERY
-            self._asked = {}
+        last_W_m = self._from_W_m
+        moved = near_W_m.shape != last_W_m.shape or bool((np.abs(near_W_m - last_W_m) > MOVED_M).any())
+        if moved or self._unsure or self._asked_at == self._step or radius_m != self._within_m:
+            self._due, self._unsure = {}, False
+        self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
         people = self._found("p:", self._api.person, near_W_m, radius_m)
         return self._states(people, "p:") + self._states(self._found("v:", self._api.vehicle, near_W_m, radius_m), "v:")
 
     def at(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """The same for a question asked once, about another place."""
-        kept = self._asked, self._from_W_m, self._within_m, self._steps_left
-        self._steps_left = 0
-        found = self.near(near_W_m, radius_m)
-        self._asked, self._from_W_m, self._within_m, self._steps_left = kept
-        return found
+        people = self._within("p:", self._api.person, near_W_m, radius_m)
+        return self._states(people, "p:") + self._states(
+            self._within("v:", self._api.vehicle, near_W_m, radius_m), "v:"
+        )
 
     def _found(self, kind: str, domain: Any, near_W_m: F64, radius_m: float) -> list[tuple[str, Place]]:
         """Names and front places in W of a domain's members near the points, sorted by name."""
-        asked = self._asked.get(kind)
-        if asked is not None:
-            return self._among(asked, domain, near_W_m, radius_m)
-        names, p_W_m = self._everyone(kind, domain)
-        if not names:
-            self._asked[kind] = {}
-            return []
-        gap2 = ((p_W_m[:, None, :2] - near_W_m[None, :, :2]) ** 2).sum(-1).min(1)
-        reach_m = np.full(len(names), radius_m)
-        if self._long_m and kind == "v:":
-            reach_m += [self._long_m.get(name, 0.0) for name in names]
-        within = np.flatnonzero(gap2 <= (reach_m + self._margin_m[kind]) ** 2)
-        self._asked[kind] = {names[i]: None for i in within}
-        return sorted((names[i], tuple(p_W_m[i].tolist())) for i in np.flatnonzero(gap2 <= reach_m * reach_m))
-
-    def _among(
-        self, asked: dict[str, None], domain: Any, near_W_m: F64, radius_m: float
-    ) -> list[tuple[str, Place]]:
-        """The same among a few names, without arrays; who has left is struck from them."""
+        due = self._due.get(kind)
+        if due is None:
+            due = self._due[kind] = {self._step: list(domain.getIDList())}
+            self._tidy(kind, due[self._step])
         ox, oy, oz = self._origin
         chairs = [(x + ox, y + oy) for x, y in near_W_m[:, :2].tolist()]
-        found, gone = [], []
-        for name in asked:
+        asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
+        found, closing_m = [], self._closing_m[kind]
+        for name in dict.fromkeys(asked):
             try:
                 x, y, z = domain.getPosition3D(name)
             except self._api.TraCIException:
-                gone.append(name)
+                self._bodies.pop(kind + name, None)
                 continue
-            reach_m = radius_m + self._long_m.get(name, 0.0)
-            reach2 = reach_m * reach_m
-            if any((x - cx) * (x - cx) + (y - cy) * (y - cy) <= reach2 for cx, cy in chairs):
+            gap_m = math.sqrt(min((x - cx) * (x - cx) + (y - cy) * (y - cy) for cx, cy in chairs)) - radius_m
+            if kind == "v:" and self._long_m:
+                gap_m -= self._long_m.get(name, 0.0)
+            if gap_m <= 0.0:
                 found.append((name, (x - ox, y - oy, z - oz)))
-        for name in gone:
-            del asked[name]
+            wait = min(max(1, int(gap_m / closing_m)), LONGEST_WAIT)
+            due.setdefault(self._step + wait, []).append(name)
         found.sort()
         return found
 
-    def _everyone(self, kind: str, domain: Any) -> tuple[list[str], F64]:
+    def _within(self, kind: str, domain: Any, near_W_m: F64, radius_m: float) -> list[tuple[str, Place]]:
+        """The same, from a look at everybody that is made once a step."""
         if kind not in self._all:
             names = list(domain.getIDList())
+            self._tidy(kind, names)
             places = np.array([domain.getPosition3D(name) for name in names], np.float64).reshape(-1, 3)
             self._all[kind] = names, np.asarray(places - self._origin, np.float64)
-        return self._all[kind]
+        names, p_W_m = self._all[kind]
+        if not names:
+            return []
+        gap_m = np.sqrt(((p_W_m[:, None, :2] - near_W_m[None, :, :2]) ** 2).sum(-1).min(1))
+        if self._long_m and kind == "v:":
+            gap_m -= [self._long_m.get(name, 0.0) for name in names]
+        return sorted((names[i], tuple(p_W_m[i].tolist())) for i in np.flatnonzero(gap_m <= radius_m))
+
+    def _measure(self, vehicles: Iterable[str]) -> None:
+        """Find the long ones among vehicles that are new here."""
+        for name in vehicles:
+            self._measured.add(name)
+            try:
+                length_m = self._api.vehicle.getLength(name)
+            except self._api.TraCIException:  # it has left again in the step in which it came
+                continue
+            if length_m > LONG_M:
+                self._long_m[name] = length_m
+
+    def _tidy(self, kind: str, names: list[str]) -> None:
+        """Forget who has left, and measure who was there before the first step."""
+        there = set(names)
+        for key in [key for key in self._bodies if key[:2] == kind and key[2:] not in there]:
+            del self._bodies[key]
+        if kind == "v:":
+            self._measure(there - self._measured)
+            self._measured &= there
+            for name in self._long_m.keys() - there:
+                del self._long_m[name]
 
     def _states(self, found: list[tuple[str, Place]], prefix: str) -> tuple[ActorState, ...]:
         if prefix == "p:":
@@ -170,12 +189,13 @@ class SignalReader:
         self._boxes_W_m = np.array(boxes).reshape(-1, 4) - np.array([*origin_m, *origin_m])
         self._last: dict[str, SignalState] = {}
         self._close: list[str] = []
-        self._from_W_m = np.zeros((0, 2))
+        self._from_W_m, self._within_m = np.zeros((0, 2)), 0.0
 
     def near(self, near_W_m: F64, radius_m: float) -> tuple[SignalState, ...]:
         """Traffic lights with a stop line within `radius_m`, or a little more, of any of the points (n, 2), by id."""
-        if near_W_m.shape != self._from_W_m.shape or (np.abs(near_W_m - self._from_W_m) > MOVED_M).any():
-            self._from_W_m = near_W_m.copy()
+        moved = near_W_m.shape != self._from_W_m.shape or bool((np.abs(near_W_m - self._from_W_m) > MOVED_M).any())
+        if moved or radius_m != self._within_m:
+            self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
             out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
             close = ((out_m**2).sum(-1) <= (radius_m + 2.0 * MOVED_M) ** 2).any(axis=0)

@@ -19,7 +19,7 @@ from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache import cache_folder, write_whole
 from wcsim.towns.scenario import Scenario, stage_scenario
 from wcsim.towns.scenario_overrides import Settings
-from wcsim.towns.tools import Limits, ToolRun, run_child
+from wcsim.towns.tools import Limits, ToolRun, run_child, run_tool
 from wcsim.towns.town import Town
 
 log = logging.getLogger("wcsim.bridge.stage")
@@ -76,17 +76,17 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
         staged = stage_scenario(town, replace(settings, seed=1), Path(work))
         try:
-            run = _trial(staged.sumocfg, settings.step_s, _LIMITS)
+            run = _trial(staged.sumocfg, settings.step_s)
         except SumoError as error:
             raise TownError(
                 f"{town.sumocfg}: SUMO could not run its first {TRIAL_STEPS} steps ({error}); give it less to do: "
                 "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
             ) from None
-        culprit = _culprit(town, staged.sumocfg, settings.step_s) if run.returncode else town.sumocfg
+        culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
     if run.died and BEGUN_ANEW in run.output:
         raise TownError(
-            f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process, with what is in {culprit.name} "
-            f"({run.reason()}); that is known of devices that send (btsender): remove them from both files"
+            f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process ({run.reason()}); that is known "
+            "of devices that send (btsender): remove them, here and from the routes"
         )
     if run.returncode:
         raise TownError(
@@ -96,23 +96,30 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
     write_whole(verdict, lambda path: path.write_text("ok\n", encoding="utf-8"))
 
 
-def _trial(sumocfg: Path, step_s: float, limits: Limits) -> ToolRun:
+def _trial(sumocfg: Path, step_s: float) -> ToolRun:
     command = [sys.executable, "-m", "wcsim.bridge.trial", str(sumocfg), repr(step_s), str(TRIAL_STEPS)]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
-    return run_child("sumo", command, sumocfg.parent, env, limits)
+    return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
 
 
-def _culprit(town: Town, staged: Path, step_s: float) -> Path:
+def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
     """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
     files = (*town.additional, *town.routes)
+    end_s = staged.begin_s + TRIAL_STEPS * settings.step_s
+
+    def fails(count: int) -> bool:
+        words = ["-c", str(_with_fewer(staged.sumocfg, count)), "--end", repr(end_s)]
+        try:
+            return run_tool("sumo", words, staged.sumocfg.parent, _SEARCH_LIMITS).returncode != 0
+        except SumoError:  # it takes long
+            return True
+
+    if not fails(len(files)):
+        return town.sumocfg
     low, high = -1, len(files)  # with `high` files it fails; with `low` it runs
     while high - low > 1:
         middle = (low + high) // 2
-        try:
-            fails = _trial(_with_fewer(staged, middle), step_s, _SEARCH_LIMITS).returncode != 0
-        except SumoError:  # it takes long, so the file is among those that are read
-            fails = True
-        low, high = (low, middle) if fails else (middle, high)
+        low, high = (low, middle) if fails(middle) else (middle, high)
     return files[high - 1] if high else town.sumocfg
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.bridge.lanes import AHEAD_M, STEP_M, TAIL_M, Brakes, OnLane, Roads, Tube, lay_out
+from wcsim.bridge.lanes import AHEAD_M, STEP_M, TAIL_M, Brakes, LaneShape, OnLane, Roads, Tube, lay_out
 from wcsim.bridge.looking import (
     LAST_GAP_M,
     ON_PAVEMENT_M,
@@ -33,7 +33,12 @@ from wcsim.types import F64, ActorKind, ActorState
 COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
 ASIDE_MPS, ASIDE_START_S = 0.8, 0.5  # how fast a vehicle moves over, and what it needs to begin
 CREEP_MPS = 1.0
+SIDLE_MPS = 0.2  # who still has to move over creeps no faster near a chair: the tail follows only as it drives on
+SQUEEZE_MPS = 0.8  # who has waited long drives by at this pace where its body is clear, with less than the usual gap
+STRADDLE_M = 0.1
+THERE_M = 0.05  # so near to the place where it wants to be a vehicle is there
 STEER_SHARE = 0.6  # of its length that a vehicle keeps free before it, to steer out into the next lane
+LANE_CHANGE_S = 3.0
 IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
 FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
 RAIL = (ActorKind.TRAM,)
@@ -50,6 +55,7 @@ class _Watch:
     stands_s: float = 0.0
     could_pass: bool = False
     held: bool = False
+    squeezes: bool = False  # has waited so long that a gap that just clears will do
 
 
 @dataclass(slots=True)
@@ -73,51 +79,46 @@ class StreetReaction:
         self._attention = attention
         self._watched: dict[str, _Watch] = {}
         self._tubes: dict[str, Tube] = {}
-        self._known: set[str] | None = None
-        self._present: set[str] | None = None
-        self._landed: Collection[str] = ()
+        self._come: Collection[str] = ()
 
     def react(self, actors: Iterable[ActorState], chairs: Sequence[ChairInStreet], roads: Roads) -> tuple[Order, ...]:
         """Orders for this tick, in the actors' order; a vehicle that no chair is near any more is let go once."""
         orders: list[Order] = []
         watched: dict[str, _Watch] = {}
         rows = [chair.row() for chair in chairs]
+        places_W_m = [(row.item(0), row.item(1)) for row in rows]
         seen: set[str] = set()
         for actor in actors:
             if is_person(actor) or actor.piece:  # a rear piece runs where its front has run
                 continue
             seen.add(actor.id)
-            near = [i for i, row in enumerate(rows) if self._may_matter(actor, row)]
+            near = self._may_matter(actor, places_W_m)
             watch = self._watch(actor, roads, chairs, rows, near, orders) if near else None
             if watch is not None:
                 watched[actor.id] = watch
         gone = [name for name, watch in self._watched.items() if watch.held and name not in watched]
         orders += [Order(actor_id=name, speed_mps=LET_GO) for name in gone]
         self._tubes = {name: tube for name, tube in self._tubes.items() if name in seen}
-        self._watched, self._known = watched, seen
+        self._watched = watched
         return tuple(orders)
 
     def turned_away(
-        self, actors: Iterable[ActorState], chairs: Sequence[ChairInStreet], landed: Collection[str] = ()
+        self, actors: Iterable[ActorState], chairs: Sequence[ChairInStreet], come: Collection[str]
     ) -> tuple[str, ...]:
         """Who has just been put on top of a chair, or less than a tick before it, by SUMO, which does not see it.
 
         Args:
             actors: Those near the chairs after SUMO's step.
             chairs: The wheelchairs.
-            landed: Who ended a teleport in this step: such a one comes into being anew, wherever it was before.
+            come: Who came into being in this step: departed, or ended a teleport. Only these have no way behind them,
+                so they see the chair at once and begin at any speed.
         """
-        known, self._landed = self._present, landed
-        self._present = {actor.id for actor in actors}
-        if known is None:
+        self._come = come
+        if not come:
             return ()
         rows = [chair.row() for chair in chairs]
-        return tuple(
-            actor.id
-            for actor in actors
-            if (actor.id not in known or actor.id in landed)
-            and any(lands_on(actor, row, self._config.tick_s) for row in rows)
-        )
+        fresh = [actor for actor in actors if actor.id in come]
+        return tuple(actor.id for actor in fresh if any(lands_on(actor, row, self._config.tick_s) for row in rows))
 
     def blocked(self) -> tuple[Blocked, ...]:
         """The vehicles that stand because of a chair now."""
@@ -131,15 +132,19 @@ class StreetReaction:
         """The vehicles that have a way round a chair now."""
         return tuple(name for name, watch in self._watched.items() if watch.held and watch.could_pass)
 
-    def _may_matter(self, actor: ActorState, row: F64) -> bool:
-        """Cheap early out: the chair is farther than the vehicle looks, or well behind it."""
-        dx, dy = row[0] - actor.p_W_m[0], row[1] - actor.p_W_m[1]
-        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
-        long_m = 0.5 * actor.size_lwh_m[0]
-        reach_m = look_m(speed_mps, self._config.brake_mps2) + 2.0 * long_m + 4.0
-        if dx * dx + dy * dy > reach_m * reach_m:
-            return False
-        return bool(dx * math.cos(actor.yaw_rad) + dy * math.sin(actor.yaw_rad) > -long_m - 3.0)
+    def _may_matter(self, actor: ActorState, places_W_m: Sequence[tuple[float, float]]) -> list[int]:
+        """Cheap early out: which chairs are neither farther than the vehicle looks, nor well behind it."""
+        x, y, _ = actor.p_W_m.tolist()
+        vx, vy, _ = actor.v_W_mps.tolist()
+        length_m = actor.size_lwh_m[0]
+        reach_m = look_m(math.hypot(vx, vy), self._config.brake_mps2) + length_m + 4.0
+        cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
+        return [
+            i
+            for i, (cx, cy) in enumerate(places_W_m)
+            if (cx - x) ** 2 + (cy - y) ** 2 <= reach_m * reach_m
+            and (cx - x) * cos + (cy - y) * sin > -0.5 * length_m - 3.0
+        ]
 
     def _watch(
         self,
@@ -165,7 +170,7 @@ class StreetReaction:
             self._consider(actor, place, watch, chairs[i], rows[i], roads, plan)
         if not plan.near:
             return None
-        fresh = (self._known is not None and actor.id not in self._known) or actor.id in self._landed
+        fresh = actor.id in self._come
         watch.seen_for_s += self._config.reaction_s if fresh else self._config.tick_s
         if watch.seen_for_s >= self._config.reaction_s:
             order = self._order(actor, watch, plan, roads, fresh)
@@ -187,7 +192,7 @@ class StreetReaction:
         plan: _Plan,
     ) -> None:
         """Add what one chair asks of a vehicle to its plan."""
-        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+        speed_mps = math.hypot(*actor.v_W_mps[:2].tolist())
         look = Look(actor=actor, tube=watch.tube, front_m=watch.tube.front_m(place), speed_mps=speed_mps, row=row)
         in_the_way = chair.on_road or roads.lane(place.lane_id).shared
         gaps_m = ON_ROAD_M if in_the_way else ON_PAVEMENT_M
@@ -196,15 +201,19 @@ class StreetReaction:
             return
         plan.near = True
         brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
-        if in_the_way and look.distance_m(touch.at[-1]) < 3.0 + 0.7 * speed_mps + 0.25 * speed_mps**2:
+        if in_the_way and look.distance_m(touch.at[-1]) < _keeps_lane_m(speed_mps, actor.size_lwh_m[0]):
             plan.keep_lane = True
         limit_mps = look.limit(touch, place.left_m, brake_mps2, self._config.tick_s)
         at = touch.at[0] if touch.at[1] <= look.now + 1 else touch.at[1]
+        straddles = _straddles(actor, place, roads.lane(place.lane_id))
         if at >= 0:
             distance_m = look.distance_m(at)
             plan.nearest_m = min(plan.nearest_m, distance_m)
             limit_mps = max(limit_mps, self._pass(look, place, touch, distance_m, brake_mps2, roads, plan))
-            if plan.lane_index is not None:  # not so near that there is no room to steer out
+            if watch.squeezes and in_the_way and touch.at[0] < 0 and look.passable(at):
+                limit_mps = max(limit_mps, SQUEEZE_MPS)
+            alongside = touch.at[1] <= look.now + 1
+            if plan.lane_index is not None or (straddles and not alongside):  # still with room to steer out
                 room_m = distance_m - STOP_SHORT_M - STEER_SHARE * actor.size_lwh_m[0]
                 limit_mps = min(limit_mps, approach_mps(room_m, brake_mps2, self._config.tick_s))
         plan.limit_mps = min(plan.limit_mps, limit_mps)
@@ -221,15 +230,23 @@ class StreetReaction:
         if roads.sublanes:
             for left_m in room_beside(touch, width_m, lane.width_m):
                 past = look.touch(left_m, ON_ROAD_M, straight=True)
-                if past.at[0] >= 0:
+                past_mps = look.limit(past, left_m, brake_mps2, self._config.tick_s)
+                if past.at[0] >= 0 or past_mps <= 0.0:  # a body that turns there sweeps more than the lane's width
+                    continue
+                there = abs(left_m - place.left_m) < THERE_M
+                room_m = look.distance_m(touch.at[0]) if touch.at[0] >= 0 else math.inf
+                if there and room_m <= LAST_GAP_M:  # skewed, and with no room to straighten
                     continue
                 plan.could_pass = plan.keep_lane = True
                 plan.aside_m = left_m - place.left_m
                 need_s = ASIDE_START_S + abs(plan.aside_m) / ASIDE_MPS
-                on_time_mps = max(CREEP_MPS if distance_m > LAST_GAP_M else 0.0, 0.8 * (distance_m - 1.0) / need_s)
-                return min(on_time_mps, look.limit(past, left_m, brake_mps2, self._config.tick_s))
-        if lane.edge_id == here.edge_id and not here.internal:
-            for index in roads.lanes_beside(look.actor.id):
+                creep_mps = CREEP_MPS if there else SIDLE_MPS if distance_m > LAST_GAP_M else 0.0
+                on_time_mps = max(creep_mps, 0.8 * (distance_m - 1.0) / need_s)
+                return min(on_time_mps, past_mps)
+        # On the way between two lanes SUMO does not turn back.
+        if lane.edge_id == here.edge_id and not here.internal and not _straddles(look.actor, place, here):
+            beyond_m = distance_m + 2.0 * (STOP_SHORT_M + look.actor.size_lwh_m[0])
+            for index in roads.lanes_beside(look.actor.id, beyond_m):
                 away_m = (index - here.index) * here.width_m
                 if min(abs(touch.left_m - away_m), abs(touch.right_m - away_m)) > 0.5 * width_m + SIDE_GAP_M:
                     plan.could_pass = plan.keep_lane = True
@@ -239,11 +256,12 @@ class StreetReaction:
 
     def _order(self, actor: ActorState, watch: _Watch, plan: _Plan, roads: Roads, fresh: bool) -> Order | None:
         """The order that carries out a plan; None when SUMO needs none."""
-        speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+        speed_mps = math.hypot(*actor.v_W_mps[:2].tolist())
         stands = speed_mps < 0.1 and plan.limit_mps < CREEP_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
         watch.stands_s = watch.stands_s + self._config.tick_s if stands else 0.0
         watch.waits_s = watch.waits_s + self._config.tick_s if plan.could_pass and speed_mps < CREEP_MPS else 0.0
         watch.could_pass = plan.could_pass
+        watch.squeezes = watch.squeezes or watch.stands_s > IMPATIENT_S
         free_mps = roads.allowed_mps(actor.id)
         slower = plan.limit_mps < free_mps
         if not (slower or plan.keep_lane or plan.aside_m is not None or plan.lane_index is not None):
@@ -265,6 +283,17 @@ class StreetReaction:
             lane_index=plan.lane_index,
             aside_m=plan.aside_m if plan.aside_m is not None and abs(plan.aside_m) > 0.02 else None,
         )
+
+
+def _straddles(actor: ActorState, place: OnLane, lane: LaneShape) -> bool:
+    """Whether its body reaches over the edge of its lane, as on the way between two of them."""
+    return abs(place.left_m) + 0.5 * actor.size_lwh_m[1] > 0.5 * lane.width_m + STRADDLE_M
+
+
+def _keeps_lane_m(speed_mps: float, length_m: float) -> float:
+    """How far before a chair a vehicle begins no change of lanes of SUMO's own: SUMO moves sideways even who stands."""
+    braking_m = 0.7 * speed_mps + 0.25 * speed_mps**2
+    return max(3.0 + braking_m, 2.0 * STOP_SHORT_M + length_m + LANE_CHANGE_S * speed_mps)
 
 
 def _tube(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:

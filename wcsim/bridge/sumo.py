@@ -71,7 +71,7 @@ class SumoSession:
         refuse_second_world()
         self._options = options
         self._teleports = 0
-        self._landed: frozenset[str] = frozenset()
+        self._come: frozenset[str] = frozenset()
         self._open = True
         self.pilot = Pilot(libsumo, options.origin_m)
         self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.step_s)
@@ -89,9 +89,9 @@ class SumoSession:
         return self._teleports
 
     @property
-    def landed(self) -> frozenset[str]:
-        """Vehicles that SUMO put down again after a teleport during the last step, named as in `ActorState.id`."""
-        return self._landed
+    def come(self) -> frozenset[str]:
+        """Who came into being in the last step, as in `ActorState.id`: departed, or ended a teleport."""
+        return self._come
 
     def step(self) -> None:
         """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved."""
@@ -102,13 +102,10 @@ class SumoSession:
             self._hook.after_step(self.time_s())
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
-        self._reader.stepped(
-            libsumo.simulation.getDepartedIDList(),
-            libsumo.simulation.getDepartedPersonIDList(),
-            unsure=bool(jammed or landed or self._hook is not None),
-        )
+        vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
+        self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
         self._teleports = len(jammed)
-        self._landed = frozenset("v:" + name for name in landed)
+        self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
             log.warning("jam: %s stood too long and was teleported", name)
 
@@ -118,6 +115,7 @@ class SumoSession:
         self._options = replace(self._options, seed=seed)
         self._reader.forget()
         self.pilot.forget()
+        self._teleports, self._come = 0, frozenset()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         self._hook = open_hook(self._options.hook, libsumo)
 
@@ -132,6 +130,11 @@ class SumoSession:
     def actors_at(self, place_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """The same around a place (1, 2) that somebody asks for once."""
         return self._reader.at(place_W_m, radius_m)
+
+    def turn_away(self, actor_id: str) -> None:
+        """Take an actor out of the street that SUMO has just put on top of somebody."""
+        self.pilot.turn_away(actor_id)
+        self._reader.forget_actor(actor_id)
 
     def collisions(self) -> int:
         """Collisions among SUMO's own vehicles and persons that it saw in the last step."""

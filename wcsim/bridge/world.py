@@ -40,6 +40,7 @@ from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatS
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 SIGNAL_REACH_M = 100.0  # whoever sees a traffic light is nearer
+LEVEL_M = 2.5  # who is so much above or below a chair is on another level
 TILE_REACH_M = 30.0  # the street this far beyond the cameras' range is in memory
 TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
 
@@ -143,8 +144,9 @@ class World:
         self._check(commands)
         with self.stopwatch.measure("react"):
             self._chairs, pilot = tuple(self._in_street(seat) for seat in self.seats), self._sumo.pilot
-            orders = self._street.react(self._actors, self._chairs, pilot)
-            for order in (*orders, *self._deflection.holds(self._actors, self._chairs)):
+            here = self._level(self._actors)
+            orders = self._street.react(here, self._chairs, pilot)
+            for order in (*orders, *self._deflection.holds(here, self._chairs)):
                 pilot.obey(order)
 
     def _step(self) -> None:
@@ -156,7 +158,7 @@ class World:
             near = self._admitted(self._near_chairs(), self._chairs)
         with self.stopwatch.measure("mirror"):
             before = {actor.id: actor for actor in self._actors}
-            self._deflection.update(near, self._chairs)
+            self._deflection.update(self._level(near), self._chairs)
             self._take(near)
             self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
 
@@ -289,20 +291,27 @@ class World:
 
     def _admitted(self, near: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """All but those that SUMO has just put on top of a chair; these leave the street again."""
-        away = self._street.turned_away(near, chairs, self._sumo.landed)
+        away = self._street.turned_away(self._level(near), chairs, self._sumo.come)
         for actor_id in away:
-            self._sumo.pilot.turn_away(actor_id)
+            self._sumo.turn_away(actor_id)
         return tuple(actor for actor in near if actor.id not in away) if away else near
+
+    def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
+        heights_m = [chair.z_m for chair in self._chairs]
+        kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < LEVEL_M for z_m in heights_m))
+        return actors if len(kept) == len(actors) else kept
 
     def _in_street(self, seat: Seat) -> ChairInStreet:
         chair = seat.as_actor()
-        x, y, _ = chair.p_W_m.tolist()
+        x, y, z = chair.p_W_m.tolist()
         ground = self.street.grid.class_here(x, y)
         return ChairInStreet(
             p_W_m=chair.p_W_m[:2],
             v_W_mps=chair.v_W_mps[:2],
             on_road=ground in ROADWAY,
             yaw_rad=chair.yaw_rad,
+            z_m=z,
         )
 
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import FrameType
 
 from wcsim.errors import InterruptedRunError, WcsimError
 
-EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 0, 2, 130, 141
+EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 0, 2, 130, 141, 143
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +40,39 @@ SUBCOMMANDS = (
 )
 
 
+class Terminated(KeyboardInterrupt):
+    """Raised when somebody asks the command to end by SIGTERM."""
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code (0 done, 2 bad input, 130 interrupted, 141 nobody reads on)."""
+    """Run the command line; returns the exit code: one of EXIT_*."""
     try:
-        code = _run(sys.argv[1:] if arguments is None else arguments)
+        with _orderly_end():
+            code = _run(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # whoever read the output, as `head` does, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
+
+
+@contextmanager
+def _orderly_end() -> Iterator[None]:
+    """While open, a first SIGTERM ends the command as Ctrl-C does, so that nothing half-done stays behind."""
+    before = signal.getsignal(signal.SIGTERM)
+    if before is not signal.SIG_DFL or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    raise Terminated
 
 
 def _run(words: list[str]) -> int:
@@ -58,6 +87,9 @@ def _run(words: list[str]) -> int:
     except WcsimError as error:
         print(f"wcsim: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except Terminated:
+        print("wcsim: terminated", file=sys.stderr)
+        return EXIT_TERMINATED
     except KeyboardInterrupt:
         print("wcsim: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

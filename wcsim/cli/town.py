@@ -62,7 +62,7 @@ def run(words: list[str]) -> int:
 def _list() -> int:
     table = Table("town", "split", Column("folder", overflow="fold"))
     for town in list_towns():
-        table.add_row(town.name, town.split, str(town.folder))
+        table.add_row(town.folder.name, town.split, str(town.folder))
     Console().print(table)
     return 0
 

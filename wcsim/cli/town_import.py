@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,6 +24,7 @@ from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.place import Box
 from wcsim.towns.street import load_street
 
+_ADOPTED = ("name", "sumocfg", "split", "out", "source", "json")  # options that a ready scenario knows
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 
@@ -66,7 +67,9 @@ class ImportOptions:
     seed: int = 42
     """Seed of the demand, the parked cars and the hill."""
     source: str = ""
-    """Where the extract comes from, for the licence notice."""
+    """Where the extract or the scenario comes from, for the licence notice."""
+    replace: Flag = False
+    """Build a town again that somebody has worked on: what was changed or added there is lost."""
     json: OutFile = None
     """Write the result of the check to this file."""
 
@@ -76,18 +79,23 @@ def run(options: ImportOptions) -> int:
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
     check_folder("--out", out)
+    result = options.json.resolve() if options.json is not None else None  # this folder itself may be built anew
     with _fresh_folders(out.parent):
         report = _adopt(options, options.sumocfg, out) if options.sumocfg is not None else _build(options, out)
     print_report(report)
-    if options.json is not None:
-        write_json(options.json, report_json(report, time.monotonic() - started_s))
+    if result is not None:
+        write_json(result, report_json(report, time.monotonic() - started_s))
     return 0
 
 
 def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
-    if options.osm is not None or options.bbox:
-        raise ConfigError("--sumocfg cannot be joined with --osm or --bbox; choose one source")
-    town = adopt_scenario(sumocfg, options.name, out, options.split)
+    given = [f.name for f in fields(options) if getattr(options, f.name) != f.default]
+    idle = [f"--{name.replace('_', '-')}" for name in given if name not in _ADOPTED]
+    if idle:
+        raise ConfigError(
+            f"--sumocfg takes a scenario as it is, and {', '.join(idle)} cannot be joined with it: leave one out"
+        )
+    town = adopt_scenario(sumocfg, options.name, out, options.split, options.source)
     print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
     return check_town(town)
 
@@ -108,7 +116,8 @@ def _build(options: ImportOptions, out: Path) -> TownReport:
         made = import_town(_order(options, osm, box, out), load_street)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
-    return check_town(made.town, made.walkable_share)
+    report = check_town(made.town, made.walkable_share)
+    return replace(report, notes=(*made.notes, *report.notes))
 
 
 def _needed(box: Box | None) -> Box:
@@ -132,6 +141,7 @@ def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> Imp
         relief=Heights(dem=options.dem, hill_m=options.hill, max_grade=options.max_grade),
         keep_service=options.keep_service,
         source=options.source,
+        overwrite=options.replace,
     )
 
 

@@ -9,19 +9,21 @@ import tempfile
 from pathlib import Path
 
 from wcsim.errors import TownError
-from wcsim.towns.folder import town_toml_text
+from wcsim.towns.folder import foreign_license_text, town_toml_text
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.scenario_options import Configuration, Treatment, read_configuration
-from wcsim.towns.town import Town, net_middle, open_town
+from wcsim.towns.town import NOT_TOWNS, Town, net_middle, open_town
 from wcsim.towns.xmlio import content_digest, is_folder, is_there
 
 MAX_FILES = 500
+NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
+NOTICE_BYTES = 1 << 20
 _SETTINGS = ("gui-settings-file",)  # not needed, but it makes the town look as its author likes it
 
 
-def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train") -> Town:
+def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", source: str = "") -> Town:
     """Copy a scenario and all the files it names into the new folder `out`, its structure kept, and open it.
 
     Args:
@@ -29,6 +31,7 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train") ->
         name: The town's name.
         out: A folder that is not there yet, or is empty.
         split: "train" or "test".
+        source: Where it comes from; default: that it is somebody else's.
 
     Raises:
         TownError: a file is missing or broken, lies where a copy cannot name it, or `out` is in the way.
@@ -37,6 +40,8 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train") ->
         raise TownError(f"{sumocfg}: there is no such file; expected somebody's .sumocfg")
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise TownError(f"town name {name!r}: expected 1 to 64 letters, digits, - or _")
+    if name in NOT_TOWNS:
+        raise TownError(f"a town cannot be named {name!r}, for that is no town's folder; choose another name")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise TownError(f"{out} is there already; remove it, or choose another place")
     start = Path(os.path.normpath(sumocfg.absolute()))
@@ -51,12 +56,26 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train") ->
             place = work / path.relative_to(base)
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, place)
-        (work / "town.toml").write_text(_town_toml(config, name, split, base, files), encoding="utf-8")
+        notices = _copy_notices(start.parent, work / start.relative_to(base).parent)
+        if not (work / "LICENSE-DATA").exists():
+            told = foreign_license_text(start.name, notices)
+            (work / "LICENSE-DATA").write_text(told, encoding="utf-8")
+        (work / "town.toml").write_text(_town_toml(config, name, (split, source), base, files), encoding="utf-8")
         _stay_inside(read_configuration(work / start.relative_to(base)), work)
         if out.is_dir():
             out.rmdir()
         work.replace(out)
     return open_town(out)
+
+
+def _copy_notices(source: Path, out: Path) -> tuple[str, ...]:
+    """Copy the licence and the readme that lie beside a scenario; returns their names."""
+    found = [path for mask in NOTICES for path in source.glob(mask) if path.is_file()]
+    found = [path for path in found if path.stat().st_size <= NOTICE_BYTES]
+    for path in found:
+        if not (out / path.name).exists():
+            shutil.copyfile(path, out / path.name)
+    return tuple(sorted({path.name for path in found}))
 
 
 def files_of(config: Configuration) -> tuple[Path, ...]:
@@ -84,12 +103,13 @@ def _net_of(config: Configuration) -> Path:
     return nets[0]
 
 
-def _town_toml(config: Configuration, name: str, split: str, base: Path, files: tuple[Path, ...]) -> str:
+def _town_toml(config: Configuration, name: str, told: tuple[str, str], base: Path, files: tuple[Path, ...]) -> str:
+    split, source = told
     text = town_toml_text(
         name=name,
         split=split,
         origin_m=net_middle(_net_of(config)),
-        source=f"scenario {config.path.name} of somebody else; ask its author for the licence",
+        source=source or f"scenario {config.path.name} of somebody else; ask its author for the licence",
         hashes={str(path.relative_to(base)): content_digest(path) for path in files},
     )
     return text.replace("\nsource = ", f"\nsumocfg = {_toml(config.path.relative_to(base))}\nsource = ", 1)

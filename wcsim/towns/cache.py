@@ -38,8 +38,9 @@ def street_key(town: Town) -> str:
 
 
 def _source_digest() -> str:
-    """SHA-256 over the code of this package: a street built by other code is another street."""
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    """SHA-256 over the code that makes a street and says what it is: built by other code it is another street."""
+    here = Path(__file__).parent
+    sources = [*sorted(here.glob("*.py")), here.parent / "streets.py", here.parent / "jit.py"]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 

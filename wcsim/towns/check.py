@@ -18,7 +18,9 @@ from wcsim.towns.grid import CELL_M
 from wcsim.towns.islands import share_of, walkable_parts
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.netread import LaneKind, Net, read_net
+from wcsim.towns.overlaps import overlaps_of
 from wcsim.towns.plane import length_of
+from wcsim.towns.relief import on_land, relief_of
 from wcsim.towns.street import load_street
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town
@@ -72,6 +74,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         mesh_faults=mesh_faults(street),
         rays=RAYS,
         classes=demand_classes(town),
+        overlaps=overlaps_of(on_land(net, relief_of(net))),
     )
     return TownReport(
         town=town.name,
@@ -84,7 +87,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         mesh_faults=found.mesh_faults,
         lefthand=b'lefthand="true"' in read_head(town.net, _HEAD_BYTES),
         faults=faults_of(town, net, found),
-        notes=notes_of(town, net),
+        notes=notes_of(town, net, found.overlaps),
     )
 
 

@@ -51,7 +51,7 @@ def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
         raise TownError(f"a largest grade of {relief.max_grade} is not possible; expected 0.01 to 0.25")
     area = grown(box, MARGIN_M)
     if relief.dem is not None:
-        return _read(relief.dem, area)
+        return _read(relief.dem, area, relief.max_grade)
     if relief.hill_m == 0.0:
         return None
     if not 0.0 < relief.hill_m <= 200.0:
@@ -79,7 +79,7 @@ def smoothed(dem: Dem, sigma_m: float) -> Dem:
     return replace(dem, height_m=np.asarray(blurred, np.float64))
 
 
-def lowered(dem: Dem, factor: float) -> Dem:
+def scaled(dem: Dem, factor: float) -> Dem:
     """The same land with all heights `factor` times as far from their mean."""
     mean_m = dem.height_m.mean()
     return replace(dem, height_m=mean_m + factor * (dem.height_m - mean_m))
@@ -121,7 +121,7 @@ def own_projections() -> Iterator[None]:
         os.environ.update(kept)
 
 
-def _read(path: Path, area: Box) -> Dem:
+def _read(path: Path, area: Box, max_grade: float) -> Dem:
     import rasterio
     from rasterio.errors import RasterioError
     from rasterio.transform import from_bounds
@@ -135,7 +135,7 @@ def _read(path: Path, area: Box) -> Dem:
             with rasterio.open(path) as file:
                 if file.crs is None:
                     raise TownError(f"--dem {path}: has no coordinate system; {_WANTED}")
-                if _DONE in file.tags():
+                if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
                     return Dem(height_m=file.read(1).astype(np.float64), box=tuple(file.bounds), smooth=True)
                 place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
                 reproject(
@@ -156,6 +156,24 @@ def _read(path: Path, area: Box) -> Dem:
             f"{_told(area)}: give one that covers the town"
         )
     return Dem(height_m=_filled(height_m), box=area)
+
+
+def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
+    """True for a file that this module wrote, of land that needs no more smoothing."""
+    try:
+        return float(tags.get(_DONE, "inf")) <= max_grade
+    except ValueError:
+        return False
+
+
+def _covers(place: Box, area: Box) -> bool:
+    slack = 1e-6  # degrees
+    return (
+        place[0] <= area[0] + slack
+        and place[1] <= area[1] + slack
+        and place[2] >= area[2] - slack
+        and place[3] >= area[3] - slack
+    )
 
 
 def _told(box: Box) -> str:

@@ -106,6 +106,12 @@ def check_rates(per_hour: Mapping[str, float]) -> None:
             raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {MOST_PER_HOUR}")
 
 
+def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[str, ...]:
+    """Classes that were ordered and that no way was found for."""
+    found = {way.traffic.vclass for way in ways}
+    return tuple(vclass for vclass, rate in per_hour.items() if rate > 0.0 and vclass not in found)
+
+
 def usable_km(net: Net, vclass: str) -> float:
     """Kilometres of street lane that a class may use."""
     return (
@@ -128,7 +134,7 @@ def _draw(net: Net, traffic: Traffic, seed: int) -> list[tuple[str, str]]:
     rng = generator(seed, "demand", traffic.types)
     first = _weights(edges, {e.end for e in edges}, traffic, start=True)
     last = _weights(edges, {e.start for e in edges}, traffic, start=False)
-    middle_m = np.array([0.5 * (e.lanes[0].points_m[0] + e.lanes[0].points_m[-1]) for e in edges])  # (E, 2)
+    middle_m = np.array([_middle_m(e) for e in edges])  # (E, 2)
     pairs: dict[tuple[str, str], None] = {}
     for _ in range(wanted * 4):
         a = int(rng.choice(len(edges), p=first))
@@ -140,6 +146,13 @@ def _draw(net: Net, traffic: Traffic, seed: int) -> list[tuple[str, str]]:
         if len(pairs) >= wanted:
             break
     return list(pairs)
+
+
+def _middle_m(edge: Edge) -> F64:
+    """The point (2,) at half the length of an edge: streets that bow between the same junctions have different ones."""
+    points_m = edge.lanes[0].points_m
+    arc_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))]
+    return np.array([np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T])
 
 
 def _weights(edges: list[Edge], joined: set[str], traffic: Traffic, *, start: bool) -> F64:

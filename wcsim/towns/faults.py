@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim.towns.items import read_items
 from wcsim.towns.lift import steepest_grade
-from wcsim.towns.manifest import changes_of
-from wcsim.towns.netread import LaneKind, Net
+from wcsim.towns.manifest import changes_of, own_work
+from wcsim.towns.netread import WALK_KINDS, LaneKind, Net
+from wcsim.towns.overlaps import Overlap
 from wcsim.towns.town import Town
 
 ENOUGH_SHARE = 0.95
 LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
+MUCH = 0.1  # of the pavement, under carriageways of other levels
 _PAVE = "netconvert -s {net} --sidewalks.guess --crossings.guess --walkingareas -o better.net.xml"
+_NAME_IT = ", and name better.net.xml in {sumocfg}"
 _PROJECT = "build it again in metres: netconvert --osm-files EXTRACT --proj.utm -o {net}"
 
 
@@ -31,6 +35,7 @@ class Findings:
     mesh_faults: int
     rays: int  # that were sent down for `mesh_faults`
     classes: tuple[str, ...]
+    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
 
 
 def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
@@ -47,17 +52,24 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
         lines.append(
             f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: "
             f"netconvert -s {town.net.name} --geometry.max-grade 12 --geometry.max-grade.fix -o better.net.xml"
+            + _NAME_IT.format(sumocfg=town.sumocfg.name)
         )
-    stale = changes_of(town).stale
-    if stale:
-        again = _in_folder(town, town.file.rebuild or "import the scenario again: wcsim town import --sumocfg FILE")
-        lines.append(f"changed since the import, and made for each other: {', '.join(stale)}; {again}")
+    if _large(net, found.overlaps):
+        cure = f"bridges belong on another level; delete them: netedit -s {town.net.name}"
+        lines.append(f"{_overlap(found.overlaps)}; {cure}")
     return tuple(lines)
 
 
-def notes_of(town: Town, net: Net) -> tuple[str, ...]:
+def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    notes = [f"changed since the import: {name}" for name in changes_of(town).authored]
+    changes = changes_of(town)
+    notes = [f"changed since the import: {name}" for name in changes.others]
+    for name in changes.net:
+        routes = ",".join(path.name for path in town.routes) or "DEMAND"
+        again = f"duarouter -n {name} -r {routes} --ignore-errors -o better.rou.xml, named in {town.sumocfg.name}"
+        notes.append(f"changed since the import: {name}; traffic takes new ways when it is routed again: {again}")
+    if over and not _large(net, over):
+        notes.append(_overlap(over))
     if town.poly is None:
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
@@ -89,7 +101,7 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
         return []
     cure = f"polyconvert --osm-files EXTRACT --net-file {town.net.name} -o {town.poly.name}"
     if town.file.rebuild:
-        cure = _in_folder(town, town.file.rebuild)
+        cure = _again(town, town.file.rebuild)
     return [
         f"none of the {len(things_m)} things of {town.poly.name} lies at the streets, so it was made for another net; "
         f"build it for this one: {cure}"
@@ -97,7 +109,7 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
-    pave = _PAVE.format(net=town.net.name)
+    pave = _PAVE.format(net=town.net.name) + _NAME_IT.format(sumocfg=town.sumocfg.name)
     if town.file.rebuild:
         pave = "take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name " + town.name
     if not found.walkingareas:
@@ -115,15 +127,33 @@ def _demand(town: Town, found: Findings) -> list[str]:
     lines = []
     if "pedestrian" not in found.classes:
         cure = f"randomTrips.py -n {town.net.name} --pedestrians -r walkers.rou.xml"
-        if town.file.rebuild:
-            cure = _in_folder(town, f"{town.file.rebuild} --traffic 1")
+        cure += f", and name walkers.rou.xml in {town.sumocfg.name}"
+        words = shlex.split(town.file.rebuild)
+        if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
+            words[words.index("--traffic") + 1] = "1"
+            cure = _again(town, shlex.join(words))
         lines.append(f"nobody walks in this town: its demand has no persons; add some: {cure}")
     if found.unroutable:
         routes = ",".join(path.name for path in town.routes)
         cure = f"duarouter -n {town.net.name} -r {routes} --ignore-errors -o better.rou.xml"
+        cure += f", and name better.rou.xml in {town.sumocfg.name}"
         lines.append(f"{found.unroutable} trips have no way through the net; drop them: {cure}")
     return lines
 
 
-def _in_folder(town: Town, command: str) -> str:
-    return f"cd {town.folder} && {command}" if command.startswith("wcsim") else command
+def _again(town: Town, rebuild: str) -> str:
+    """The command that builds a town again, run in its folder; it says so when somebody's work would be lost."""
+    command = f"cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}"
+    work = own_work(town.folder)
+    return f"{command} --replace (what you did to {', '.join(work)} is lost then)" if work else command
+
+
+def _large(net: Net, over: tuple[Overlap, ...]) -> bool:
+    paved_m2 = sum(lane.length_m * lane.width_m for lane in net.lanes(*WALK_KINDS))
+    return sum(item.area_m2 for item in over) > MUCH * paved_m2
+
+
+def _overlap(over: tuple[Overlap, ...]) -> str:
+    total_m2 = sum(item.area_m2 for item in over)
+    worst = f"most of it edge {over[0].street} over {over[0].pavement}"
+    return f"{total_m2:.0f} m2 of carriageway lie on pavements of other streets, without a junction; {worst}"

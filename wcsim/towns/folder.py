@@ -46,6 +46,16 @@ pictures and results made with it need only the attribution. The way it was deri
 licence of its own and not affected.
 """
 
+_HEIGHTS = """
+The heights in the net and in {name}.dem.tif were made of a terrain model that is not part of OpenStreetMap. Its own
+licence holds for them: name its source and follow its terms when you pass them on.
+"""
+
+_FOREIGN = """\
+The files in this folder, but for town.toml and this one, are copies of somebody's scenario ({config}). They are its
+author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
+"""
+
 
 def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...]) -> str:
     """A .sumocfg that opens in sumo-gui as it is: file names are relative.
@@ -56,9 +66,18 @@ def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...])
     return _SUMOCFG.format(name=name, seed=seed, routes=routes, additional=line)
 
 
-def license_text(name: str) -> str:
-    """The notice that must lie beside data from OpenStreetMap."""
-    return _LICENSE.format(name=name)
+def license_text(name: str, source: str = "", heights: bool = False) -> str:
+    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
+    text = _LICENSE.format(name=name)
+    if heights:
+        text += _HEIGHTS.format(name=name)
+    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
+
+
+def foreign_license_text(config: str, notices: tuple[str, ...]) -> str:
+    """The notice that lies beside somebody's scenario."""
+    beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
+    return _FOREIGN.format(config=config, beside=beside)
 
 
 def town_toml_text(

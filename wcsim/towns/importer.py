@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -19,18 +18,19 @@ import numpy as np
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.convert import NetOrder, convert_polygons
 from wcsim.towns.dem import Heights, make_dem, write_dem
-from wcsim.towns.demand import Way, build_ways, check_rates, flows_text, vtypes_text
+from wcsim.towns.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
 from wcsim.towns.folder import license_text, sumocfg_text, town_toml_text
 from wcsim.towns.handed import Side, side_at
 from wcsim.towns.lift import lift_net
-from wcsim.towns.manifest import hashes_of
+from wcsim.towns.manifest import hashes_of, own_work
 from wcsim.towns.netbuild import EXTRACT, BuiltNet, build_net
 from wcsim.towns.netread import read_net
 from wcsim.towns.osmread import Extract, read_extract
 from wcsim.towns.parking import Parking, find_parking
 from wcsim.towns.place import Box, check_box, middle_of
-from wcsim.towns.town import Town, open_town
+from wcsim.towns.town import NOT_TOWNS, Town, open_town
 from wcsim.towns.trial import ROUNDS, stuck_ways
+from wcsim.towns.workplace import move_in_place, new_workplace
 from wcsim.towns.xmlio import without_comments, write_gzip
 
 
@@ -51,7 +51,7 @@ class ImportOrder:
     relief: Heights = field(default_factory=Heights)
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
     source: str = ""
-    options: tuple[str, ...] = ()  # more netconvert options
+    overwrite: bool = False  # a town that somebody has worked on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,39 +61,41 @@ class Imported:
     town: Town
     side: Side
     walkable_share: float  # of the walkable ground, in its largest part
+    notes: tuple[str, ...] = ()  # what the town does not have that the map or the order has
 
 
 def import_town(order: ImportOrder, meanwhile: Callable[[Town], object] | None = None) -> Imported:
-    """Build the town and move it to `order.out`, replacing a town that is there.
+    """Build the town and move it to `order.out`, replacing a town that is there if nobody has worked on it.
 
     Args:
         order: what and where to.
         meanwhile: called with the town, before it is in place, while its demand is tried on another core.
 
     Raises:
-        TownError: the order or the extract cannot be used, or the folder holds something else.
+        TownError: the order or the extract cannot be used, or the folder holds something else or somebody's work.
         SumoError: one of SUMO's tools failed.
     """
     given, order = order.out, replace(order, out=order.out.resolve())
     _check(order)
     extract = read_extract(order.osm, order.bbox)
     side = _side(order, extract.box)
-    order.out.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{order.name}-", dir=order.out.parent))
+    work = new_workplace(order.name, order.out)
     try:
-        built = _build(order, extract, side, work, meanwhile)
-        _move_in_place(work, order.out)
+        built, notes = _build(order, extract, side, work, meanwhile)
+        move_in_place(work, order.out)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
     shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
-    return Imported(town=open_town(shown), side=side, walkable_share=built.share)
+    return Imported(town=open_town(shown), side=side, walkable_share=built.share, notes=notes)
 
 
 def _check(order: ImportOrder) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", order.name):
         raise TownError(f"a town cannot be named {order.name!r}; expected letters, digits, - and _")
+    if order.name in NOT_TOWNS:
+        raise TownError(f"a town cannot be named {order.name!r}, for that is no town's folder; choose another name")
     if order.split not in ("train", "test"):
         raise TownError(f"unknown split {order.split!r} of town {order.name}; expected train or test")
     if order.bbox is not None:
@@ -103,6 +105,12 @@ def _check(order: ImportOrder) -> None:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.out.is_dir() and any(order.out.iterdir()) and not (order.out / "town.toml").is_file():
         raise TownError(f"{order.out} is not empty and not a town; give another folder, or empty it")
+    work = own_work(order.out) if (order.out / "town.toml").is_file() and not order.overwrite else ()
+    if work:
+        raise TownError(
+            f"{order.out} holds what was changed or added since its import: {', '.join(work[:5])}"
+            f"{' and more' * (len(work) > 5)}; choose another --name or --out, or give --replace: all that is lost then"
+        )
 
 
 def _side(order: ImportOrder, box: Box) -> Side:
@@ -111,7 +119,7 @@ def _side(order: ImportOrder, box: Box) -> Side:
 
 def _build(
     order: ImportOrder, extract: Extract, side: Side, work: Path, meanwhile: Callable[[Town], object] | None
-) -> BuiltNet:
+) -> tuple[BuiltNet, tuple[str, ...]]:
     name = order.name
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
@@ -121,7 +129,6 @@ def _build(
         box=extract.box,
         lefthand=side.lefthand,
         keep_service=order.keep_service,
-        more=order.options,
     )
     built = build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
@@ -143,7 +150,18 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    return built
+    return built, _notes(order, built, ways)
+
+
+def _notes(order: ImportOrder, built: BuiltNet, ways: tuple[Way, ...]) -> tuple[str, ...]:
+    """What the map or the order has and the town has not."""
+    found = []
+    if built.bridges:
+        names = ", ".join(built.bridges[:8]) + " and more" * (len(built.bridges) > 8)
+        found.append(f"bridges over other streets left out, for the town has one level: {names}")
+    idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
+    found += [f"no traffic of class {vclass}: no street or track of this town is open to it" for vclass in idle]
+    return tuple(found)
 
 
 def _unfinished(work: Path, order: ImportOrder) -> Town:
@@ -169,7 +187,7 @@ def _write_folder(order: ImportOrder, extract: Extract, work: Path, parking: Par
     routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
     (work / f"{name}.sumocfg").write_text(sumocfg_text(name, order.seed, routes, additional), encoding="utf-8")
     write_gzip(work / routes, b"<routes/>")  # until the demand is there
-    (work / "LICENSE-DATA").write_text(license_text(name), encoding="utf-8")
+    (work / "LICENSE-DATA").write_text(license_text(name, order.source, order.relief.dem is not None), encoding="utf-8")
     (work / "osm" / "bbox").write_text(",".join(map(str, extract.box)) + "\n", encoding="utf-8")
 
 
@@ -204,18 +222,3 @@ def rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
     words += ["--keep-service"] * order.keep_service
     words += ["--source", order.source] if order.source else []
     return shlex.join(["wcsim", "town", "import", *words])
-
-
-def _move_in_place(work: Path, out: Path) -> None:
-    work.chmod(0o755)
-    if not out.exists():
-        work.rename(out)
-        return
-    aside = work.with_name(work.name + "-old")
-    out.rename(aside)
-    try:
-        work.rename(out)
-    except OSError:
-        aside.rename(out)
-        raise
-    shutil.rmtree(aside)

@@ -19,7 +19,7 @@ from wcsim.towns.surfaces import lane_area, surfaces_of
 from wcsim.towns.xmlio import read_root
 
 _WALKABLE = WALK_KINDS | {LaneKind.CROSSING, LaneKind.WALKINGAREA}
-_WAY = re.compile(r"^-?(\d+)(?:#.*)?$")
+_WAY = re.compile(r"^-*(\d+)(?:#.*)?$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,7 @@ class Islands:
 
     share: float  # of the walkable area, in the largest part
     area_m2: float  # all of it
-    footways: frozenset[str]  # ids of ways
+    footways: frozenset[str]  # ids of ways, without a sign
     roads: frozenset[str]  # with vehicles on them
 
 
@@ -59,13 +59,13 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
     if not sizes_m2:
         return Islands(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
     main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
-    ways_of = _ways(net_path)
+    made_of = ways_of(net_path)
     kept: set[str] = set()
     stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
     for edge in net.edges:
         if edge.function:
             continue
-        for way in ways_of.get(edge.id, ()):
+        for way in made_of.get(edge.id, ()):
             if part_of.get(edge.id, main) == main:
                 kept.add(way)
             else:
@@ -121,7 +121,7 @@ def _area_m2(lane: Lane) -> float:
     return 0.5 * abs(float(np.dot(x_m, np.roll(y_m, 1)) - np.dot(y_m, np.roll(x_m, 1))))
 
 
-def _ways(net_path: Path) -> dict[str, tuple[str, ...]]:
+def ways_of(net_path: Path) -> dict[str, tuple[str, ...]]:
     """The OpenStreetMap ways that each edge was made of: netconvert notes them, unless the edge bears the name."""
     found: dict[str, tuple[str, ...]] = {}
     for edge in read_root(net_path).iterfind("edge"):

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from wcsim.errors import TownError
-from wcsim.towns.dem import Dem, Heights, as_stored, heights_at, lowered, own_projections, smoothed
+from wcsim.towns.dem import Dem, Heights, as_stored, heights_at, own_projections, scaled, smoothed
 from wcsim.towns.netread import Net
 from wcsim.towns.xmlio import read_root
 from wcsim.types import F64
@@ -43,6 +43,9 @@ def lift_net(path: Path, dem: Dem, relief: Heights) -> Dem:
     def steepest(land: Dem) -> float:
         return _steepest(np.split(heights_at(land, places), ends[:-1]), runs_m, driven)
 
+    if relief.dem is None:  # the hill is as high as ordered where the streets are
+        height_m = float(np.ptp(heights_at(smoothed(dem, SIGMAS_M[0]), places)))
+        dem = scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
     used = as_stored(_gentle(dem, relief, steepest))
     for (element, points_m), z_m in zip(found, np.split(heights_at(used, places), ends[:-1]), strict=True):
         rows = np.column_stack([points_m, z_m]).tolist()
@@ -65,7 +68,7 @@ def _gentle(dem: Dem, relief: Heights, steepest: Callable[[Dem], float]) -> Dem:
         if grade <= relief.max_grade:
             return land
     log.warning("the land is as steep as %.2f; its heights were lowered to what streets may have", grade)
-    return lowered(land, 0.99 * relief.max_grade / grade)
+    return scaled(land, 0.99 * relief.max_grade / grade)
 
 
 def _steepest(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) -> float:

@@ -6,20 +6,27 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.errors import TownError
+from wcsim.config import TownFile, read_toml
+from wcsim.errors import ConfigError, TownError
 from wcsim.towns.town import Town
 from wcsim.towns.xmlio import content_digest
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
-AUTHORED = ("add.xml", "sumocfg")  # where authors add what they like; the others belong together
+BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
+AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
     """Files of a town that are not as they were imported."""
 
-    stale: tuple[str, ...]  # net, polygons, demand, heights: they were made for each other
-    authored: tuple[str, ...]
+    net: tuple[str, ...]  # the net: the demand was routed through it
+    others: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All of them."""
+        return self.net + self.others
 
 
 def hashes_of(folder: Path, name: str) -> dict[str, str]:
@@ -31,18 +38,41 @@ def hashes_of(folder: Path, name: str) -> dict[str, str]:
 def changes_of(town: Town) -> Changes:
     """What was changed since the import; nothing for a town without a manifest."""
     noted = town.file.hashes
-    now: dict[str, str] = {}
-    for kind in noted:
-        path = _path(town, kind)
-        try:
-            now[kind] = _digest(path) if path.is_file() else ""
-        except TownError:
-            now[kind] = ""
-    changed = [kind for kind in noted if now[kind] != noted[kind]]
+    changed = [kind for kind in noted if _now(_path(town, kind)) != noted[kind]]
+    names = {kind: _path(town, kind) for kind in changed}
+    net = town.net.resolve()
     return Changes(
-        stale=tuple(_path(town, kind).name for kind in changed if kind not in AUTHORED),
-        authored=tuple(_path(town, kind).name for kind in changed if kind in AUTHORED),
+        net=tuple(path.name for path in names.values() if path.resolve() == net),
+        others=tuple(path.name for path in names.values() if path.resolve() != net),
     )
+
+
+def own_work(folder: Path) -> tuple[str, ...]:
+    """What somebody did to a town's folder since its import, as paths in it: changed files and added ones, sorted."""
+    try:
+        file = read_toml(folder / "town.toml", TownFile)
+    except ConfigError:
+        return ("town.toml",)
+    name = file.name
+    written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    changed = {f"{name}.{kind}" for kind, digest in file.hashes.items() if _now(folder / f"{name}.{kind}") != digest}
+    if _by_hand(file):
+        changed.add("town.toml")
+    return tuple(sorted((there - written) | (changed & there)))
+
+
+def _by_hand(file: TownFile) -> bool:
+    """True when `town.toml` says what no importer writes."""
+    usual = TownFile(name=file.name, split=file.split)
+    return any(getattr(file, key) != getattr(usual, key) for key in AUTHORED_KEYS)
+
+
+def _now(path: Path) -> str:
+    try:
+        return _digest(path) if path.is_file() else ""
+    except TownError:
+        return ""
 
 
 def _path(town: Town, kind: str) -> Path:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
+from wcsim.towns.bridges import cut_bridges
 from wcsim.towns.convert import NetOrder, convert_net
 from wcsim.towns.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts
+from wcsim.towns.motorways import unpaved_ways, wrongly_paved
 from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.osmfilter import filter_osm, strip_orphans
 
@@ -28,6 +30,7 @@ class BuiltNet:
 
     net: Net
     share: float
+    bridges: tuple[str, ...] = ()  # what they are called that were left out, for they pass over other streets
 
 
 def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
@@ -38,6 +41,11 @@ def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
         SumoError: netconvert failed.
     """
     filter_osm(root)
+    bridges = cut_bridges(root, order.keep_service)
+    return replace(_hanging_together(order, root, folder), bridges=bridges)
+
+
+def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     net = _converted(order, root, folder)
     found = islands_by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
@@ -70,17 +78,23 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
 
 
 def _converted(order: NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
-    for way in [way for way in root.iterfind("way") if way.get("id") in dropped]:
+    for way in [way for way in root.iterfind("way") if way.get("id", "").lstrip("-") in dropped]:
         root.remove(way)
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
-    path = convert_net(order, EXTRACT, folder)
+    net = _read(convert_net(order, EXTRACT, folder))
+    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
+        more = (*order.more, "--sidewalks.guess.exclude", ",".join(paved))
+        net = _read(convert_net(replace(order, more=more), EXTRACT, folder))
+    if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
+        raise TownError("the area has no pavements; choose a larger or another bounding box")
+    return net
+
+
+def _read(path: Path) -> Net:
     try:
-        net = read_net(path)
+        return read_net(path)
     except TownError:
         raise TownError(
             "the area holds no street that could be built; choose a larger or another bounding box"
         ) from None
-    if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
-        raise TownError("the area has no pavements; choose a larger or another bounding box")
-    return net

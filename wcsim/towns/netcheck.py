@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import tempfile
 from pathlib import Path
@@ -17,9 +18,10 @@ from wcsim.towns.town import Town
 from wcsim.towns.xmlio import MAX_XML_BYTES, parse_root, read_bytes
 from wcsim.types import Street
 
-CHECK = 2  # raise it when the check becomes stricter
+CHECK = 4  # raise it when the check becomes stricter
 _LIMITS = Limits(wall_s=60.0, cpu_s=50, memory_bytes=3 << 30, file_bytes=1 << 20)
 SMALLEST_M, LARGEST_M = 1.0, 500e3
+STRETCHED, STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
 _NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
 
 
@@ -59,6 +61,8 @@ def scan_net(root: Element, where: str) -> None:
         raise TownError(f"{where}: has no junction; expected a street net: build it with netconvert")
     _scan_numbers(root, where)
     _refuse_degrees(edges, where)
+    _refuse_stretched(edges, where)
+    _refuse_sprawling(root, where)
 
 
 def require_pavement(street: Street, town: Town) -> None:
@@ -98,6 +102,32 @@ def _refuse_degrees(edges: list[Element], where: str) -> None:
             f"{where}: reaches over {span_m / 1e3:.0f} km; expected at most {LARGEST_M / 1e3:.0f} km: build it "
             "again with a metric projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
         )
+
+
+def _refuse_stretched(edges: list[Element], where: str) -> None:
+    """A lane that is drawn to a place far away makes a town of hundreds of kilometres out of a small one."""
+    for lane in (lane for edge in edges if edge.get("function") != "walkingarea" for lane in edge.iterfind("lane")):
+        points = [place.split(",") for place in lane.get("shape", "").split()]
+        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
+        drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(places))
+        if drawn_m > max(STRETCHED_M, STRETCHED * float(lane.get("length") or 0.0)):
+            raise TownError(
+                f"{where}: lane {lane.get('id')!r} is {lane.get('length')} m long and drawn over {drawn_m:.0f} m; "
+                "expected about the same: build it again with netconvert"
+            )
+
+
+def _refuse_sprawling(root: Element, where: str) -> None:
+    """So does a junction whose outline reaches there."""
+    for junction in root.iterfind("junction"):
+        points = [place.split(",") for place in junction.get("shape", "").split()]
+        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
+        reach_m = max((math.dist(places[0], place) for place in places), default=0.0)
+        if reach_m > STRETCHED_M:
+            raise TownError(
+                f"{where}: junction {junction.get('id')!r} reaches over {reach_m:.0f} m; expected at most "
+                f"{STRETCHED_M:.0f} m: build it again with netconvert"
+            )
 
 
 def _all_finite(text: str) -> bool:

@@ -52,6 +52,10 @@ def _bounds(header: osmium.io.Header, box: Box | None) -> osmium.io.Header:
     return made
 
 
+def _box(text: str) -> Box:
+    west, south, east, north = (float(part) for part in text.split(","))
+    return west, south, east, north
+
+
 if __name__ == "__main__":
-    _west, _south, _east, _north = (float(_part) for _part in sys.argv[4].split(","))
-    cut(sys.argv[1], sys.argv[2], sys.argv[3], (_west, _south, _east, _north))
+    cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)

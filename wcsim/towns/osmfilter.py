@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from wcsim.towns.motorways import quicken_motorways
 from wcsim.towns.osmbuildings import mark_buildings
 
 _NO_STREET = {"corridor", "elevator", "proposed", "construction"}
@@ -17,46 +16,31 @@ _WORDS = {"none", "signals", "walk", "variable", "default", "national"}
 _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Filtered:
-    """A cleaned extract."""
-
-    data: bytes
-    dropped_ways: int  # streets under ground, indoors or not built
-    orphan_crossings: int  # crossing nodes on no street: with --osm.crossings they crash netconvert 1.28
-
-
-def filter_osm(root: Element) -> Filtered:
+def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    tags = {way: _tags(way) for way in root.iterfind("way")}
-    dead = [way for way, tag in tags.items() if _is_hidden(tag)]
-    for way in dead:
+    for way in [way for way in root.iterfind("way") if _is_hidden(_tags(way))]:
         root.remove(way)
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         for tag in item.findall("tag"):
             if _is_senseless(tag.get("k", ""), tag.get("v", "")):
                 item.remove(tag)
-    orphans = strip_orphans(root)
+    strip_orphans(root)
     mark_buildings(root)
-    data = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return Filtered(data=data, dropped_ways=len(dead), orphan_crossings=orphans)
+    quicken_motorways(root)
 
 
-def strip_orphans(root: Element) -> int:
-    """Take the crossing tag off nodes that lie on no street, and say how many there were; changes `root`."""
+def strip_orphans(root: Element) -> None:
+    """Take the crossing tag off nodes that lie on no street: it crashes netconvert 1.28; changes `root`."""
     on_street = {
         node.get("ref")
         for way in root.iterfind("way")
         if any(item.get("k") == "highway" for item in way.iterfind("tag"))
         for node in way.iterfind("nd")
     }
-    orphans = 0
     for node in root.iterfind("node"):
         for item in node.findall("tag"):
             if item.get("k") == "highway" and item.get("v") == "crossing" and node.get("id") not in on_street:
                 node.remove(item)
-                orphans += 1
-    return orphans
 
 
 def _is_senseless(key: str, value: str) -> bool:

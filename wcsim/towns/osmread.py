@@ -24,7 +24,6 @@ EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz
 _OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
 _LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
 _CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
-_WHOLE = (-180.0, -90.0, 180.0, 90.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,10 +109,10 @@ def _unpack_bz2(path: Path) -> bytes:
 
 
 def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
-    place = grown(box, MARGIN_M) if box is not None else _WHOLE
+    place = [",".join(map(repr, grown(box, MARGIN_M)))] if box is not None else []
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "cut.osm"
-        words = ["-m", "wcsim.towns.osmcut", str(path.resolve()), file_format, str(out), ",".join(map(repr, place))]
+        words = ["-m", "wcsim.towns.osmcut", str(path.resolve()), file_format, str(out), *place]
         run = run_child("osmium", [sys.executable, *words], Path(folder), os.environ, _LIMITS)
         if run.returncode:
             cure = "" if box is not None else "; a large one needs --bbox W,S,E,N"

@@ -17,6 +17,8 @@ SIMPLIFY_M = 0.05
 CLOSE_M = 0.15  # gaps narrower than twice this are closed
 STRIP_M = 0.35  # half of the width below which a strip of road or between roads is not worth a kerb
 POCKET_M2 = 12.0
+HOLE_M2 = 150.0  # grass inside a turning loop
+CRUMB_M2 = 1.0
 REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
 DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
 MARGIN_M = 15.0  # terrain beyond the outermost street
@@ -49,7 +51,7 @@ def surfaces_of(net: Net, chair_ways: tuple[str, ...]) -> Surfaces:
     both = _cleaned(shapely.union_all([low, walk]))
     narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * STRIP_M and not lane.internal]
     low = shapely.union_all([_opened(_closed(low, STRIP_M), STRIP_M), *narrow])
-    low = _cleaned(_without_pockets(low, motor))
+    low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
     reaches = _reaches(net.lanes(LaneKind.CROSSING), low, pavement)
     crossing = shapely.set_precision(shapely.union_all([crossing.intersection(low), *reaches]), GRID_M)
@@ -162,6 +164,14 @@ def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:
     parts = shapely.get_parts(low)
     shapely.prepare(motor)
     return MultiPolygon([part for part in parts if part.area > POCKET_M2 or shapely.intersects(motor, part)])
+
+
+def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
+    """With small islands of grass in the road filled, as a lane that turns round at a dead end leaves one."""
+    shapely.prepare(walk)
+    holes = [Polygon(ring) for part in shapely.get_parts(low) for ring in part.interiors]
+    small = [hole for hole in holes if hole.area < HOLE_M2 and walk.intersection(hole).area < CRUMB_M2]
+    return _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M)) if small else low
 
 
 def _areas(geometry: BaseGeometry) -> BaseGeometry:

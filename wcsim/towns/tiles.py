@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import zstandard
@@ -18,18 +18,13 @@ from wcsim.towns.grid import CELL_M, Box, GridMaker
 from wcsim.towns.ground import CELL_M as CHUNK_M
 from wcsim.types import F64, U8, Relief, StreetGrid, StreetMesh, TileKey
 
-TILE_M = 5 * CHUNK_M
-KEPT_TILES = 16  # 16 MB each
+TILE_M = 3 * CHUNK_M
+KEPT_RASTERS = 40  # 7 MB each; a chair and those around it stand on about four
 _RASTERS = ("height_cm", "ground_class", "clearance_dm")
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 
 Packed = Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Tile:
-    mesh: StreetMesh
-    grid: StreetGrid
+T = TypeVar("T")
 
 
 def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
@@ -57,7 +52,7 @@ def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
 
 
 class TileStore:
-    """The tiles of one street, read when somebody asks for a place; the last few stay in memory.
+    """The tiles of one street, read when somebody asks for a place; the rasters of the last few places stay in memory.
 
     It is both the street's `Ground` and its `StreetTiles`. Places outside the town have the ground of its border.
     """
@@ -69,7 +64,7 @@ class TileStore:
         self._first, self._last = (west, south), (east, north)
         self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
         self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
-        self._kept: OrderedDict[TileKey, _Tile] = OrderedDict()
+        self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()
 
     @property
     def keys(self) -> tuple[TileKey, ...]:
@@ -85,7 +80,7 @@ class TileStore:
 
     def mesh(self, key: TileKey) -> StreetMesh:
         """See `StreetTiles`."""
-        return self._tile(key).mesh
+        return self._guarded(lambda: StreetMesh(**{name: self._packed[_name(key, name)] for name in _MESH}))
 
     def height_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
@@ -119,7 +114,7 @@ class TileStore:
     def _grid(self, x_W_m: float, y_W_m: float) -> StreetGrid:
         (west, south), (east, north) = self._first, self._last
         x, y = math.floor(x_W_m / TILE_M), math.floor(y_W_m / TILE_M)
-        return self._tile((min(max(x, west), east), min(max(y, south), north))).grid
+        return self._raster((min(max(x, west), east), min(max(y, south), north)))
 
     def _ask(self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray]) -> np.ndarray:
         """The answer for points (..., 2 or 3), tile by tile; nearly always one tile holds them all."""
@@ -127,35 +122,35 @@ class TileStore:
             return question(self.around(p_W_m), p_W_m)
         tiles = np.clip(np.floor(p_W_m[..., :2] / TILE_M).astype(int), self._first, self._last).reshape(-1, 2)
         if not len(tiles):
-            return question(self._tile(self._keys[0]).grid, p_W_m)
+            return question(self._raster(self._keys[0]), p_W_m)
         if (tiles == tiles[0]).all():
-            return question(self._tile((int(tiles[0, 0]), int(tiles[0, 1]))).grid, p_W_m)
+            return question(self._raster((int(tiles[0, 0]), int(tiles[0, 1]))), p_W_m)
         points = p_W_m.reshape(-1, p_W_m.shape[-1])
         found = np.empty(len(points))
         for x, y in np.unique(tiles, axis=0).tolist():
             mine = (tiles == (x, y)).all(axis=1)
-            found[mine] = question(self._tile((x, y)).grid, points[mine])
+            found[mine] = question(self._raster((x, y)), points[mine])
         return found.reshape(p_W_m.shape[:-1])
 
-    def _tile(self, key: TileKey) -> _Tile:
-        tile = self._kept.get(key)
-        if tile is None:
-            tile = self._kept[key] = self._read(key)
-            if len(self._kept) > KEPT_TILES:
+    def _raster(self, key: TileKey) -> StreetGrid:
+        grid = self._kept.get(key)
+        if grid is None:
+            grid = self._kept[key] = self._guarded(lambda: self._unpacked(key))
+            if len(self._kept) > KEPT_RASTERS:
                 self._kept.popitem(last=False)
         else:
             self._kept.move_to_end(key)
-        return tile
+        return grid
 
-    def _read(self, key: TileKey) -> _Tile:
+    def _guarded(self, read: Callable[[], T]) -> T:
         try:
-            return self._unpacked(key)
+            return read()
         except (OSError, ValueError, zipfile.BadZipFile, zlib.error, zstandard.ZstdError) as error:
             raise TownError(
                 f"the built street cannot be read any more ({error}); delete ~/.cache/wcsim and start again"
             ) from None
 
-    def _unpacked(self, key: TileKey) -> _Tile:
+    def _unpacked(self, key: TileKey) -> StreetGrid:
         unpacker = zstandard.ZstdDecompressor()
         x0, y0, x1, y1 = _box(key)
         shape = (round((y1 - y0) / CELL_M), round((x1 - x0) / CELL_M))
@@ -163,8 +158,7 @@ class TileStore:
         for name in _RASTERS:
             data = unpacker.decompress(self._packed[_name(key, name)].tobytes())
             rasters[name] = np.frombuffer(data, np.uint8).reshape(shape)
-        grid = StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
-        return _Tile(mesh=StreetMesh(**{name: self._packed[_name(key, name)] for name in _MESH}), grid=grid)
+        return StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
 
 
 def _name(key: TileKey, name: str) -> str:

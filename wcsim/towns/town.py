@@ -179,6 +179,8 @@ def _main_config(folder: Path) -> Path:
 
 
 def _is_town(folder: Path) -> bool:
+    if folder.name.startswith("."):  # an import that is not done, or was killed
+        return False
     return bool(_configs(folder)) or (folder / "town.toml").is_file()
 
 

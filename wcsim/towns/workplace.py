@@ -1,0 +1,56 @@
+"""The folder in which a town is made, beside the one where it will be, and what a killed import left there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+_OLD = "-old"
+
+
+def new_workplace(name: str, out: Path) -> Path:
+    """A fresh folder beside `out`; first those go that imports of that name left when they were killed."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    clear_stale(name, out)
+    return Path(tempfile.mkdtemp(prefix=f".{name}-{os.getpid()}-", dir=out.parent))
+
+
+def clear_stale(name: str, out: Path) -> None:
+    """Remove what dead imports left; a town that one had just moved aside goes back to its place."""
+    for place in sorted(out.parent.glob(f".{name}-*")):
+        match = re.fullmatch(rf"\.{re.escape(name)}-(\d+)-\w+({_OLD})?", place.name)
+        if match is None or not place.is_dir() or _runs(int(match[1])):
+            continue
+        if match[2] and not out.exists():
+            place.rename(out)
+        else:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def move_in_place(work: Path, out: Path) -> None:
+    """Put a finished town where it belongs, instead of one that is there."""
+    work.chmod(0o755)
+    if not out.exists():
+        work.rename(out)
+        return
+    aside = work.with_name(work.name + _OLD)
+    out.rename(aside)
+    try:
+        work.rename(out)
+    except BaseException:
+        aside.rename(out)
+        raise
+    shutil.rmtree(aside)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
