@@ -231,3 +231,33 @@ def test_who_stands_near_a_chair_begins_no_change_of_lanes_of_sumos_own():
     order = order_for(actor(x=0.0, speed=0.0), (chair(8.0, 2.4),), StraightRoads(lanes=2))
     assert order is not None
     assert order.keep_lane
+
+
+def test_who_has_waited_long_drives_by_slowly_where_its_body_just_clears_and_never_where_it_does_not():
+    for beside_m, clears in ((1.45, True), (1.25, False)):  # a gap of 0.24 m, and of 0.04 m
+        track = drive(actor(speed=8.0), (chair(30.0, -beside_m),), StraightRoads(sublanes=False), seconds=40.0)
+        waited_s = 0.1 * sum(v < 0.1 for _, _, v in track)
+        assert waited_s > 7.0
+        assert (track[-1][0] > 35.0) == clears
+        beginning = [v for x, _, v in track if 26.0 < x + 2.25 < 28.5]
+        assert not clears or max(beginning[len(beginning) // 2 :]) <= 1.0
+
+
+def test_who_could_not_move_over_for_long_is_told_to_stay_in_its_line_before_it_drives_by():
+    roads, reaction = StraightRoads(), street()
+    standing, there = actor(speed=0.0), (chair(4.5, -1.45),)
+    orders = [order_for(standing, there, roads, reaction) for _ in range(100)]
+    assert orders[0].aside_m > 0.1
+    stays = next(i for i, order in enumerate(orders) if order.aside_m == 0.0)
+    assert 75 <= stays <= 90
+    assert orders[stays].speed_mps == pytest.approx(0.8)
+    assert all(order.aside_m is None and order.speed_mps == pytest.approx(0.8) for order in orders[stays + 1 :])
+
+
+def test_a_car_that_takes_the_next_lane_keeps_its_own_length_free_to_steer_out():
+    roads = StraightRoads(lanes=2, sublanes=False)
+    near = order_for(actor(speed=0.0), (chair(8.0),), roads)
+    far = order_for(actor(speed=0.0), (chair(12.0),), roads)
+    assert near.lane_index == far.lane_index == 1
+    assert near.speed_mps == 0.0
+    assert far.speed_mps > 1.0

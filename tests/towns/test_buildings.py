@@ -168,7 +168,8 @@ def test_odd_outlines_never_crash_and_never_overlap(drawn: list[tuple[str, list[
     street = box(-30, -2, 30, 2)
     low, high = buildings_of(items, street, HULL)
     total = sum(b.outline.area for b in low)
-    assert ground(low).area == pytest.approx(total, abs=0.05)
+    # Outlines are thinned by up to 0.1 m after they were parted.
+    assert ground(low).area == pytest.approx(total, abs=0.5)
     for b in (*low, *high):
         assert b.outline.is_valid and b.outline.area > 0 and b.height_m > b.low_m and np.isfinite(b.height_m)
     assert not any(b.outline.intersects(street) for b in low)

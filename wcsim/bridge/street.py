@@ -37,7 +37,8 @@ SIDLE_MPS = 0.2  # who still has to move over creeps no faster near a chair: the
 SQUEEZE_MPS = 0.8  # who has waited long drives by at this pace where its body is clear, with less than the usual gap
 STRADDLE_M = 0.1
 THERE_M = 0.05  # so near to the place where it wants to be a vehicle is there
-STEER_SHARE = 0.6  # of its length that a vehicle keeps free before it, to steer out into the next lane
+STEER_SHARE = 1.0  # of its length that a vehicle keeps free before it, to steer out into the next lane
+ENTERED_M = 0.5
 LANE_CHANGE_S = 3.0
 IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
 FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
@@ -56,6 +57,8 @@ class _Watch:
     could_pass: bool = False
     held: bool = False
     squeezes: bool = False  # has waited so long that a gap that just clears will do
+    toward: tuple[str, int] | None = None  # edge and lane that it was told to change to
+    moves_over: bool = False  # was told to: SUMO remembers that until it could do it
 
 
 @dataclass(slots=True)
@@ -209,13 +212,27 @@ class StreetReaction:
         if at >= 0:
             distance_m = look.distance_m(at)
             plan.nearest_m = min(plan.nearest_m, distance_m)
-            limit_mps = max(limit_mps, self._pass(look, place, touch, distance_m, brake_mps2, roads, plan))
-            if watch.squeezes and in_the_way and touch.at[0] < 0 and look.passable(at):
-                limit_mps = max(limit_mps, SQUEEZE_MPS)
-            alongside = touch.at[1] <= look.now + 1
-            if plan.lane_index is not None or (straddles and not alongside):  # still with room to steer out
-                room_m = distance_m - STOP_SHORT_M - STEER_SHARE * actor.size_lwh_m[0]
+            past_mps = self._pass(look, place, touch, distance_m, brake_mps2, roads, plan)
+            ahead = touch.at[1] > look.now + 1
+            moves_over = ahead and past_mps > 0.0 and plan.aside_m is not None and abs(plan.aside_m) > THERE_M
+            if moves_over:  # first over, then on; no harder brake for that than a comfortable one
+                limit_mps = min(limit_mps, speed_mps - brake_mps2 * self._config.tick_s)
+            limit_mps = max(limit_mps, past_mps)
+            enters_m = _enters_m(look, place, touch, roads)
+            steers = ahead and past_mps == 0.0 and (straddles or enters_m > 0.0)
+            here = roads.lane(place.lane_id)
+            if steers and straddles and plan.lane_index is None and watch.toward is not None:
+                edge_id, index = watch.toward
+                if edge_id == here.edge_id and (index - here.index) * place.left_m > 0.0:  # half way: told again
+                    plan.lane_index, plan.could_pass = index, True
+            if plan.lane_index is not None:
+                watch.toward = here.edge_id, plan.lane_index
+            if plan.lane_index is not None or steers:  # not so near that there is no room to steer out
+                room_m = max(enters_m, distance_m - STOP_SHORT_M - STEER_SHARE * actor.size_lwh_m[0])
                 limit_mps = min(limit_mps, approach_mps(room_m, brake_mps2, self._config.tick_s))
+            if watch.squeezes and in_the_way and look.passable(at) and _front_clears(look, touch):
+                limit_mps = max(limit_mps, _squeeze_mps(look, touch, brake_mps2, self._config.tick_s))
+                plan.aside_m, plan.lane_index = 0.0, None
         plan.limit_mps = min(plan.limit_mps, limit_mps)
 
     def _pass(
@@ -241,7 +258,7 @@ class StreetReaction:
                 plan.aside_m = left_m - place.left_m
                 need_s = ASIDE_START_S + abs(plan.aside_m) / ASIDE_MPS
                 creep_mps = CREEP_MPS if there else SIDLE_MPS if distance_m > LAST_GAP_M else 0.0
-                on_time_mps = max(creep_mps, 0.8 * (distance_m - 1.0) / need_s)
+                on_time_mps = max(creep_mps, 0.8 * (distance_m - STOP_SHORT_M) / need_s)
                 return min(on_time_mps, past_mps)
         # On the way between two lanes SUMO does not turn back.
         if lane.edge_id == here.edge_id and not here.internal and not _straddles(look.actor, place, here):
@@ -257,7 +274,7 @@ class StreetReaction:
     def _order(self, actor: ActorState, watch: _Watch, plan: _Plan, roads: Roads, fresh: bool) -> Order | None:
         """The order that carries out a plan; None when SUMO needs none."""
         speed_mps = math.hypot(*actor.v_W_mps[:2].tolist())
-        stands = speed_mps < 0.1 and plan.limit_mps < CREEP_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
+        stands = speed_mps < 0.1 and plan.limit_mps <= SIDLE_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
         watch.stands_s = watch.stands_s + self._config.tick_s if stands else 0.0
         watch.waits_s = watch.waits_s + self._config.tick_s if plan.could_pass and speed_mps < CREEP_MPS else 0.0
         watch.could_pass = plan.could_pass
@@ -274,6 +291,9 @@ class StreetReaction:
                 hard = True
                 floor_mps = 0.0 if fresh else speed_mps - watch.brakes.emergency_mps2 * self._config.tick_s
                 wanted_mps = max(0.0, floor_mps, min(wanted_mps, speed_mps))
+        aside_m = plan.aside_m if plan.aside_m is not None and abs(plan.aside_m) > 0.02 else None
+        stays = watch.moves_over and aside_m is None and plan.lane_index is None
+        watch.moves_over = aside_m is not None
         return Order(
             actor_id=actor.id,
             speed_mps=wanted_mps,
@@ -281,8 +301,34 @@ class StreetReaction:
             keep_lane=plan.keep_lane,
             pushy=watch.waits_s > IMPATIENT_S,
             lane_index=plan.lane_index,
-            aside_m=plan.aside_m if plan.aside_m is not None and abs(plan.aside_m) > 0.02 else None,
+            aside_m=0.0 if stays else aside_m,
         )
+
+
+def _front_clears(look: Look, touch: Touch) -> bool:
+    """Whether it comes half its length past the place where others stop before it would touch, if it ever does.
+
+    A tail that still lags behind touches later, and has come in line by then.
+    """
+    return touch.at[0] < 0 or (touch.at[0] - touch.at[1]) * STEP_M > 0.5 * look.actor.size_lwh_m[0]
+
+
+def _squeeze_mps(look: Look, touch: Touch, brake_mps2: float, tick_s: float) -> float:
+    """How fast it may drive by with a gap that just clears."""
+    if touch.at[0] < 0:
+        return SQUEEZE_MPS
+    return min(SQUEEZE_MPS, approach_mps(look.distance_m(touch.at[0]) - LAST_GAP_M, brake_mps2, tick_s))
+
+
+def _enters_m(look: Look, place: OnLane, touch: Touch, roads: Roads) -> float:
+    """From inside a junction, how far on its front is on the road where the chair stands, if that begins on the way.
+
+    Only there does it learn whether it may change lanes.
+    """
+    lane_id = look.tube.lane_at(look.front_of(max(touch.at[1], 0)))
+    if not roads.lane(place.lane_id).internal or roads.lane(lane_id).internal:
+        return 0.0
+    return max(0.0, look.tube.start_m[lane_id][0] + ENTERED_M - look.front_m)
 
 
 def _straddles(actor: ActorState, place: OnLane, lane: LaneShape) -> bool:
