@@ -97,20 +97,27 @@ class ActorReader:
         ox, oy, oz = self._origin
         chairs = [(x + ox, y + oy) for x, y in near_W_m[:, :2].tolist()]
         asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
-        found, closing_m = [], self._closing_m[kind]
+        (first_x, first_y), *others = chairs
+        found, soon, closing_m, place_of = [], [], self._closing_m[kind], domain.getPosition3D
         for name in dict.fromkeys(asked):
             try:
-                x, y, z = domain.getPosition3D(name)
+                x, y, z = place_of(name)
             except self._api.TraCIException:
                 self._bodies.pop(kind + name, None)
                 continue
-            gap_m = math.sqrt(min((x - cx) * (x - cx) + (y - cy) * (y - cy) for cx, cy in chairs)) - radius_m
-            if kind == "v:" and self._long_m:
+            gap_m = math.hypot(x - first_x, y - first_y)
+            for cx, cy in others:
+                gap_m = min(gap_m, math.hypot(x - cx, y - cy))
+            gap_m -= radius_m
+            if self._long_m and kind == "v:":
                 gap_m -= self._long_m.get(name, 0.0)
             if gap_m <= 0.0:
                 found.append((name, (x - ox, y - oy, z - oz)))
-            wait = min(max(1, int(gap_m / closing_m)), LONGEST_WAIT)
-            due.setdefault(self._step + wait, []).append(name)
+            if gap_m < 2.0 * closing_m:
+                soon.append(name)
+            else:
+                due.setdefault(self._step + min(int(gap_m / closing_m), LONGEST_WAIT), []).append(name)
+        due.setdefault(self._step + 1, []).extend(soon)
         found.sort()
         return found
 

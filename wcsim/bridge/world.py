@@ -31,7 +31,7 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.bodies import BodyPool
 from wcsim.physics.camera import CameraRig
 from wcsim.physics.engine import Engine
-from wcsim.streets import joined_mesh
+from wcsim.streets import FLAT, joined_mesh
 from wcsim.towns.netcheck import require_pavement, validate_net
 from wcsim.towns.routes import Router
 from wcsim.towns.street import load_street
@@ -39,7 +39,7 @@ from wcsim.towns.town import Town
 from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
-SIGNAL_REACH_M = 100.0  # whoever sees a traffic light is nearer
+SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
 LEVEL_M = 2.5  # who is so much above or below a chair is on another level
 TILE_REACH_M = 30.0  # the street this far beyond the cameras' range is in memory
 TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
@@ -69,6 +69,7 @@ class World:
             require_pavement(self.street, town)
         router = Router(self.street.walk) if specs else None
         self.seats = tuple(Seat(i, spec, config, self.street, router) for i, spec in enumerate(specs) if router)
+        self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
         self.epoch = -1
         self._drawn: set[TileKey] = set()
@@ -298,6 +299,8 @@ class World:
 
     def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
+        if not self._hilly:
+            return actors
         heights_m = [chair.z_m for chair in self._chairs]
         kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < LEVEL_M for z_m in heights_m))
         return actors if len(kept) == len(actors) else kept

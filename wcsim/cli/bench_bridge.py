@@ -21,8 +21,8 @@ class BridgeOptions:
     """Town to run."""
     ticks: int = 600
     """Ticks to measure."""
-    demand_scale: float = 0.75
-    """Share of the town's traffic; 0.75 of Helsinki's is about 175 vehicles and people."""
+    demand_scale: float = 0.6
+    """Share of the town's traffic; 0.6 of Helsinki's is about 175 vehicles and people."""
     seed: int = 4
     """Seed of the world."""
     json: OutFile = None
