@@ -23,6 +23,8 @@ STUCK_S = 3.0
 SKIP_M = 2.0
 # Where drive wheels and casters stand.
 WHEELS_B_M = np.array([(0.0, 0.27, 0.0), (0.0, -0.27, 0.0), (0.45, 0.24, 0.0), (0.45, -0.24, 0.0)])
+# A caster swivels about its stem, and beside a kerb a hand's breadth decides what is below it.
+AROUND_M = 0.15 * np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 SINK_M, FLOAT_M = 0.06, 0.20  # a chair with a wheel deeper in the ground, or all of them higher, stands on nothing
 
 
@@ -92,9 +94,11 @@ class _Tour:
         """Whether the town has ground under every wheel, and no wheel has sunk into it, nor do all of them float."""
         grid = self.world.street.grid
         wheels_W_m = plant.p_WB_m + WHEELS_B_M @ rotation_of(plant.q_WB).T
-        gap_m = wheels_W_m[:, 2] - grid.height_at(wheels_W_m)
+        ground_m = grid.height_at(wheels_W_m[:, None, :2] + AROUND_M)  # (wheels, around)
         known = grid.class_at(wheels_W_m) != ClassId.VOID
-        return bool(known.all() and gap_m.min() > -SINK_M and gap_m.min() < FLOAT_M)
+        above_m = wheels_W_m[:, 2] - ground_m.min(axis=1)
+        lifted_m = wheels_W_m[:, 2] - ground_m.max(axis=1)
+        return bool(known.all() and above_m.min() > -SINK_M and lifted_m.min() < FLOAT_M)
 
 
 def tour(world: World, lines: tuple[F64, ...], progress: Callable[[int], object]) -> TourReport:
