@@ -20,6 +20,7 @@ from wcsim.types import F64, ClassId, Command, Joystick, PlantState
 AHEAD_M = 1.2  # where on its line the chair steers to
 FAR_OFF_M = 1.5  # further from its line it is put back
 STUCK_S = 3.0
+LEVEL_M = 0.03
 SKIP_M = 2.0
 # Where drive wheels and casters stand.
 WHEELS_B_M = np.array([(0.0, 0.27, 0.0), (0.0, -0.27, 0.0), (0.45, 0.24, 0.0), (0.45, -0.24, 0.0)])
@@ -59,7 +60,7 @@ class _Tour:
             plant = self.chair.state()
             near_m, off_m = _nearest(line, arc_m, plant.p_WB_m[:2], done_m)
             if off_m > FAR_OFF_M or waited_s > STUCK_S:
-                done_m = best_m = put_m = max(done_m, put_m + SKIP_M)
+                done_m = best_m = put_m = self._level_from(line, arc_m, max(done_m, put_m + SKIP_M))
                 waited_s = 0.0
                 if done_m < arc_m[-1]:
                     self._put(line, arc_m, done_m)
@@ -68,6 +69,19 @@ class _Tour:
             waited_s = 0.0 if done_m > best_m + 0.1 else waited_s + self.world.config.world.tick_s
             best_m = max(best_m, done_m) if waited_s == 0.0 else best_m
             self._tick(_steer(plant, _at(line, arc_m, done_m + AHEAD_M)))
+
+    def _level_from(self, line: F64, arc_m: F64, at_m: float) -> float:
+        """The next place on the line where all wheels stand equally high: a chair put across a kerb would be in it."""
+        grid = self.world.street.grid
+        while at_m < arc_m[-1]:
+            here, ahead = _at(line, arc_m, at_m), _at(line, arc_m, at_m + 0.5)
+            yaw_rad = math.atan2(*(ahead - here)[::-1])
+            cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+            wheels = here + WHEELS_B_M[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+            if float(np.ptp(grid.raised_at(wheels[:, None] + AROUND_M))) < LEVEL_M:
+                break
+            at_m += 0.25
+        return at_m
 
     def _put(self, line: F64, arc_m: F64, at_m: float) -> None:
         here, ahead = _at(line, arc_m, at_m), _at(line, arc_m, at_m + 0.5)
