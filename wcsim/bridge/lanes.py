@@ -102,7 +102,8 @@ class Tube:
 
     def lane_at(self, front_m: float) -> str:
         """The lane that a place of the line lies in."""
-        return max((start, name) for name, (start, _) in self.start_m.items() if start <= front_m + 1e-6)[1]
+        begun = [(start, name) for name, (start, _) in self.start_m.items() if start <= front_m + 1e-6]
+        return max(begun)[1] if begun else min((start, name) for name, (start, _) in self.start_m.items())[1]
 
 
 def lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_m: F64, old: Tube | None) -> Tube:
