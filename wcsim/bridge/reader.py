@@ -73,9 +73,8 @@ class ActorReader:
         """
         if not len(near_W_m):
             return ()
-        last_W_m = self._from_W_m
-        moved = near_W_m.shape != last_W_m.shape or bool((np.abs(near_W_m - last_W_m) > MOVED_M).any())
-        if moved or self._unsure or self._asked_at == self._step or radius_m != self._within_m:
+        elsewhere = _moved(near_W_m, self._from_W_m) or radius_m != self._within_m
+        if elsewhere or self._unsure or self._asked_at == self._step:
             self._due, self._unsure = {}, False
         self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
         people = self._found("p:", self._api.person, near_W_m, radius_m)
@@ -200,8 +199,7 @@ class SignalReader:
 
     def near(self, near_W_m: F64, radius_m: float) -> tuple[SignalState, ...]:
         """Traffic lights with a stop line within `radius_m`, or a little more, of any of the points (n, 2), by id."""
-        moved = near_W_m.shape != self._from_W_m.shape or bool((np.abs(near_W_m - self._from_W_m) > MOVED_M).any())
-        if moved or radius_m != self._within_m:
+        if _moved(near_W_m, self._from_W_m) or radius_m != self._within_m:
             self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
             out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
@@ -214,6 +212,11 @@ class SignalReader:
         if known is None or known.colours != colours:
             known = self._last[name] = SignalState(tls_id=name, colours=colours)
         return known
+
+
+def _moved(now_W_m: F64, before_W_m: F64) -> bool:
+    """Whether the places (n, 2) are others than before, by more than chairs drive in a step."""
+    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > MOVED_M).any())
 
 
 def _box(libsumo: Any, tls_id: str) -> tuple[float, float, float, float]:
