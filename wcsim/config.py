@@ -6,60 +6,38 @@ Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are 
 from __future__ import annotations
 
 import hashlib
-import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from wcsim.errors import ConfigError
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+from wcsim.model import Finite as Finite
+from wcsim.model import Model as Model
+from wcsim.model import NotNegative as NotNegative
+from wcsim.model import Positive as Positive
+from wcsim.model import Share as Share
+from wcsim.model import fault
+from wcsim.sensors_file import CameraConfig as CameraConfig
+from wcsim.sensors_file import CameraNoiseConfig as CameraNoiseConfig
+from wcsim.sensors_file import ClassNoiseConfig as ClassNoiseConfig
+from wcsim.sensors_file import ColourNoiseConfig as ColourNoiseConfig
+from wcsim.sensors_file import DepthNoiseConfig as DepthNoiseConfig
+from wcsim.sensors_file import ImuConfig as ImuConfig
+from wcsim.vary_file import VaryConfig as VaryConfig
 
 MAX_CONFIG_BYTES = 1 << 20
 
 
-class Model(BaseModel):
-    """Base of all models: frozen, and unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class CameraConfig(Model):
-    """One camera on a chair."""
-
-    name: str = "front"
-    width_px: Annotated[int, Field(ge=8, le=2048)] = 320
-    height_px: Annotated[int, Field(ge=8, le=2048)] = 240
-    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0
-    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
-    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
-    p_BC_m: tuple[Finite, Finite, Finite] = (0.35, 0.0, 1.0)  # armrest, knee height
-    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
-    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0
-    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1
-    rgb: bool = False
-    renderer: Literal["numba", "pybullet"] = "numba"
-
-
-class ImuConfig(Model):
-    """The IMU and tilt sensor (definitions: docs/spec.md)."""
-
-    p_BI_m: tuple[Finite, Finite, Finite] = (0.18, 0.0, 0.50)  # under the seat, near the centre of mass
-    lowpass_hz: Positive = 20.0
-    saturation_mps2: Positive = 156.9  # +-16 g
-    accel_noise_mps2: NotNegative = 0.02
-    gyro_noise_radps: NotNegative = 0.001
+PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 2.78}
 
 
 class ChairConfig(Model):
-    """The rear-wheel-drive chair as it is driven."""
+    """The wheelchair as it is driven: its plant, and what its controller is programmed to."""
 
-    plant: str = "rwd"
+    plant: str = "rwd"  # or "mwd", or the path of a .toml file
+    profile: Literal["custom", "indoor", "pavement", "road"] = "custom"  # a named v_max_mps
     v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67
     reverse_share: Share = 0.4
     accel_mps2: Positive = 1.0
@@ -69,9 +47,26 @@ class ChairConfig(Model):
     yaw_rate_max_radps: Positive = 1.5
     deadband: Annotated[float, Field(ge=0.0, le=0.5)] = 0.08
     shape_exponent: Annotated[float, Field(ge=1.0, le=3.0)] = 1.0
+    tremor_damping_s: Annotated[float, Field(ge=0.0, le=0.4)] = 0.0  # time constant of a low-pass on the joystick
     brake_after_s: NotNegative = 0.5
-    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] = 80.0
-    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] = 0.50
+    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] | None = None  # None keeps the plant's own
+    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _profile_names_the_speed(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        speed_mps = PROFILE_SPEED_MPS.get(str(data.get("profile")))
+        if speed_mps is None:
+            return data
+        got = data.get("v_max_mps", speed_mps)
+        if got != speed_mps:
+            raise ValueError(
+                f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {got}; expected the same speed: "
+                f"set v_max_mps to {speed_mps}, or profile to custom"
+            )
+        return {**data, "v_max_mps": speed_mps}
 
 
 class WorldConfig(Model):
@@ -87,6 +82,7 @@ class WorldConfig(Model):
     reaction_s: NotNegative = 0.7
     brake_mps2: Positive = 4.5
     clear_spawn_m: Positive = 2.0
+    action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
@@ -125,9 +121,11 @@ class EnvConfig(Model):
 
     observation: Literal["compact", "table3"] = "compact"
     classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    observe_gyro: bool = False  # beyond the paper: the turn rates among what the agent sees
+    observe_yaw: bool = False  # and the heading
     actions: Literal["square81", "disc69"] = "square81"
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
-    profile: str = "inattentive"
+    profile: str = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
     truth: bool = False
 
 
@@ -184,6 +182,7 @@ class RunConfig(Model):
     reward: RewardConfig = RewardConfig()
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
+    vary: VaryConfig = VaryConfig()
 
     @model_validator(mode="after")
     def _parts_fit(self) -> RunConfig:
@@ -239,12 +238,12 @@ class PolicyFile(Model):
     algorithm: Literal["SeqDQN"]
     net: NetFile
     image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
-    vector_size: Annotated[int, Field(ge=1, le=1024)]
+    vector_size: Annotated[int, Field(ge=3, le=1024)]
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]
     weights_sha256: Sha256
-    versions: dict[str, str] = {}
+    versions: dict[str, str] = Field(default_factory=dict)
 
 
 class TownFile(Model):
@@ -261,7 +260,7 @@ class TownFile(Model):
     source: str = ""
     attribution: str = ""
     rebuild: str = ""  # the command that makes the town again from what its folder holds
-    hashes: dict[str, str] = {}
+    hashes: dict[str, str] = Field(default_factory=dict)
 
 
 M = TypeVar("M", bound=Model)
@@ -277,7 +276,7 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(f"{where}: " + "; ".join(_fault(item) for item in error.errors())) from None
+        raise ConfigError(f"{where}: " + "; ".join(fault(model, item) for item in error.errors())) from None
 
 
 def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
@@ -313,14 +312,6 @@ def _toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: is not TOML: {error}") from None
-
-
-def _fault(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"]) or "(file)"
-    if item["type"] == "extra_forbidden":
-        return f"unknown key {key!r}: remove it or correct its name"
-    got = json.dumps(item["input"], default=str)
-    return f"{key}: {item['msg']}, got {got[:80]}"
 
 
 def _override(text: str) -> dict[str, Any]:

@@ -28,3 +28,8 @@ def generator(seed: int, *path: str | int) -> np.random.Generator:
 def derive(seed: int, *path: str | int) -> int:
     """A 31-bit integer seed for a library that takes only a number (SUMO, torch)."""
     return int(sequence(seed, *path).generate_state(1, np.uint32)[0] >> 1)
+
+
+def key(seed: int, *path: str | int) -> int:
+    """A 64-bit key for numbers that are a function of a key and a place, such as a pixel's noise."""
+    return int(sequence(seed, *path).generate_state(1, np.uint64)[0])

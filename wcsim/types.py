@@ -131,6 +131,21 @@ class PlantState(ComparesArrays):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Outline:
+    """The box around a wheelchair with its user."""
+
+    length_m: float
+    width_m: float
+    height_m: float
+    middle_x_m: float  # from the drive axle forward to the middle of its length
+
+    @property
+    def size_lwh_m(self) -> tuple[float, float, float]:
+        """Length, width and height."""
+        return self.length_m, self.width_m, self.height_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
     """A touch during one tick between a part of the wheelchair and something else, impulses summed over the tick."""
 
@@ -147,8 +162,8 @@ class CameraFrame(ComparesArrays):
 
     name: str
     taken_tick: int
-    depth_m: F32  # (H, W) distance along the optical axis, 0..range; range where nothing is hit
-    class_id: U8  # (H, W) ClassId
+    depth_m: F32  # (H, W) along the optical axis; range where nothing is hit, 0 where nothing was measured (noise)
+    class_id: U8  # (H, W) ClassId, VOID where the noise leaves no class
     rgb: U8 | None = None  # (H, W, 3), only when the camera asks for it
 
 
@@ -157,11 +172,11 @@ class ImuFrame(ComparesArrays):
     """What the IMU and the tilt sensor say of one tick."""
 
     accel_mean_mps2: F64  # (3,) specific force in the sensor frame, tick mean, gravity included
-    accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed
-    gyro_radps: F64  # (3,)
-    roll_rad: float
+    accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact
+    gyro_radps: F64  # (3,) tick mean
+    roll_rad: float  # as the tilt sensor says; the true tilt is in PlantState
     pitch_rad: float
-    yaw_rad: float
+    yaw_rad: float  # exact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,6 +232,19 @@ class Events:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """What was drawn for a seat's episode from the ranges of `[vary]`; None and empty where there is no range."""
+
+    light: float | None = None  # times the usual brightness of colours
+    friction: float | None = None  # times that of wheels and casters
+    user_mass_kg: float | None = None
+    camera_shift_m: tuple[tuple[float, float, float], ...] = ()  # along x, y, z of B, by camera
+    camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
+    action_delay_ticks: int | None = None
+    plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSnapshot:
     """One seat's share of a snapshot."""
 
@@ -228,6 +256,7 @@ class ClientSnapshot:
     contacts: tuple[Contact, ...]
     events: Events
     truth: Truth | None = None
+    drawn: Drawn | None = None  # of this episode, when the configuration has ranges
     first: ClientSnapshot | None = None  # the first frame of the next episode, when this one ended with this tick
 
 
@@ -274,7 +303,7 @@ class StartSpec:
 class SeatSpec:
     """What a client asks for when it takes a seat; everything else is in the world's configuration."""
 
-    profile: str = "inattentive"
+    profile: str = "inattentive"  # or recorded:FILE.csv
     max_steps: int = 10_000
     truth: bool = False
     start: StartSpec | None = None

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
-from wcsim.agents.baselines import NAMES, baseline
+from wcsim.agents.baselines import NAMES, UPPER_BOUND, baseline
 from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
 from wcsim.agents.evaluate import evaluate
+from wcsim.agents.protocol import SeesTruth
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth
+from wcsim.types import Joystick, Truth
 
 CAMERA = CameraConfig(width_px=80, height_px=60)
 WATCH = CorridorWatch(CAMERA, ChairConfig())
@@ -117,6 +119,9 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
     assert rows["follow"].crashes >= 5
     assert rows["stop"].crashes <= 1
     assert rows["stop"].speed_mps > 0.2
+    assert rows["dwa"].crashes < rows["follow"].crashes  # the toy's chair is wider than the one it reckons with
+    assert rows["dwa"].speed_mps > 0.2
+    assert rows["dwa"].kpi1_mean < rows["zero"].kpi1_mean
     assert rows["stop"].kpi1_mean < rows["zero"].kpi1_mean
     assert rows["zero"].km == pytest.approx(0.0, abs=1e-6)
     assert rows["random"].kpi1_mean > 1.0
@@ -135,4 +140,25 @@ def test_random_is_seeded_and_stop_keeps_turning():
 
 def test_an_unknown_baseline_is_refused():
     with pytest.raises(PolicyError, match="follow"):
-        baseline("oracle", RunConfig())
+        baseline("expert", RunConfig())
+
+
+def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
+    actions = action_set("square81")
+    oracle = baseline(UPPER_BOUND, RunConfig(cameras=(CAMERA,)))
+    assert isinstance(oracle, SeesTruth) and not isinstance(baseline("dwa", RunConfig(cameras=(CAMERA,))), SeesTruth)
+    ahead = {"joystick": np.array([0.1, 0.9], np.float32)}
+
+    def chosen(safe):
+        truth = Truth(intent=Joystick(0, 0), danger=True, safe_actions=safe, clearance_m=1.0, progress_m=0.0)
+        oracle.see(truth)
+        return tuple(actions.points[oracle.act(ahead)])
+
+    everything = np.ones(len(actions), bool)
+    assert chosen(everything) == (0.0, 1.0)
+    assert chosen(everything & (actions.points[:, 1] < 0.6)) == (0.0, 0.5)
+    assert chosen(~everything) == (0.0, 0.0)
+    with pytest.raises(PolicyError, match="see"):
+        oracle.act(ahead)
+    with pytest.raises(PolicyError, match=r"env\.truth"):
+        oracle.see(None)

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.baselines import baseline
 from wcsim.agents.evaluate import evaluate
-from wcsim.agents.testing import open_policy, run_test
+from wcsim.agents.testing import TestResult, open_policy, run_test
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import Joystick, Truth
@@ -71,6 +72,33 @@ def test_a_cut_episode_survived_and_little_was_measured():
     assert row.free_share is None
     assert not any(isinstance(v, float) and math.isnan(v) for v in row.to_json().values())
     assert evaluate(FOLLOW, Script(speed_mps=0.0), 1, 5, 0).speed_mps == 0.0
+
+
+def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
+    class Danger(Script):
+        def step(self, action):
+            asked.append(int(action))
+            return super().step(action)
+
+        def _info(self, distance):
+            info = super()._info(distance)
+            safe = np.zeros(81, bool)
+            safe[self.k] = True
+            return {**info, "truth": replace(info["truth"], safe_actions=safe)} if self.truth else info
+
+    asked: list[int] = []
+    oracle = baseline("oracle", CONFIG)
+    assert evaluate(oracle, Danger(crash_at=4), episodes=1, max_steps=9, seed=0).kpi2_mean_steps == 4
+    assert asked == [0, 1, 2, 3]
+    with pytest.raises(PolicyError, match=r"env\.truth"):
+        evaluate(oracle, Danger(truth=False), episodes=1, max_steps=9, seed=0)
+
+
+def test_the_table_calls_the_oracle_an_upper_bound():
+    row = evaluate(FOLLOW, Script(), episodes=1, max_steps=5, seed=0)
+    result = TestResult(town="a", seed=0, profile="b", rows=(row, replace(row, policy="oracle")))
+    assert "upper bound" in str(result.table().caption)
+    assert replace(result, rows=(row,)).table().caption is None
 
 
 def test_nonsense_is_refused():

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+import wcsim
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents import files
 from wcsim.agents.build import build_model
@@ -268,3 +270,15 @@ def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
     run = run.with_status("interrupted", 7)
     assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)
     assert run.manifest_sha256() == digest
+
+
+def test_a_run_keeps_the_user_s_own_plant(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_bytes((Path(wcsim.__file__).parent / "plants" / "rwd.toml").read_bytes())
+    wanted = config().model_copy(update={"chair": config().chair.model_copy(update={"plant": str(own)})})
+    run = create_run(tmp_path / "r", wanted, make_manifest(wanted, 1, "t", "ab", (), ("wcsim", "train")))
+    text = own.read_bytes()
+    own.unlink()
+    kept = open_run(run.path).config.chair.plant
+    assert kept == run.config.chair.plant != str(own)
+    assert Path(kept).read_bytes() == text

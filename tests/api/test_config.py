@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.config import RunConfig, TownFile, load_run_config, read_toml
+from wcsim.config import RunConfig, TownFile, load_run_config, read_toml, with_overrides
 from wcsim.errors import ConfigError
 from wcsim.scene_file import SceneFile
 
@@ -41,6 +41,46 @@ def test_a_camera_is_reached_by_its_number():
 def test_a_wrong_override_says_what_is_wrong(override, says):
     with pytest.raises(ConfigError, match=says):
         load_run_config("quick", (override,))
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("cameras.0.range_m=500", "range_m.* got 500 m; expected at least 1 and at most 200 m"),
+        ("cameras.0.hfov_deg=10", "hfov_deg.* got 10 deg; expected at least 20 and at most 140 deg"),
+        ("cameras.0.p_BC_m=[0.3, 0.0, 9.0]", "p_BC_m.2.* got 9.0 m; expected at least 0.02 and at most 3 m"),
+        ("cameras.0.name='a b'", "name"),
+        ("cameras.0.noise=some", "CameraNoiseConfig.*some"),
+        ("cameras.0.noise.depth.sigma_px=-1", "sigma_px.* got -1 px; expected at least 0 and at most 2 px"),
+        ("cameras.0.noise.rgb.snr_db=100", "snr_db.* got 100 dB; expected at least 6 and at most 80 dB"),
+        ("cameras.0.noise.classes.border_px=1.5", "border_px"),
+        ("imu.gyro_range_deg=100", "gyro_range_deg.* got 100 deg; expected at least 250 and at most 2000 deg"),
+        ("imu.accel_density_ug=nan", "accel_density_ug.* got NaN"),
+        ("imu.tilt=perfect", "ideal.*accelerometer.*complementary"),
+        ("world.reaction_s=inf", "reaction_s.*finite.* got Infinity s; expected at least 0 s"),
+    ],
+)
+def test_a_number_out_of_bounds_is_refused_with_its_unit_and_its_bounds(override, says):
+    with pytest.raises(ConfigError, match=says):
+        load_run_config("quick", (override,))
+
+
+def test_a_camera_must_see_something():
+    with pytest.raises(ConfigError, match=r"from 2.0 m to range_m 1.5 m"):
+        load_run_config("quick", ("cameras.0.noise.depth.z_min_m=2.0", "cameras.0.range_m=1.5"))
+
+
+def test_noise_goes_by_a_word_or_part_by_part():
+    plain, typical = load_run_config("quick"), load_run_config("quick", ("cameras.0.noise=typical",))
+    assert plain.cameras[0].noise is None
+    noise = typical.cameras[0].noise
+    assert noise is not None and noise.depth is not None and noise.classes is not None and noise.rgb is not None
+    changed = with_overrides(typical, ("cameras.0.noise.depth.sigma_px=0.5",)).cameras[0].noise
+    assert changed == noise.model_copy(update={"depth": noise.depth.model_copy(update={"sigma_px": 0.5})})
+    assert with_overrides(typical, ("cameras.0.noise=none",)) == plain
+    depth_only = load_run_config("quick", ("cameras.0.noise.depth.baseline_m=0.1",)).cameras[0].noise
+    assert depth_only is not None and depth_only.classes is None and depth_only.depth is not None
+    assert depth_only.depth.baseline_m == 0.1 and depth_only.depth.sigma_px == noise.depth.sigma_px
 
 
 def test_an_unknown_preset_names_the_known_ones():

@@ -29,7 +29,7 @@ NO_WARMUP = "world.warmup_s=0"
 TINY = ("cameras.0.width_px=32", "cameras.0.height_px=24")
 INFO_KEYS = {
     *("state", "user_action", "joystick_distance", "reward_terms", "truth", "warning", "intervening"),
-    *("events", "contacts", "progress_m", "speed_mps"),
+    *("events", "contacts", "progress_m", "speed_mps", "imu", "drawn"),
 }
 NOT_AN_IMAGE = (
     "It seems that your observation {} is an image but its `dtype` is (float32)",
@@ -277,6 +277,16 @@ def test_info_says_what_is_promised(corner):
         assert info["truth"] is None
         assert reward == pytest.approx(info["reward_terms"].total)
         assert 0.0 <= info["joystick_distance"] <= 2.0 ** 1.5
+
+
+def test_noise_turn_rates_and_heading_are_a_matter_of_configuration(corner):
+    overrides = ("env.observe_gyro=true", "env.observe_yaw=true", "cameras.0.noise=typical")
+    with made(corner, *overrides) as env:
+        observation, info = env.reset(seed=1)
+        assert env.observation_space.contains(observation)
+        assert observation["imu"].shape == (10,)
+        assert (observation["depth"] == 0).any()  # pixels without a measurement
+        assert info["imu"].yaw_rad == info["state"].yaw_rad
 
 
 def test_doing_what_the_user_asks_for_is_following_and_the_opposite_is_intervening(corner):

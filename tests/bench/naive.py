@@ -14,39 +14,43 @@ import numpy as np
 
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.physics.camera import camera_matrix, mount, pinhole, pose_of
-from wcsim.physics.plant import plant_spec, urdf
+from wcsim.physics.plant import plant_spec
+from wcsim.physics.plant_urdf import urdf
 from wcsim.physics.quiet import pybullet
 from wcsim.physics.renderer.tiny import projection_matrix, view_matrix
 from wcsim.types import F32, F64, I32, ActorState, StreetMesh
 
-SUBSTEPS, SUBSTEP_S = 24, 1 / 240
+SUBSTEPS, TICK_S = 24, 0.1
 
 
 class NaiveLoop:
-    """A chair in a street of bodies; close it."""
+    """Chairs in a street of bodies; close it."""
 
-    def __init__(self, mesh: StreetMesh, camera: CameraConfig, start_W_m: F64, yaw_rad: float) -> None:
+    def __init__(
+        self,
+        mesh: StreetMesh,
+        camera: CameraConfig,
+        starts: Sequence[tuple[F64, float]],
+        substeps: int = SUBSTEPS,
+        tick_s: float = TICK_S,
+    ) -> None:
         self.client: int = pybullet.connect(pybullet.DIRECT)
         self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
         self.actors: dict[str, tuple[int, float]] = {}
+        self.substeps = substeps
         pybullet.setGravity(0, 0, -9.81, physicsClientId=self.client)
-        pybullet.setTimeStep(SUBSTEP_S, physicsClientId=self.client)
+        pybullet.setTimeStep(tick_s / substeps, physicsClientId=self.client)
         for vertices, indices in things(mesh):
             self._solid(vertices, indices)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "chair.urdf"
-            path.write_text(urdf(plant_spec(ChairConfig())), encoding="utf-8")
-            self.chair = pybullet.loadURDF(
-                str(path), (*start_W_m[:2], start_W_m[2] + 0.02), (0, 0, np.sin(yaw_rad / 2), np.cos(yaw_rad / 2)),
-                physicsClientId=self.client,
-            )  # fmt: skip
-        self.yaw_rad = yaw_rad
-        joints = range(pybullet.getNumJoints(self.chair, physicsClientId=self.client))
-        names = {pybullet.getJointInfo(self.chair, i, physicsClientId=self.client)[1].decode(): i for i in joints}
+        self.chairs = [self._chair(start_W_m, yaw_rad) for start_W_m, yaw_rad in starts]
+        joints = range(pybullet.getNumJoints(self.chairs[0], physicsClientId=self.client))
+        names = {pybullet.getJointInfo(self.chairs[0], i, physicsClientId=self.client)[1].decode(): i for i in joints}
         self.wheels = (names["wheel_l"], names["wheel_r"])
 
-    def tick(self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]) -> tuple[F32, I32]:
-        """A tenth of a second; returns depth in metres and body numbers, both (H, W)."""
+    def tick(
+        self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]
+    ) -> list[tuple[F32, I32]]:
+        """A tenth of a second; for each chair depth in metres and body numbers, both (H, W)."""
         for actor in actors:
             if actor.id not in self.actors:
                 self.actors[actor.id] = self._box(actor)
@@ -54,20 +58,29 @@ class NaiveLoop:
             x, y, z = actor.p_W_m
             turn = (0, 0, np.sin(actor.yaw_rad / 2), np.cos(actor.yaw_rad / 2))
             pybullet.resetBasePositionAndOrientation(body, (x, y, z + half_height), turn, physicsClientId=self.client)
-        for wheel, speed in zip(self.wheels, wheel_radps, strict=True):
-            pybullet.setJointMotorControl2(
-                self.chair, wheel, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=60,
-                physicsClientId=self.client,
-            )  # fmt: skip
-        for _ in range(SUBSTEPS):
+        for chair in self.chairs:
+            for wheel, speed in zip(self.wheels, wheel_radps, strict=True):
+                pybullet.setJointMotorControl2(
+                    chair, wheel, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=60, physicsClientId=self.client
+                )
+        for _ in range(self.substeps):
             pybullet.stepSimulation(physicsClientId=self.client)
-        return self._look()
+        return [self._look(chair) for chair in self.chairs]
 
     def close(self) -> None:
         pybullet.disconnect(physicsClientId=self.client)
 
-    def _look(self) -> tuple[F32, I32]:
-        place, q = pybullet.getBasePositionAndOrientation(self.chair, physicsClientId=self.client)
+    def _chair(self, start_W_m: F64, yaw_rad: float) -> int:
+        place = (*start_W_m[:2], start_W_m[2] + 0.02)
+        turn = (0, 0, np.sin(yaw_rad / 2), np.cos(yaw_rad / 2))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "chair.urdf"
+            path.write_text(urdf(plant_spec(ChairConfig())), encoding="utf-8")
+            body: int = pybullet.loadURDF(str(path), place, turn, physicsClientId=self.client)
+        return body
+
+    def _look(self, chair: int) -> tuple[F32, I32]:
+        place, q = pybullet.getBasePositionAndOrientation(chair, physicsClientId=self.client)
         yaw_rad = pybullet.getEulerFromQuaternion(q)[2]
         T_CW = camera_matrix(pose_of(place, yaw_rad, 0.0), self.mount)
         width, height, near, far = self.lens.width_px, self.lens.height_px, self.lens.near_m, self.lens.range_m

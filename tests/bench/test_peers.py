@@ -24,7 +24,7 @@ def spent(town: str, ticks: int, warmup_s: float) -> tuple[list[float], list[flo
     ours, theirs = [], []
     with World(find_town(town), config, (SeatSpec(profile="competent"),), 3) as world:
         plant = world.snapshot.clients[0].plant
-        naive = NaiveLoop(world.street.mesh, config.cameras[0], plant.p_WB_m, plant.yaw_rad)
+        naive = NaiveLoop(world.street.mesh, config.cameras[0], [(plant.p_WB_m, plant.yaw_rad)])
         try:
             for tick in range(-5, ticks):  # the first ones compile and fill caches
                 client = world.snapshot.clients[0]
@@ -33,7 +33,7 @@ def spent(town: str, ticks: int, warmup_s: float) -> tuple[list[float], list[flo
                 world.tick((command,))
                 between = time.process_time()
                 everybody = actors_of(world)
-                depth_m, bodies = naive.tick(everybody, (command.joystick.y * WHEEL_RADPS,) * 2)
+                ((depth_m, bodies),) = naive.tick(everybody, (command.joystick.y * WHEEL_RADPS,) * 2)
                 end = time.process_time()
                 if tick >= 0:
                     ours.append(between - start)

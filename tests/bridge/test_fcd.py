@@ -58,7 +58,7 @@ def test_the_wheelchair_is_in_it_front_first(run):
     axle_m = records[0].plants[0, :2] + header.origin_m
     ahead_m = np.array([float(element.get("x")), float(element.get("y"))]) - axle_m
     heading_rad = math.radians(float(element.get("angle")))
-    assert np.allclose(ahead_m, 0.78 * np.array([math.sin(heading_rad), math.cos(heading_rad)]), atol=0.02)
+    assert np.allclose(ahead_m, 0.80 * np.array([math.sin(heading_rad), math.cos(heading_rad)]), atol=0.02)
 
 
 def test_elements_and_attributes_are_those_of_sumos_schema(run):

@@ -15,6 +15,7 @@ import pytest
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
+from wcsim.physics import engine
 
 ROW_KEYS = {
     *("policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "free_share", "kpi2_mean_steps"),
@@ -106,7 +107,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     result = read("t.json")
     assert (result["town"], result["seed"], result["profile"]) == ("pedestrian-crossing", 4, "slow,tremor")
     rows = result["rows"]
-    assert [row["policy"] for row in rows] == ["follow", "random", "zero", "stop"] * 2
+    assert [row["policy"] for row in rows] == ["follow", "random", "zero", "stop", "dwa"] * 2
     for row in rows:
         assert set(row) >= ROW_KEYS
         assert row["episodes"] == 2
@@ -133,17 +134,18 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
     shown = "".join(re.sub(r"(\s+[\d.%-]+){9}\s*$", "", line).strip() for line in told.out.splitlines())
     for name in (str(run), f"{run}:phase1", str(run / "policies" / "final")):
         assert name in shown
-    assert len(read("t.json")["rows"]) == 7
+    assert len(read("t.json")["rows"]) == 3 + 5  # with the baselines
 
 
 def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
     told = wcsim("bench", "tick", "--town", corner, "--ticks", "20", "--width", "64", "--chairs", "1,2", "--json", "b")
-    assert (told.code, told.err) == (0, "")
+    assert (told.code, told.err.strip()) == (0, "")
     assert fits(told.out)
     result = read("b")
-    assert set(result) == {"1", "2"}
-    for row in result.values():
+    assert set(result) == {"physics_hz", "1", "2", "rss_mb"}
+    for row in (result["1"], result["2"]):
         assert row["ticks_per_s"] > 1.0
+        assert row["ratio_vs_naive"] > 1.0
         assert {"sumo", "physics", "render"} <= set(row["share"])
         assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
 
@@ -154,8 +156,46 @@ def test_bench_camera_gives_the_ratio(wcsim, folder, corner):
     assert (told.code, told.err) == (0, "")
     assert fits(told.out)
     result = read("c.json")
+    assert set(result) >= {"ms_median", "ratio_vs_tiny", "embree", "tiny", "rgb_extra_ms"}
     assert result["ratio_vs_tiny"] > 5.0
     assert 0.0 < result["ms_median"] < 100.0
+    for reference in (result["tiny"], result["embree"]):
+        assert min(reference["class"], reference["depth"]) > 0.99
+
+
+def test_bench_chair_gives_rows_beside_their_ranges(wcsim, folder):
+    told = wcsim("bench", "chair", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    plants = read("chair.json")["plants"]
+    assert set(plants) == {"rwd", "mwd"}
+    for plant in plants.values():
+        assert [row["name"] for row in plant["rows"]] == ["mass", "stopping_6kmh"]
+        for row in plant["rows"]:
+            assert set(row) == {"name", "value", "unit", "low", "high", "method", "source", "ok"}
+            assert row["low"] <= row["value"] <= row["high"] and row["ok"]
+
+
+def test_bench_chair_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
+    monkeypatch.setattr(engine, "GRAVITY_MPS2", 9.0)
+    told = wcsim("bench", "chair", "--plants", "rwd", "--rows", "mass", "--workers", "1")
+    assert told.code == 1 and "RED" in told.out
+
+
+def test_bench_chair_compares_rates(wcsim, folder):
+    words = ("--plants", "rwd", "--rows", "mass", "--workers", "1", "--compare-hz", "120,240", "--json", "rates.json")
+    told = wcsim("bench", "chair", *words)
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
+    (row,) = read("rates.json")["plants"]["rwd"]["rows"]
+    assert row["ok"] and row["change"] < 0.001 and len(row["values"]) == 2
+
+
+def test_bench_chair_draws_the_plants(wcsim, folder):
+    told = wcsim("bench", "chair", "--plants", "mwd", "--pictures", "drawn")
+    assert (told.code, told.err) == (0, "")
+    picture = cv2.imread("drawn/plant_mwd.png")
+    assert picture.shape[0] > 800 and len({tuple(pixel) for pixel in picture[::7, ::7].reshape(-1, 3)}) > 5
 
 
 def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
@@ -208,7 +248,7 @@ def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
     told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
     assert told.code == 0
     assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
-        *("runs/demo", "runs/demo:phase1", "follow", "random", "zero", "stop")
+        *("runs/demo", "runs/demo:phase1", "follow", "random", "zero", "stop", "dwa")
     ]
     assert cv2.imread("runs/demo/tiny.png").shape == (480, 3 * 640, 3)
     refused = wcsim("demo", "--train-town", corner, "--test-town", corner)

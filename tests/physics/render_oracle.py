@@ -1,17 +1,13 @@
-"""Embree as the oracle of the renderers, and random actors for the sample street."""
+"""Random actors for the sample street, and a camera to look at them."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from embreex import rtcore_scene
-from embreex.mesh_construction import TriangleMesh
 
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.instances import Instances, transforms
-from wcsim.physics.renderer.store import GeometryStore
-from wcsim.types import ActorKind, ActorState, ClassId
+from wcsim.types import ActorKind, ActorState
 
 CAMERA = Pinhole(width_px=320, height_px=240, focal_px=168.6, near_m=0.1, range_m=40.0)
 
@@ -52,47 +48,3 @@ def crowd(seed, count=60):
         yaw, pitch = rng.uniform(-math.pi, math.pi), rng.uniform(-0.1, 0.1)
         out.append(actor(kind, x, y, 0.12, yaw, pitch, number=i))
     return tuple(out)
-
-
-def triangles(store: GeometryStore, instances: Instances):
-    """Everything as one soup: corners (T, 3, 3) float64 and class (T,)."""
-    corners = [store.vertices_W_m[store.global_faces()].astype(float)]
-    classes = [store.face_class]
-    table = store.templates
-    for t, T_WM in zip(instances.template, transforms(instances), strict=True):
-        vertices = table.vertices[table.vertices_of[t] : table.vertices_of[t + 1]].astype(float)
-        rows = slice(table.faces_of[t], table.faces_of[t + 1])
-        corners.append((vertices @ T_WM[:, :3].T + T_WM[:, 3])[table.faces[rows]])
-        classes.append(table.face_class[rows])
-    return np.concatenate(corners), np.concatenate(classes)
-
-
-class Oracle:
-    """Ray casts through pixel centres."""
-
-    def __init__(self, store: GeometryStore, instances: Instances) -> None:
-        corners, self.classes = triangles(store, instances)
-        self.scene = rtcore_scene.EmbreeScene()
-        faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-        self.mesh = TriangleMesh(self.scene, corners.reshape(-1, 3).astype(np.float32), faces)
-
-    def image(self, camera: Pinhole, T_CW):
-        """Depth (H, W) and class (H, W)."""
-        R_WC = T_CW[:, :3].T
-        u = (np.arange(camera.width_px) + 0.5 - camera.width_px / 2) / camera.focal_px
-        v = (np.arange(camera.height_px) + 0.5 - camera.height_px / 2) / camera.focal_px
-        gu, gv = np.meshgrid(u, v)
-        direction = np.stack([gu, gv, np.ones_like(gu)], axis=-1).reshape(-1, 3) @ R_WC.T
-        start = -R_WC @ T_CW[:, 3] + camera.near_m * direction  # what is nearer than the near plane is not drawn
-        hit = self.scene.run(start.astype(np.float32), direction.astype(np.float32), output=1)
-        depth = hit["tfar"] + camera.near_m
-        found = (hit["primID"] >= 0) & (depth < camera.range_m)
-        depth = np.where(found, depth, camera.range_m)
-        classes = np.where(found, self.classes[hit["primID"]], ClassId.SKY)
-        shape = (camera.height_px, camera.width_px)
-        return depth.reshape(shape), classes.reshape(shape).astype(np.uint8)
-
-
-def depth_agrees(depth, reference):
-    """Where two depths are the same to 2 cm or 1 %."""
-    return np.abs(depth - reference) <= np.maximum(0.02, 0.01 * reference)

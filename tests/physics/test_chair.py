@@ -1,5 +1,6 @@
 """The wheelchair on its wheels: standing, driving, turning, stopping, kerbs, drops, the same bytes again."""
 
+import dataclasses
 import hashlib
 import math
 import subprocess
@@ -17,13 +18,16 @@ from wcsim.physics.bodies import BodyMove, BodyPool
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.drive import stopping_distance_m, yaw_rate_limit
 from wcsim.physics.engine import PARK_Z_M, Engine
+from wcsim.physics.plant import plant_spec
+from wcsim.plant_file import known_plants
 from wcsim.types import ActorKind, ClassId, Joystick
 
 START_TICKS = 30  # after these a chair cruises
 
 
-def test_stands_within_5_mm_of_where_it_was_placed():
-    with rig() as r:
+@pytest.mark.parametrize("plant", known_plants())
+def test_stands_within_5_mm_of_where_it_was_placed(plant):
+    with rig(plant=plant) as r:
         ride = r.place(1.0, 2.0, yaw=0.7).drive(NEUTRAL, 10)
         state = r.chair.state()
     assert np.abs(state.p_WB_m - (1.0, 2.0, 0.0)).max() < 0.005
@@ -41,8 +45,9 @@ def test_stands_on_a_pavement_and_after_a_long_wait_still_obeys():
     assert ride.speed[-1] > 1.0
 
 
-def test_drives_straight_at_the_speed_asked_for():
-    with rig() as r:
+@pytest.mark.parametrize("plant", known_plants())
+def test_drives_straight_at_the_speed_asked_for(plant):
+    with rig(plant=plant) as r:
         ride = r.place(-6.0).drive(FORWARD, 90)
     way = np.array(ride.p_m)
     assert way[-1][0] - way[0][0] > 10.0
@@ -51,9 +56,10 @@ def test_drives_straight_at_the_speed_asked_for():
     assert not ride.contacts
 
 
+@pytest.mark.parametrize("plant", known_plants())
 @pytest.mark.parametrize(("x", "y"), [(1.0, 0.0), (-1.0, 0.0), (0.6, 0.5)])
-def test_turns_at_the_rate_asked_for(x, y):
-    with rig() as r:
+def test_turns_at_the_rate_asked_for(x, y, plant):
+    with rig(plant=plant) as r:
         ride = r.drive(Joystick(x, y), 50)
     stick = (math.hypot(x, y) - 0.08) / 0.92 / math.hypot(x, y)
     speed = 1.67 * y * stick
@@ -69,8 +75,9 @@ def test_reverses_straight_at_its_share_of_the_speed():
     assert abs(ride.end.yaw_rad) < 0.15  # the casters swing round on the way
 
 
-def test_stops_in_the_distance_that_its_limits_give():
-    with rig() as r:
+@pytest.mark.parametrize("plant", known_plants())
+def test_stops_in_the_distance_that_its_limits_give(plant):
+    with rig(plant=plant) as r:
         start = r.place(-6.0).drive(FORWARD, 40).p_m[-1][0]
         ride = r.drive(NEUTRAL, 30)
     expected = stopping_distance_m(1.67, r.config.decel_mps2, r.config.jerk_mps3)
@@ -78,22 +85,49 @@ def test_stops_in_the_distance_that_its_limits_give():
     assert abs(ride.speed[-1]) < 1e-3
 
 
-@pytest.mark.parametrize("rise_mm", [20, 40, 50])
-def test_climbs_a_low_kerb(rise_mm):
-    with rig(step_street(rise_mm / 1000), v_max_mps=1.0) as r:
-        ride = r.place(1.0).drive(FORWARD, 55)
-        state = r.chair.state()
-    assert state.p_WB_m[0] > 3.8
-    assert state.p_WB_m[2] == pytest.approx(rise_mm / 1000, abs=0.005)
+@pytest.mark.parametrize("plant", known_plants())
+def test_climbs_straight_where_its_motors_give_all_they_can(plant):
+    flat, rise = step_street(0.0), math.tan(math.radians(12.0))
+    points = flat.vertices_W_m + np.outer(flat.vertices_W_m[:, 0], (0.0, 0.0, rise))
+    street = dataclasses.replace(flat, vertices_W_m=points.astype(np.float32))
+    with rig(street, plant=plant, v_max_mps=2.78) as r:
+        ride = r.place(-15.0, 0.0, -15.0 * rise).drive(FORWARD, 60)
+    assert 2.3 < ride.speed[-1] < 2.7
+    assert abs(ride.end.yaw_rad) < math.radians(4.0)
+
+
+def reach_m(spec, rise_m: float) -> float:
+    """How far ahead of the drive axle a kerb of a height meets the first trailing caster."""
+    pair = max(spec.casters, key=lambda item: item.swivel_x_m)
+    above = max(pair.radius_m - rise_m, 0.0)
+    return pair.swivel_x_m - pair.trail_m + math.sqrt(pair.radius_m**2 - above**2)
+
+
+DECLARED = {name: plant_spec(ChairConfig(plant=name)).climbs for name in known_plants()}
+CLIMBS = [(name, rise, 0.0) for name, climbs in DECLARED.items() for rise in climbs.standstill_m]
+CLIMBS += [(name, rise, 0.5) for name, climbs in DECLARED.items() for rise in climbs.run_up_m]
+REFUSES = [(name, rise, run) for name, climbs in DECLARED.items() for rise in climbs.refused_m for run in (0.0, 0.5)]
+
+
+@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), CLIMBS)
+def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
+    with rig(step_street(rise_m), plant=plant) as r:
+        start = 3.0 - reach_m(r.chair.spec, rise_m) - 0.002 - run_up_m
+        ride = r.place(start).drive(FORWARD, 45)
+    assert ride.end.p_WB_m[0] > 3.8
+    assert ride.end.p_WB_m[2] == pytest.approx(rise_m, abs=0.006)
     assert "building" not in ride.kinds()
 
 
-def test_a_high_kerb_blocks():
-    with rig(step_street(0.12), v_max_mps=1.0) as r:
-        ride = r.place(1.0).drive(FORWARD, 50)
+@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), REFUSES)
+def test_is_stopped_by_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
+    with rig(step_street(rise_m), plant=plant) as r:
+        start = 3.0 - reach_m(r.chair.spec, rise_m) - 0.002 - run_up_m
+        ride = r.place(start).drive(FORWARD, 40)
     assert ride.end.p_WB_m[0] < 2.7
     assert abs(ride.end.p_WB_m[2]) < 0.02
-    assert {(c.kind, c.part) for c in ride.contacts} & {("kerb", "footplate"), ("ground", "footplate")}
+    if run_up_m:
+        assert {(c.kind, c.part) for c in ride.contacts} & {("kerb", "footplate"), ("ground", "footplate")}
 
 
 def test_a_wall_at_full_speed_is_a_crash_of_its_own_making():
@@ -129,6 +163,15 @@ def test_flat_ground_rides_smoothly_however_it_is_cut_into_triangles(street):
     assert np.abs(np.array(ride.p_m)[:, 2]).max() < 0.002
 
 
+@pytest.mark.parametrize("plant", known_plants())
+def test_cruising_on_two_large_triangles_is_felt_by_no_axis(plant):
+    with rig(plant=plant) as r:
+        ride = r.place(-15.0).drive(FORWARD, 120)
+    felt = np.array(ride.lowpass[START_TICKS * 24 :])
+    assert np.sqrt((felt**2).mean(axis=0)).max() < 0.05
+    assert np.abs(felt).max() < 1.0  # once, where it rolls over the line between them
+
+
 def test_the_sample_street_rides_smoothly_down_a_lowered_kerb_and_up_again():
     with rig(strip_street().mesh) as r:
         ride = r.place(40.0, 6.2, KERB_M, -math.pi / 2).drive(FORWARD, 90)
@@ -140,8 +183,9 @@ def test_the_sample_street_rides_smoothly_down_a_lowered_kerb_and_up_again():
     assert not ride.contacts
 
 
-def test_a_parked_chair_stays_out_of_the_way_and_comes_back():
-    with rig() as r:
+@pytest.mark.parametrize("plant", known_plants())
+def test_a_parked_chair_stays_out_of_the_way_and_comes_back(plant):
+    with rig(plant=plant) as r:
         r.drive(FORWARD, 5)
         r.chair.park()
         r.drive(FORWARD, 5)

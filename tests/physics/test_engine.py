@@ -10,7 +10,7 @@ from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics import soup
 from wcsim.physics.engine import Engine, Role
-from wcsim.physics.plant import PlantSpec, plant_spec
+from wcsim.physics.plant import plant_spec
 from wcsim.types import ClassId
 
 
@@ -89,14 +89,14 @@ def test_masses_and_centre_of_mass_are_those_asked_for():
             middles.append(pybullet.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=client)[0])
     assert sum(masses) == pytest.approx(230.0)
     whole = np.average(middles, axis=0, weights=masses)
-    assert whole == pytest.approx([PlantSpec().com_x_m, 0.0, 0.6], abs=0.002)
+    assert whole == pytest.approx([r.chair.spec.mass.com_x_m, 0.0, 0.6], abs=0.002)
 
 
 def test_wheels_are_round():
     with rig() as r:
         shapes = {
             pybullet.getCollisionShapeData(r.chair.body_id, link, physicsClientId=r.engine.client)[0][2]
-            for name, link in r.chair._links.items()
+            for name, link in r.chair._body.links.items()
             if name.startswith(("wheel", "caster"))
         }
     assert shapes == {pybullet.GEOM_CYLINDER}  # a hull of 32 corners would say GEOM_MESH
@@ -116,6 +116,6 @@ def test_roles_cover_every_class_of_the_street():
 
 
 def test_only_known_plants():
-    assert plant_spec(ChairConfig()).wheel_radius_m == 0.178
-    with pytest.raises(ConfigError, match="expected one of: rwd"):
+    assert plant_spec(ChairConfig()).wheel.radius_m == 0.178
+    with pytest.raises(ConfigError, match="expected one of: mwd, rwd"):
         plant_spec(ChairConfig(plant="tank"))

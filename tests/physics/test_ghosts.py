@@ -46,19 +46,19 @@ def test_coasting_carries_on_as_before():
         before: Motion = chair._before
         pybullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0), physicsClientId=client)
         r.engine.step()
-        coast(chair.body_id, chair._joints, before, r.engine.step_s, client)
+        coast(chair.body_id, chair._body.joints, before, r.engine.step_s, client)
         chair._read()
         assert chair._v_W_mps == pytest.approx(before.v_W_mps)
         assert np.subtract(chair._p_com_W_m, before.p_W_m) == pytest.approx(np.array(before.v_W_mps) / 240)
-        wheel = pybullet.getJointState(chair.body_id, chair._joints[0], physicsClientId=client)
+        wheel = pybullet.getJointState(chair.body_id, chair._body.joints[0], physicsClientId=client)
         assert wheel[1] == pytest.approx(before.joints[0][1])
 
 
 def impossible(chair) -> tuple:
     """A contact point with a large force, ahead of the left drive wheel, as PyBullet words it."""
-    hub = pybullet.getLinkState(chair.body_id, chair._links["wheel_l"], physicsClientId=chair._engine.client)[0]
+    hub = pybullet.getLinkState(chair.body_id, chair._body.links["wheel_l"], physicsClientId=chair._engine.client)[0]
     place = (hub[0] + 0.15, hub[1], 0.0)
-    return (0, chair.body_id, 0, chair._links["wheel_l"], -1, place, place, (0.0, 0.0, 1.0), 0.0, 15_000.0)
+    return (0, chair.body_id, 0, chair._body.links["wheel_l"], -1, place, place, (0.0, 0.0, 1.0), 0.0, 15_000.0)
 
 
 def test_an_impossible_contact_is_coasted_over_but_not_for_ever():
@@ -68,7 +68,7 @@ def test_an_impossible_contact_is_coasted_over_but_not_for_ever():
         for number in range(MOST_IN_A_ROW + 1):
             chair.before_step()
             r.engine.step()
-            chair._coast_over_ghosts([impossible(chair)])
+            chair._coast_over_ghosts([impossible(chair)], [])
             chair._read()
             assert chair.ghosts == min(number + 1, MOST_IN_A_ROW)
         assert chair.state().v_B_mps[0] == pytest.approx(speed, abs=0.01)

@@ -10,7 +10,6 @@ from wcsim.config import ImuConfig
 from wcsim.errors import PhysicsError
 from wcsim.physics.imu import Imu
 from wcsim.physics.pose import LEVEL, euler, matrix, quaternion
-from wcsim.seeding import generator
 from wcsim.types import ClassId
 
 STILL = (0.0, 0.0, 0.0)
@@ -95,16 +94,63 @@ def test_turning_moves_a_mount_off_the_centre():
 def test_noise_is_on_the_means_only_and_saturation_holds():
     sensor = imu(saturation_mps2=5.0)
     frames = []
-    for key in (0, 0, 1):
+    for key in (11, 11, 12):
         sensor.reset(LEVEL)
         sensor.sample(LEVEL, (0.01, 0.0, 0.0), STILL)
-        frames.append(sensor.end_tick(generator(3, "imu", key)))
-    assert np.array_equal(frames[0].gyro_radps, frames[1].gyro_radps)
-    assert not np.array_equal(frames[0].gyro_radps, frames[2].gyro_radps)
-    assert frames[0].accel_mean_mps2[0] != frames[2].accel_mean_mps2[0]
+        frames.append(sensor.end_tick(key))
+        sensor.start(1)
     assert np.array_equal(frames[0].accel_peak_mps2, frames[2].accel_peak_mps2)
+    assert frames[0].accel_mean_mps2[0] != frames[2].accel_mean_mps2[0]
     assert frames[0].accel_mean_mps2[2] == 5.0
-    assert np.abs(frames[0].gyro_radps).max() < 0.01
+
+
+def test_a_fast_turn_ends_at_the_range_of_the_gyroscope():
+    sensor = imu(gyro_range_deg=250.0, noise=False)
+    sensor.sample(LEVEL, STILL, (0.0, -9.0, 3.0))
+    assert sensor.end_tick(None).gyro_radps == pytest.approx([0.0, -math.radians(250), 3.0])
+
+
+def test_the_low_pass_can_be_read_substep_by_substep():
+    sensor = imu(noise=False)
+    for k in range(24):
+        sensor.sample(LEVEL, (0.0 if k < 12 else 1.0, 0.0, 0.0), STILL)
+    peak = sensor.end_tick(None).accel_peak_mps2
+    assert sensor.lowpass_mps2.shape == (24, 3)
+    assert np.abs(sensor.lowpass_mps2[:12]).max() == 0.0
+    assert np.abs(sensor.lowpass_mps2).max(axis=0) == pytest.approx(peak)
+
+
+def braking(sensor: Imu, ticks: int = 1):
+    """One frame after ticks of braking at 1.5 m/s2 on level ground."""
+    sensor.sample(LEVEL, (3.0, 0.0, 0.0), STILL)
+    sensor.end_tick(None)
+    for tick in range(ticks):
+        for k in range(1, 25):
+            sensor.sample(LEVEL, (3.0 - 1.5 * (tick + k / 24) / 10, 0.0, 0.0), STILL)
+        frame = sensor.end_tick(None)
+    return frame
+
+
+def test_what_is_penalised_can_be_the_mean_and_can_have_gravity_in_it():
+    assert braking(imu(), 8).accel_peak_mps2 == pytest.approx([1.5, 0.0, 0.0], rel=1e-3)
+    assert braking(imu(accel_window="tick_mean")).accel_peak_mps2 == pytest.approx([1.5, 0.0, 0.0])
+    assert braking(imu(gravity="included"), 8).accel_peak_mps2 == pytest.approx([1.5, 0.0, 9.81], rel=1e-3)
+    mean = braking(imu(accel_window="tick_mean", gravity="included")).accel_peak_mps2
+    assert mean == pytest.approx([1.5, 0.0, 9.81])
+
+
+def test_gravity_can_be_taken_out_of_what_the_agent_sees():
+    assert braking(imu(mean_gravity="removed")).accel_mean_mps2 == pytest.approx([-1.5, 0.0, 0.0])
+    assert braking(imu()).accel_mean_mps2 == pytest.approx([-1.5, 0.0, 9.81])
+
+
+def test_gravity_in_the_peak_does_not_ring_in_at_a_start():
+    sensor = imu(gravity="included")
+    up = matrix(quaternion(0.0, 0.2))
+    sensor.reset(up)
+    assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
+    sensor.sample(up, STILL, STILL)
+    assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
 
 
 def test_numbers_that_are_not_finite_are_refused():

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.physics.render_oracle import CAMERA, SIZES, Oracle, actor, crowd, depth_agrees
+from tests.physics.render_oracle import CAMERA, SIZES, actor, crowd
 from tests.samples import strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.camera import look_along, look_at
 from wcsim.physics.renderer.base import Images, Pinhole, new_images
+from wcsim.physics.renderer.embree import RayOracle, depth_agrees
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.store import GeometryStore
@@ -40,7 +41,7 @@ def shot(renderer, T_CW, instances=NOBODY, camera=CAMERA, rgb=False):
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_ray_casts_at_pixel_centres(store, raster, seed):
     instances = instances_of(crowd(seed))
-    oracle = Oracle(store, instances)
+    oracle = RayOracle(store, instances)
     rng = np.random.default_rng(100 + seed)
     for _ in range(4):
         p = (rng.uniform(0, 60), rng.uniform(-6, 6), rng.uniform(0.7, 1.8))
@@ -56,7 +57,7 @@ def test_agrees_in_the_middle_of_a_crowd(store, raster):
         actor(ActorKind.PEDESTRIAN, *rng.uniform(-1.2, 1.2, 2), yaw=rng.uniform(-3, 3), number=i) for i in range(40)
     ]
     instances = instances_of([*people, actor(ActorKind.CAR, 1.5, 0.0, yaw=0.3)])
-    oracle = Oracle(store, instances)
+    oracle = RayOracle(store, instances)
     for yaw in np.linspace(0, 2 * math.pi, 8):
         T_CW = look_along((0.0, 0.0, 1.0), yaw, -0.2)
         out, (depth, classes) = shot(raster, T_CW, instances), oracle.image(CAMERA, T_CW)

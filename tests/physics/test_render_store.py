@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from tests.physics.render_oracle import actor, crowd
 from tests.samples import strip_street
+from wcsim.physics.camera import FreeCamera, look_along
 from wcsim.physics.renderer import riders
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import (
     CHAIR_BOX_CENTRE_B_M,
     CHAIR_SIZE_LWH_M,
@@ -27,7 +29,7 @@ from wcsim.physics.renderer.paint import Paint
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.physics.renderer.surface import connected_parts
 from wcsim.physics.renderer.templates import FIGURES, Template, actor_templates, template_of
-from wcsim.types import ActorKind, ClassId
+from wcsim.types import ActorKind, ClassId, StreetMesh
 
 ANGLE = st.floats(-math.pi, math.pi)
 
@@ -56,6 +58,35 @@ def test_regrouping_keeps_every_triangle_and_its_class(store):
 
     mine = rows(store.vertices_W_m, store.global_faces(), store.face_class)
     assert np.array_equal(mine, rows(mesh.vertices_W_m, mesh.faces, mesh.face_class))
+
+
+def test_a_store_joined_from_parts_draws_what_the_whole_draws():
+    street = strip_street().mesh
+    end = len(street.chunk_faces) - 1
+    parts = [GeometryStore(chunks_of(street, chunks)) for chunks in (range(end // 2), range(end // 2, end))]
+    lens = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
+    nobody = instances_of(())
+    for x_m, yaw_rad in ((10.0, 0.0), (35.0, 0.4), (60.0, 2.5)):
+        eye = look_along((x_m, 5.5, 1.2), yaw_rad, -0.2)
+        whole = FreeCamera(street, lens).look(eye, nobody)
+        joined = FreeCamera(GeometryStore.joined(parts), lens).look(eye, nobody)
+        assert (joined.class_id == whole.class_id).mean() > 0.999  # equal depths are drawn in another order
+        assert np.abs(joined.depth_m - whole.depth_m).max() < 1e-3
+        assert len(np.unique(whole.class_id)) >= 4
+
+
+def chunks_of(mesh, chunks):
+    """Some chunks of a mesh as one of its own."""
+    faces = np.concatenate([mesh.faces[mesh.chunk_faces[c] : mesh.chunk_faces[c + 1]] for c in chunks])
+    classes = np.concatenate([mesh.face_class[mesh.chunk_faces[c] : mesh.chunk_faces[c + 1]] for c in chunks])
+    used, own = np.unique(faces, return_inverse=True)
+    return StreetMesh(
+        vertices_W_m=mesh.vertices_W_m[used],
+        faces=own.reshape(-1, 3).astype(np.int32),
+        face_class=classes,
+        chunk_vertices=np.array([0, len(used)], np.int32),
+        chunk_faces=np.array([0, len(faces)], np.int32),
+    )
 
 
 def test_spheres_hold_their_chunks_and_chunks_are_small(store):

@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.physics.render_oracle import CAMERA, actor, crowd, depth_agrees
+from tests.physics.render_oracle import CAMERA, actor, crowd
 from tests.samples import strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.camera import look_along
+from wcsim.physics.renderer import compare
 from wcsim.physics.renderer.base import new_images
-from wcsim.physics.renderer.compare import compare_renderers
+from wcsim.physics.renderer.compare import compare_renderers, pooled
+from wcsim.physics.renderer.embree import depth_agrees
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.store import GeometryStore
@@ -73,12 +75,37 @@ def test_bodies_follow_the_instances_and_leave_again(store):
 
 def test_the_rasteriser_is_many_times_faster_on_the_same_pictures(store):
     actors = crowd(1)
-    result = compare_renderers(store, CAMERA, poses_outside(actors, 3, 4), instances_of(actors), rounds=2)
+    pictures = compare_renderers(store, CAMERA, poses_outside(actors, 3, 4), instances_of(actors), rounds=2)
+    result = pooled(pictures)
     assert result.ratio_vs_tiny > 10.0  # a scene of a few thousand triangles; real towns have many more
-    assert result.class_agreement >= 0.999 and result.depth_agreement >= 0.995
-    assert result.pictures == 8 and result.ms_min <= result.ms_median
+    assert result.tiny.same_class >= 0.999 and result.tiny.same_depth >= 0.995
+    assert result.embree is not None and min(result.embree.same_class, result.embree.same_depth) >= 0.999
+    assert result.pictures == 4 and 0.0 < result.rgb_extra_ms < result.tiny_ms_median
+    assert min(p.ms for p in pictures) <= result.ms_median <= max(p.ms for p in pictures)
+
+
+def test_without_embree_its_column_stays_empty(store, monkeypatch):
+    monkeypatch.setattr(compare, "has_embree", lambda: False)
+    pose = look_along((10.3, 0.2, 1), 0.1, -0.2)
+    result = pooled(compare_renderers(store, CAMERA, [pose], instances_of([]), rounds=1))
+    assert result.embree is None and result.tiny.same_class > 0.99
+
+
+def test_a_wrong_picture_does_not_agree(store, monkeypatch):
+    faces = store.faces.copy()
+    faces[::7] = 0  # every seventh triangle of the street is lost
+    monkeypatch.setattr(store, "faces", faces)
+    raster = RasterRenderer(store)
+    monkeypatch.undo()
+    monkeypatch.setattr(compare, "RasterRenderer", lambda _: raster)
+    poses = [look_along((10.3, 0.2, 1), yaw, -0.2) for yaw in (0.1, 2.0)]
+    result = pooled(compare_renderers(store, CAMERA, poses, instances_of([]), rounds=1))
+    assert result.embree is not None
+    assert max(result.embree.same_depth, result.tiny.same_depth) < 0.995
 
 
 def test_a_comparison_needs_something_to_compare(store):
     with pytest.raises(ConfigError, match="at least one"):
         compare_renderers(store, CAMERA, [], instances_of([]))
+    with pytest.raises(ConfigError, match="at least one"):
+        pooled([])

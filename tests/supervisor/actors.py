@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.supervisor.kinematics import SUBSTEPS, TICK_S
 from wcsim.seeding import generator
 from wcsim.supervisor.profiles import profile
 from wcsim.supervisor.user import SimulatedUser
@@ -35,4 +34,4 @@ def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0,
 
 def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:
     exact = replace(profile(name), **changes)
-    return SimulatedUser(exact, generator(seed, "user"), 1.67, 1.5, TICK_S / SUBSTEPS, street)
+    return SimulatedUser(exact, generator(seed, "user"), 1.67, 1.5, street)

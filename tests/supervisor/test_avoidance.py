@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.samples import straight_route, strip_street
-from wcsim.supervisor.avoidance import Body, blocked_lanes, choose_lane, safe_speed, side_room
+from tests.samples import straight_route
+from wcsim.supervisor.avoidance import Body, blocked_lanes, choose_lane, safe_speed
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Thing
 
@@ -80,13 +80,3 @@ def test_speed_in_front_of_things():
     assert limit(thing(1.0, 0.0, vx=0.8)) == pytest.approx(0.8)  # follows who walks ahead
     assert limit(thing(3.0, 0.0, vx=-1.3)) < limit(thing(3.0, 0.0))
     assert limit(thing(2.0, -0.8, vy=1.0)) < 1.0  # who steps in from the side in a moment
-
-
-def test_room_beside_the_way():
-    grid = strip_street().grid
-    left, right = side_room(grid, PATH, 10.0)
-    assert right == pytest.approx(5.5 - 4.0 - 0.31 - 0.12, abs=0.11)  # down to the kerb
-    assert left == pytest.approx(1.07, abs=0.11)  # grass is level: as far as the user looks
-    pole, _ = side_room(grid, PATH, 22.0)
-    assert pole == pytest.approx(6.6 - 5.5 - 0.31 - 0.12 - 0.1, abs=0.11)
-    assert side_room(grid, Path(straight_route(4.2)), 10.0)[1] == 0.0

@@ -14,12 +14,14 @@ from wcsim.supervisor.profiles import profile, profile_names
 from wcsim.types import Joystick
 
 DT_S = 1 / 240
+TICK_S = 0.1
 QUIET = replace(profile("competent"), noise=0.0, reaction_s=0.3, lag_s=0.1)
 
 
 def moved(hand, wish, seconds, dt_s=DT_S):
     hand.want(wish)
-    return np.array([(j.x, j.y) for j in (hand.move(dt_s) for _ in range(round(seconds / dt_s)))])
+    steps = round(TICK_S / dt_s)
+    return np.concatenate([hand.move(steps, dt_s) for _ in range(round(seconds / TICK_S))])
 
 
 def test_nothing_moves_before_the_reaction_time_and_then_with_the_lag():

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import decode_depth, encode_depth, imu_vector, observation_space, observe
+from wcsim.supervisor.observation import (
+    decode_depth,
+    encode_depth,
+    imu_size,
+    imu_vector,
+    observation_space,
+    observe,
+)
 from wcsim.supervisor.palette import COLOURS, palette
 from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, SensorFrame
 
@@ -84,7 +92,17 @@ def test_depth_codes_are_monotone_and_every_code_comes_back():
 
 def test_depth_beyond_its_ends():
     odd = np.array([[0.0, -1.0, 0.05, 0.1, RANGE_M, 99.0, np.inf, np.nan, -np.inf]], np.float32)
-    np.testing.assert_array_equal(encode_depth(odd, RANGE_M), [[0, 0, 0, 0, 255, 255, 255, 255, 0]])
+    np.testing.assert_array_equal(encode_depth(odd, RANGE_M), [[0, 0, 1, 1, 255, 255, 255, 0, 0]])
+
+
+@pytest.mark.parametrize("form", ["compact", "table3"])
+def test_what_was_not_measured_is_told_from_what_is_near(form):
+    frame = sensors(40, 30)
+    frame.cameras[0].depth_m[:] = 0.1
+    frame.cameras[0].depth_m[3, 5] = 0.0
+    depth = seen(form, frame)["depth"][0]
+    assert depth[3, 5] == 0 and (np.delete(depth.ravel(), 3 * 40 + 5) > 0).all()
+    assert decode_depth(np.zeros((1, 1), np.uint8), RANGE_M)[0, 0] == 0.0
 
 
 def test_both_forms_show_the_same_picture():
@@ -109,6 +127,18 @@ def test_imu_is_scaled_and_held():
     np.testing.assert_allclose(
         imu_vector(imu((4.0, -400.0, 9.81), math.pi / 2, -math.pi / 4)), [0.1, -1.0, 0.24525, 0.5, -0.5], atol=1e-6
     )
+
+
+@pytest.mark.parametrize(
+    ("gyro", "yaw", "size"), [(False, False, 5), (True, False, 8), (False, True, 7), (True, True, 10)]
+)
+def test_turn_rates_and_heading_can_be_seen_too(gyro, yaw, size):
+    felt = replace(imu(), gyro_radps=np.array([0.4, -0.8, 99.0]), yaw_rad=math.pi / 6)
+    got = imu_vector(felt, gyro, yaw)
+    assert got.shape == (size,) == (imu_size(gyro, yaw),)
+    expected = [0.1, -0.2, 1.0] * gyro + [0.5, math.sqrt(0.75)] * yaw
+    np.testing.assert_allclose(got[5:], expected, atol=1e-6)
+    np.testing.assert_array_equal(got[:5], imu_vector(imu()))
 
 
 def test_unknown_camera_and_form_are_named():

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle, shaped
+from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import ActorKind, Joystick
 
 STREET = strip_street()
 ACTIONS = action_set("square81")
-ORACLE = Oracle(STREET.grid, ChairConfig(), ACTIONS.points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, ACTIONS.points)
 FORWARD = Joystick(0.0, 0.8)
 STOP = Joystick(0.0, 0.0)
 UP, DOWN = math.pi / 2, -math.pi / 2
@@ -189,3 +191,12 @@ def test_the_oracle_is_quick():
         ORACLE.assess(state, FORWARD, people)
         best = min(best, time.perf_counter() - start)
     assert best * 1e3 < 1.5
+
+
+def test_a_wider_and_longer_chair_has_less_room():
+    large = Oracle(STREET.grid, ChairConfig(), replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4), ACTIONS.points)
+    beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.25, 0.0, 1.3)
+    lost_m = ORACLE.clearance(beside_the_house, ()) - large.clearance(beside_the_house, ())
+    assert lost_m == pytest.approx(0.14, abs=0.06)
+    assert not ORACLE.danger(beside_the_pole, FORWARD, ())
+    assert large.danger(beside_the_pole, FORWARD, ())

@@ -8,7 +8,7 @@ import pytest
 
 from tests.samples import straight_route, strip_street
 from tests.supervisor.actors import actor, make_user
-from tests.supervisor.kinematics import TICK_S, Chair, Sim, lateral, polyline
+from tests.supervisor.kinematics import Chair, Sim, lateral, polyline
 from tests.supervisor.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
@@ -16,11 +16,11 @@ from wcsim.seeding import generator
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.profiles import profile, profile_names, sample
-from wcsim.supervisor.user import SimulatedUser
+from wcsim.supervisor.user import USUAL_OUTLINE, SimulatedUser
 from wcsim.types import ActorKind, Joystick, SignalState
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), action_set("square81").points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, action_set("square81").points)
 CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
 PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
 
@@ -46,7 +46,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 def test_the_competent_user_keeps_its_line_around_corners(quantised):
     for seed in range(3):
         rng = generator(seed, "user")
-        user = SimulatedUser(sample(profile("competent"), rng), rng, 1.67, 1.5, TICK_S / 24)
+        user = SimulatedUser(sample(profile("competent"), rng), rng, 1.67, 1.5)
         sim = Sim(user, CORNERS, Chair(), quantised)
         off = lateral(sim.run(90.0).array(), CORNERS)
         assert user.arrived
@@ -198,13 +198,20 @@ def test_who_does_not_care_crosses_at_red():
     assert log[-1, 1] < 0.0
 
 
-def test_patience_at_a_red_light_is_long_but_ends():
-    sim, _ = cross(light(1e9), law_share=1.0, seconds=250.0)
-    assert sim.user.gave_up
+def test_a_light_that_stays_red_is_believed_for_a_minute():
+    sim, log = cross(light(1e9), law_share=1.0, seconds=250.0)
+    started_s = log[np.argmax(log[:, 1] < 4.0), 0]
+    assert sim.user.arrived and 60.0 < started_s < 85.0
+
+
+def test_patience_at_a_closed_crossing_is_long_but_ends():
+    endless = [actor(CAR, x, -2.0, 0.0, 6.0, name=str(x)) for x in range(0, 81, 8)]
+    sim, log = cross(light(1e9), lambda _: endless, law_share=1.0, seconds=250.0)
+    assert sim.user.gave_up and log[:, 1].min() > 4.0
     assert 90.0 < sim.time_s < 200.0
 
 
-@pytest.mark.parametrize("from_m", [-10.0, -30.0, -45.0])
+@pytest.mark.parametrize("from_m", [-10.0, -30.0, -66.0])
 def test_lets_a_car_pass_that_would_come_too_near(from_m):
     dark = (SignalState(tls_id="t", colours="oooo"),)
 
@@ -219,7 +226,7 @@ def test_lets_a_car_pass_that_would_come_too_near(from_m):
         return np.abs(in_lane_s - (40.0 - from_m) / 6.0).min()
 
     assert meeting(1.0) > 2.0
-    if from_m == -45.0:
+    if from_m == -66.0:
         assert meeting(0.0) < 1.0
 
 
@@ -255,11 +262,13 @@ def test_the_same_seed_is_the_same_user():
 
 def test_before_its_first_route_the_user_does_nothing():
     user = make_user()
-    assert user.hand(0.004) == user.hand(0.004) or math.hypot(user.joystick.x, user.joystick.y) < 0.05
+    assert user.joystick == Joystick(0.0, 0.0)
+    user.hand(2, 0.004)
+    assert user.sticks.shape == (2, 2) and np.hypot(*user.sticks.T).max() < 0.05
     assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
 
 
-@pytest.mark.parametrize("step_s", [0.0, 0.1])
-def test_an_impossible_step_is_refused(step_s):
-    with pytest.raises(ConfigError, match="step_s"):
-        SimulatedUser(profile("slow"), generator(0), 1.67, 1.5, step_s)
+@pytest.mark.parametrize(("steps", "dt_s"), [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
+def test_an_impossible_step_is_refused(steps, dt_s):
+    with pytest.raises(ConfigError, match="at least one"):
+        make_user("slow").hand(steps, dt_s)

@@ -12,7 +12,7 @@ from wcsim.errors import TownError
 from wcsim.seeding import generator
 from wcsim.towns.paths import shortest_inside
 from wcsim.towns.routes import Router
-from wcsim.types import Street, WalkGraph, WayKind
+from wcsim.types import Street, WalkEdge, WalkGraph, WayKind
 
 
 def test_route_crosses_where_the_crossing_is() -> None:
@@ -29,6 +29,21 @@ def test_route_along_one_edge_either_way_and_to_the_same_place() -> None:
     assert router.route((30.0, 5.5), (10.0, 5.5)).points_W_m[0].tolist() == [30.0, 5.5]
     same = router.route((10.0, 5.5), (10.0, 5.5))
     assert len(same.points_W_m) == 2 and same.arc_m[-1] == 0.0
+
+
+def test_a_spur_to_a_node_and_back_is_left_out() -> None:
+    """Ways through a walking area meet in nodes, and one of them may lie aside."""
+    lines = [[(0.0, 0.0), (5.0, 0.0)], [(5.0, 0.0), (5.1, 1.6)], [(5.1, 1.6), (5.3, 0.1), (12.0, 0.0)]]
+    ends = np.array([(0.0, 0.0), (5.0, 0.0), (5.1, 1.6), (12.0, 0.0)])
+    edges = tuple(
+        WalkEdge(sumo_id=str(i), kind=WayKind.SIDEWALK, start=i, end=i + 1, points_W_m=np.array(line), width_m=2.0)
+        for i, line in enumerate(lines)
+    )
+    route = Router(WalkGraph(nodes_W_m=ends, edges=edges)).route((0.2, 0.0), (11.8, 0.0))
+    assert route.points_W_m[:, 1].max() < 0.7
+    assert route.arc_m[-1] == pytest.approx(11.6, abs=0.3)
+    steps = np.linalg.norm(np.diff(route.points_W_m, axis=0), axis=1)
+    assert np.allclose(np.diff(route.arc_m), steps) and len(route.edge_index) == len(route.points_W_m)
 
 
 def test_empty_network_is_refused() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import time
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from wcsim.towns import cache, street
 from wcsim.towns.check import check_town, demand_classes, mesh_faults, walkable_share
 from wcsim.towns.netread import read_net
 from wcsim.towns.street import load_street
-from wcsim.towns.tiles import TILE_M, Packed
+from wcsim.towns.tiles import RASTER_M, TILE_M, Packed
 from wcsim.towns.town import Town, find_town
 from wcsim.types import ClassId, Street, WayKind
 
@@ -43,8 +44,10 @@ def test_grid_agrees_with_mesh(name: str, request: pytest.FixtureRequest) -> Non
 
 def test_nothing_solid_stands_on_road_or_crossing(manhattan: Street) -> None:
     solid = []
-    for x, y in manhattan.tiles.keys:
-        grid = manhattan.grid.around(np.array([x + 0.5, y + 0.5]) * TILE_M)
+    rasters_a_side = round(TILE_M / RASTER_M)
+    middles_m = (np.indices((rasters_a_side, rasters_a_side)).reshape(2, -1).T + 0.5) * RASTER_M
+    for key, middle_m in itertools.product(manhattan.tiles.keys, middles_m):
+        grid = manhattan.grid.around(np.array(key) * TILE_M + middle_m)
         solid.append(grid.clearance_dm[np.isin(grid.ground_class, (ClassId.ROAD, ClassId.CROSSWALK))] == 0)
     assert np.concatenate(solid).mean() < 1e-4  # a footprint that ends at the edge covers part of a cell
 

@@ -27,6 +27,7 @@ def test_depth_goes_from_red_to_blue_and_ends_in_black():
     colours = depth_colours(np.array([[0.4, 4.0, 30.0, 40.0]], np.float32), range_m=40.0)[0].astype(int)
     assert colours[0, 0] > colours[0, 2] and colours[2, 2] > colours[2, 0]
     assert colours[3].tolist() == [0, 0, 0]
+    assert depth_colours(np.zeros((1, 1), np.float32), range_m=40.0)[0, 0].tolist() == [255, 255, 255]
 
 
 def test_a_triptych_shows_three_panels_of_one_size():

@@ -1,4 +1,4 @@
-"""Policies that learn nothing, to compare networks with: follow, random, zero, stop."""
+"""Policies that learn nothing, to compare networks with: follow, random, zero, stop, dwa, and the oracle above all."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.agents.corridor import CorridorWatch
+from wcsim.agents.dwa import DynamicWindow
 from wcsim.agents.protocol import JOYSTICK_KEY, Observation, Policy
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
+from wcsim.physics.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.types import Bool, Truth
 
-NAMES = ("follow", "random", "zero", "stop")
+NAMES = ("follow", "random", "zero", "stop", "dwa")
+"""What sees no more than a network does."""
+
+UPPER_BOUND = "oracle"
+"""Sees the truth, so it is no rival of a network but what could be reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +111,37 @@ class Stop:
         return self.actions.nearest((x, y))
 
 
+@dataclass(slots=True, kw_only=True)
+class OracleDriver:
+    """The safe action nearest to the user's joystick, by the true geometry; the stick at rest when none is safe."""
+
+    actions: ActionSet
+    name: str = UPPER_BOUND
+    _safe: Bool | None = field(init=False, default=None)
+
+    def begin(self) -> None:
+        """Nothing is remembered."""
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def see(self, truth: Truth | None) -> None:
+        """Take the truth of the moment to act in. Raises PolicyError without one."""
+        if truth is None:
+            raise PolicyError("the oracle got no truth from its environment; expected env.truth = true: set it")
+        self._safe = truth.safe_actions
+
+    def act(self, observation: Observation) -> int:
+        """The user's wish as far as it ends well."""
+        if self._safe is None:
+            raise PolicyError("the oracle was asked to act before it saw the truth; expected see() before each act()")
+        safe, self._safe = self._safe, None  # the truth of one moment says nothing of the next
+        if not safe.any():
+            return self.actions.nearest((0.0, 0.0))
+        distances = self.actions.distances(np.asarray(observation[JOYSTICK_KEY])[None])[0]
+        return int(np.argmin(np.where(safe, distances, np.inf)))
+
+
 def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     """The baseline of that name for a run's action set, camera and chair. Raises PolicyError for an unknown name."""
     actions = action_set(config.env.actions)
@@ -115,9 +153,14 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
         return Zero(actions=actions)
     if name == "stop":
         return Stop(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair))
-    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join(NAMES)}")
+    if name == "dwa":
+        outline = plant_spec(config.chair).outline
+        return DynamicWindow(actions, config.cameras[0], config.chair, outline, config.world.tick_s)
+    if name == UPPER_BOUND:
+        return OracleDriver(actions=actions)
+    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, UPPER_BOUND))}")
 
 
 def is_baseline(name: str) -> bool:
     """Whether `baseline` knows this name."""
-    return name in NAMES
+    return name in (*NAMES, UPPER_BOUND)

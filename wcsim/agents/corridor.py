@@ -10,7 +10,7 @@ from wcsim.agents.protocol import DEPTH_KEY, IMU_KEY, Observation
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.frames import rad
 from wcsim.supervisor.observation import decode_depth
-from wcsim.types import F64, Bool
+from wcsim.types import F32, F64, U8, Bool
 
 HALF_WIDTH_M = 0.35
 MARGIN_M = 0.15  # on each side
@@ -36,12 +36,12 @@ class CorridorWatch:
 
     def blocked(self, observation: Observation, x: float, y: float) -> bool:
         """Whether a joystick at (x right, y > 0 forward) would run into something before the chair could stand."""
-        depth_m = decode_depth(observation[DEPTH_KEY].reshape(-1), self._range_m).astype(np.float64)
+        depth_m = depth_metres(observation[DEPTH_KEY], self._range_m).reshape(-1).astype(np.float64)
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
         roll, pitch = math.pi * float(observation[IMU_KEY][3]), 0.5 * math.pi * float(observation[IMU_KEY][4])
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
         reach_m = speed * REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2) + FRONT_M + CLEAR_M
-        seen = depth_m < 0.99 * self._range_m
+        seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
         return self._obstacle(points, seen, speed, turn, reach_m, roll, pitch) or self._drop(
             points, speed, turn, reach_m, roll, pitch
         )
@@ -65,6 +65,13 @@ class CorridorWatch:
 
     def _enough(self, pixels: Bool) -> bool:
         return int(np.count_nonzero(pixels)) >= self._few
+
+
+def depth_metres(image: U8 | F32, range_m: float) -> F32:
+    """The depth image (1, H, W) of either form of observation in metres."""
+    if image.dtype == np.uint8:
+        return decode_depth(np.asarray(image, np.uint8), range_m)
+    return np.asarray(image * np.float32(range_m), np.float32)
 
 
 def viewing_rays(camera: CameraConfig) -> F64:

@@ -22,8 +22,8 @@ from wcsim.server.link import WorldLink, WorldOrder
 from wcsim.server.open_link import open_link
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import Judgement, judge, observation_of
-from wcsim.supervisor.observation import Observation, observation_space
-from wcsim.supervisor.profiles import profile
+from wcsim.supervisor.observation import Observation, imu_size, observation_space
+from wcsim.supervisor.recorded import find_user
 from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.types import ClientSnapshot, Joystick, RewardTerms, SeatSpec
@@ -66,7 +66,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             ConfigError: The configuration cannot be used.
         """
         self.config = config if config is not None else load_run_config(preset, tuple(overrides))
-        profile(self.config.env.profile)
+        find_user(self.config.env.profile)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
         self.town = town
@@ -74,7 +74,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self.render_mode = render_mode
         if render_mode == "rgb_array":
             self.config = with_colours(self.config)
-        camera = self.config.cameras[0]
+        camera, env = self.config.cameras[0], self.config.env
         self._actions = action_set(self.config.env.actions)
         self._terms = tuple(reward_terms)
         self._first_seed = seed
@@ -82,7 +82,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._now: ClientSnapshot | None = None
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
         self.observation_space = observation_space(  # type: ignore[assignment]
-            self.config.env.observation, camera.width_px, camera.height_px
+            self.config.env.observation, camera.width_px, camera.height_px, imu_size(env.observe_gyro, env.observe_yaw)
         )
         self.action_space = gymnasium.spaces.Discrete(len(self._actions))
 
@@ -156,10 +156,12 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         plant = snapshot.plant
         return {
             "state": plant,
+            "imu": snapshot.sensors.imu,
             "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
             "joystick_distance": distance,
             "reward_terms": terms,
             "truth": snapshot.truth,
+            "drawn": snapshot.drawn,
             "warning": snapshot.truth.danger if snapshot.truth else None,
             "intervening": distance > self.config.reward.max_follow_distance + DISTANCE_TOLERANCE,
             "events": snapshot.events,

@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium
 
-from wcsim.agents.protocol import Policy
+from wcsim.agents.protocol import Policy, SeesTruth
 from wcsim.errors import ConfigError
 from wcsim.supervisor.kpi import KpiMeter
 
@@ -55,6 +55,7 @@ def evaluate(
 
     Raises:
         ConfigError: `episodes` or `max_steps` is below 1.
+        PolicyError: The policy sees the truth and the environment gives none.
     """
     if episodes < 1 or max_steps < 1:
         raise ConfigError(f"episodes={episodes}, max_steps={max_steps}; expected at least 1 of each")
@@ -92,6 +93,8 @@ def _drive(
     """One episode into the meter."""
     for step in range(1, max_steps + 1):
         truth = info.get("truth")  # of the moment that the agent answers to
+        if isinstance(policy, SeesTruth):
+            policy.see(truth)
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         free = None if truth is None else not truth.danger
         meter.add(float(info["joystick_distance"]), free, float(info["speed_mps"]), tick_s)

@@ -13,8 +13,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from wcsim.agents import files, registry
-from wcsim.agents.networks import image_size
-from wcsim.agents.policy import VECTOR_SIZE, FollowPrior, NetSpec, QNet, spec_to_json
+from wcsim.agents.networks import image_size, vector_size
+from wcsim.agents.policy import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
 from wcsim.agents.protocol import Observation
 from wcsim.agents.seqdqn import SeqDQN
@@ -24,7 +24,7 @@ from wcsim.supervisor.actions import action_set
 
 WEIGHTS = "weights.safetensors"
 MAX_WEIGHTS_BYTES = 1 << 30
-IMU_SIZE, JOYSTICK_SIZE = 5, 2
+JOYSTICK_SIZE = 2
 
 
 class NetPolicy:
@@ -103,7 +103,7 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
         "algorithm": "SeqDQN",
         "net": spec_to_json(spec),
         "image_hw_px": list(image_size(model.observation_space)),
-        "vector_size": VECTOR_SIZE,
+        "vector_size": vector_size(model.observation_space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
         "manifest_sha256": manifest_sha256,
@@ -130,7 +130,7 @@ def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
     space = spaces.Dict(
         seg=image,
         depth=image,
-        imu=spaces.Box(-1.0, 1.0, (IMU_SIZE,), np.float32),
+        imu=spaces.Box(-1.0, 1.0, (file.vector_size - JOYSTICK_SIZE,), np.float32),
         joystick=spaces.Box(-1.0, 1.0, (JOYSTICK_SIZE,), np.float32),
     )
     return QNet(space, spaces.Discrete(len(action_set(spec.actions))), spec)

@@ -7,11 +7,19 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from wcsim.agents.advice import AdviceBatch
 from wcsim.agents.protocol import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.supervisor.observation import imu_size
 
 Tensors = dict[str, torch.Tensor]
 
 IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
+GYRO_SIGNS = (-1.0, 1.0, -1.0)
+YAW_SIGNS = (-1.0, 1.0)  # of its sine and cosine
 JOYSTICK_SIGNS = (-1.0, 1.0)
+_SIGNS = {
+    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
+    for gyro in (False, True)
+    for yaw in (False, True)
+}
 
 
 def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor) -> DictReplayBufferSamples:
@@ -32,6 +40,7 @@ def _mirrored(observations: Tensors) -> Tensors:
     out = dict(observations)
     for key in (CLASS_KEY, DEPTH_KEY):
         out[key] = observations[key].flip(-1)
-    for key, signs in ((IMU_KEY, IMU_SIGNS), (JOYSTICK_KEY, JOYSTICK_SIGNS)):
+    imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
+    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS)):
         out[key] = observations[key] * observations[key].new_tensor(signs)
     return out

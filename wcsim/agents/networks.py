@@ -57,11 +57,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         self, observation_space: spaces.Dict, network: str = "small", classes: Classes = "cityscapes"
     ) -> None:
         height, width = image_size(observation_space)
-        vector_size = sum(int(np.prod(_box(observation_space, key).shape)) for key in (IMU_KEY, JOYSTICK_KEY))
+        numbers = vector_size(observation_space)
         table = group_table(classes)
         shape = (len(table) + 1, height, width)
-        body = registry.build(network, shape, vector_size)
-        super().__init__(observation_space, features_dim=_features_dim(network, body, shape, vector_size))
+        body = registry.build(network, shape, numbers)
+        super().__init__(observation_space, features_dim=_features_dim(network, body, shape, numbers))
         self.body = body
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()  # the last one is for depth
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
@@ -79,14 +79,18 @@ class ObservationEncoder(BaseFeaturesExtractor):
 
 
 def vector(observations: Tensors) -> torch.Tensor:
-    """IMU and joystick side by side, (B, 7) float32."""
+    """IMU and joystick side by side, (B, vector_size) float32."""
     return torch.cat([observations[IMU_KEY], observations[JOYSTICK_KEY]], dim=1).to(torch.float32)
+
+
+def vector_size(space: spaces.Space[object]) -> int:
+    """How many numbers `vector` has: 7, and more with `env.observe_gyro` and `env.observe_yaw`."""
+    return sum(int(np.prod(_box(_known(space), key).shape)) for key in (IMU_KEY, JOYSTICK_KEY))
 
 
 def image_size(space: spaces.Space[object]) -> tuple[int, int]:
     """(H, W) of the compact observation's images. Raises PolicyError when the space is another one."""
-    if not isinstance(space, spaces.Dict) or not {CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= set(space.spaces):
-        raise PolicyError(f"observation space is {space}; expected a Dict with seg, depth, imu and joystick")
+    space = _known(space)
     for key in (CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
         if box.dtype != np.uint8 or len(box.shape) != 3 or box.shape[0] != 1:
@@ -94,6 +98,12 @@ def image_size(space: spaces.Space[object]) -> tuple[int, int]:
                 f"observation {key!r} is {box.dtype} {box.shape}; expected uint8 (1, H, W): set env.observation=compact"
             )
     return int(_box(space, CLASS_KEY).shape[1]), int(_box(space, CLASS_KEY).shape[2])
+
+
+def _known(space: spaces.Space[object]) -> spaces.Dict:
+    if not isinstance(space, spaces.Dict) or not {CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= set(space.spaces):
+        raise PolicyError(f"observation space is {space}; expected a Dict with seg, depth, imu and joystick")
+    return space
 
 
 def _box(space: spaces.Dict, key: str) -> spaces.Box:

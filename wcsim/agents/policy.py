@@ -12,11 +12,10 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 
-from wcsim.agents.networks import Classes, ObservationEncoder, vector
+from wcsim.agents.networks import Classes, ObservationEncoder, vector, vector_size
 from wcsim.agents.protocol import JOYSTICK_KEY
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
-VECTOR_SIZE = 7
 SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
 TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
 
@@ -53,7 +52,8 @@ class QNet(BasePolicy):
         self.spec = spec
         self.encoder = ObservationEncoder(observation_space, spec.network, spec.classes)
         count = int(action_space.n)
-        self.trunk = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR_SIZE, spec.hidden), nn.ReLU())
+        inputs = self.encoder.features_dim + vector_size(observation_space)
+        self.trunk = nn.Sequential(nn.Linear(inputs, spec.hidden), nn.ReLU())
         self.advantage = nn.Linear(spec.hidden, count)
         self.value = nn.Linear(spec.hidden, 1) if spec.dueling else None
         if spec.head == "residual":

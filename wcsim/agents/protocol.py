@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy.typing as npt
+
+from wcsim.types import Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
@@ -27,3 +29,11 @@ class Policy(Protocol):
 
     def act(self, observation: Observation) -> int:
         """The action for this observation."""
+
+
+@runtime_checkable
+class SeesTruth(Protocol):
+    """A policy that is shown the truth before each `act`: an upper bound, no rival of those that see observations."""
+
+    def see(self, truth: Truth | None) -> None:
+        """Take the truth of the moment that `act` is asked about next; None where the environment gives none."""

@@ -2,6 +2,7 @@
 
 - manifest.json: versions, seed, town, hashes, git revision, command, status (running, done, interrupted)
 - config.json: the resolved configuration
+- plant.toml: the wheelchair, when it is the user's own
 - metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
 - checkpoints/: step-00005000/ ..., LATEST
@@ -23,9 +24,11 @@ from wcsim.agents import files
 from wcsim.agents.policy_file import read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.plant_file import plant_text
 from wcsim.towns.scenario_overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
+PLANT = "plant.toml"
 CHECKPOINTS, POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
@@ -113,14 +116,22 @@ def make_manifest(
 
 
 def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
-    """Make a new run folder. Raises PolicyError when the folder exists and is not empty."""
+    """Make a new run folder.
+
+    Raises:
+        PolicyError: The folder exists and is not empty.
+        ConfigError: The user's own plant file cannot be read.
+    """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+    plant = plant_text(config.chair.plant)
     (path / CHECKPOINTS).mkdir(parents=True)
     (path / POLICIES).mkdir()
+    if plant:
+        files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
-    return RunFolder(path=path, config=config, manifest=manifest)
+    return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
 
 
 def open_run(path: Path) -> RunFolder:
@@ -129,11 +140,20 @@ def open_run(path: Path) -> RunFolder:
     try:
         fields = {**data, "command": tuple(data["command"]), "rewards": tuple(data["rewards"])}
         fields["overrides"] = _overrides(data.get("overrides", ()))
-        return RunFolder(path=path, config=parse(RunConfig, config, str(path / CONFIG)), manifest=Manifest(**fields))
+        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+        return RunFolder(path=path, config=resolved, manifest=Manifest(**fields))
     except (TypeError, KeyError) as error:
         raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None
     except ConfigError as error:
         raise PolicyError(str(error)) from None
+
+
+def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
+    """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
+    if not (path / PLANT).is_file():
+        return config
+    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
+    return config.model_copy(update={"chair": chair})
 
 
 def policy_path(name: str) -> Path:

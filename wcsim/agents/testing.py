@@ -12,11 +12,12 @@ from rich.table import Table
 
 from wcsim.agents import baselines
 from wcsim.agents.evaluate import EvalRow, evaluate
-from wcsim.agents.export import load_policy
+from wcsim.agents.export import JOYSTICK_SIZE, load_policy
 from wcsim.agents.protocol import Policy
 from wcsim.agents.runfolder import policy_path
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
+from wcsim.supervisor.observation import imu_size
 
 MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
 Progress = Callable[[str], None]
@@ -64,6 +65,8 @@ class TestResult:
         table.add_column("\npolicy", overflow="fold", min_width=8)
         for _, heading, _ in COLUMNS:
             table.add_column(heading, justify="right", no_wrap=True)
+        if any(row.policy == baselines.UPPER_BOUND for row in self.rows):
+            table.caption, table.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
         for row in self.rows:
             table.add_row(row.policy, *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
         return table
@@ -111,6 +114,12 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
         raise PolicyError(
             f"policy {name!r} wants {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
             f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it on its own"
+        )
+    numbers = imu_size(config.env.observe_gyro, config.env.observe_yaw) + JOYSTICK_SIZE
+    if file.vector_size != numbers:
+        raise PolicyError(
+            f"policy {name!r} wants {file.vector_size} numbers from IMU and joystick, this test gives {numbers}: "
+            "set env.observe_gyro and env.observe_yaw as in its training"
         )
     other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:

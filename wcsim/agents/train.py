@@ -20,10 +20,11 @@ from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.export import save_policy
 from wcsim.agents.metrics import MetricsFile
 from wcsim.agents.phases import PhaseSwitch
-from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, make_manifest, open_run
+from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, make_manifest, open_run, with_kept_plant
 from wcsim.agents.seqdqn import SeqDQN
 from wcsim.config import RunConfig
 from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.plant_file import plant_text
 from wcsim.towns.scenario_overrides import Override
 
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
@@ -188,7 +189,9 @@ def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFo
     run = open_run(out)
     kept = ("seed", "town_sha256", "rewards")
     other = [key for key in kept if getattr(run.manifest, key) != getattr(wanted, key)]
-    if run.config != config or other:
+    if plant_text(config.chair.plant) != plant_text(run.config.chair.plant):
+        other.append("plant")
+    if run.config != with_kept_plant(config, out) or other:
         raise PolicyError(f"{out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return run
 

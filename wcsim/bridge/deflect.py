@@ -27,7 +27,7 @@ from wcsim.bridge.crowd import (
 )
 from wcsim.bridge.footing import can_stand, way_is_open
 from wcsim.bridge.footprint import Box, gap_to_box
-from wcsim.bridge.orders import CHAIR_HALF_M, LET_GO, Attention, Blocked, ChairInStreet, Order
+from wcsim.bridge.orders import LET_GO, Attention, Blocked, ChairInStreet, Order
 from wcsim.bridge.sidestep import FURTHEST_M, Block, block_of, block_of_disc, ways_round
 from wcsim.types import ActorState, Ground
 
@@ -344,4 +344,4 @@ class Deflection:
 def _chair_box(chair: ChairInStreet, ahead_s: float) -> Box:
     """The chair's footprint, where it is going to be; it turns so little in that time that its heading stays."""
     x, y = (chair.p_W_m + ahead_s * chair.v_W_mps).tolist()
-    return x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *CHAIR_HALF_M
+    return x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m

@@ -10,7 +10,7 @@ import numpy as np
 from wcsim import seeding
 from wcsim.types import F64, ActorState
 
-CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of its footprint
+CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of the usual wheelchair's footprint
 LET_GO = -1.0
 
 MOST_KNOWN = 10_000
@@ -25,10 +25,11 @@ class ChairInStreet:
     on_road: bool  # on a carriageway or a crossing, not up on a pavement
     yaw_rad: float = 0.0
     z_m: float = 0.0
+    half_m: tuple[float, float] = CHAIR_HALF_M  # half the length and width of its footprint
 
     def row(self) -> F64:
         """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
-        return np.array([*self.p_W_m, math.cos(self.yaw_rad), math.sin(self.yaw_rad), *CHAIR_HALF_M, *self.v_W_mps])
+        return np.array([*self.p_W_m, math.cos(self.yaw_rad), math.sin(self.yaw_rad), *self.half_m, *self.v_W_mps])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

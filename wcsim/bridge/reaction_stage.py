@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.footprint import box_of, boxes_touch, gap_to_box
-from wcsim.bridge.orders import CHAIR_HALF_M, Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.orders import Attention, Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
 from wcsim.config import WorldConfig
@@ -127,7 +127,7 @@ class ReactionStage:
 def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
     """Whether an actor's body overlaps a wheelchair's footprint."""
     x, y = chair.p_W_m.tolist()
-    box = (x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *CHAIR_HALF_M)
+    box = (x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m)
     if is_person(actor):
         px, py, _ = actor.p_W_m.tolist()
         return gap_to_box(px, py, *box) < _radius_m(actor) - TOUCH_M

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,14 +11,18 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.bridge.sight import ObstacleWatch
+from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
 from wcsim.physics.camera import CameraRig
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.engine import Engine
+from wcsim.physics.noise import child
+from wcsim.physics.plant import plant_spec
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.profiles import profile, sample
+from wcsim.supervisor.profiles import sample
+from wcsim.supervisor.recorded import RecordedUser, Recording, find_user
 from wcsim.supervisor.rewards import crash_reason
 from wcsim.supervisor.user import SimulatedUser
 from wcsim.towns.routes import Router
@@ -28,6 +33,9 @@ from wcsim.types import (
     ClientSnapshot,
     Events,
     Ground,
+    Joystick,
+    Outline,
+    PlantState,
     Route,
     SeatSpec,
     SensorFrame,
@@ -39,12 +47,12 @@ from wcsim.types import (
     chair_actor_id,
 )
 
-CHAIR_SIZE_LWH_M = (1.10, 0.62, 1.25)
-CHAIR_MIDDLE_M = 0.23  # from the drive axle forward to the middle of the chair's length
-FOOTPRINT_B_M = np.array([(x, y) for x in (-0.34, 0.23, 0.80) for y in (-0.31, 0.0, 0.31)])
+CHAIR_SIZE_LWH_M = (1.135, 0.62, 1.25)  # of the usual plant, where a recording does not say which it was
+CHAIR_MIDDLE_M = 0.2325  # from the drive axle forward to the middle of its length
 SIGHT_M = 25.0
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
+AT_REST = Joystick(0.0, 0.0)
 
 XY = tuple[float, float]
 TakenNear = Callable[[F64, float], Sequence[ActorState]]
@@ -65,14 +73,19 @@ class Seat:
     def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
         self.index = index
         self.spec = spec
+        self._person = find_user(spec.profile)
         self._config = config
         self._street = street
         self._router = router
-        self._oracle = Oracle(street.grid, config.chair, action_set(config.env.actions).points)
+        outline = plant_spec(config.chair).outline
+        self._oracle = Oracle(street.grid, config.chair, outline, action_set(config.env.actions).points)
+        self._variation = Variation(config, index)
+        self.fitting: Fitting | None = None
         self._seed = 0
         self._episode = -1
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
+        self._shown: tuple[PlantState, ActorState] | None = None
 
     @property
     def spawned(self) -> bool:
@@ -83,10 +96,12 @@ class Seat:
         """Put a new wheelchair into a new engine; the old one has gone with its engine."""
         self._seed = seed
         self._episode = -1
+        self._imu_key = seeding.key(seed, "imu", self.index)
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
 
     def spawn(self, taken: TakenNear) -> None:
         """Begin the next episode: a start clear of everything, a user and a route of its own."""
+        self._vary()
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
         self._episode += 1
@@ -98,18 +113,35 @@ class Seat:
         self._obstacles = ObstacleWatch(self._street.grid)
         self._follow(start.route)
 
+    def _vary(self) -> None:
+        """Make the chair what it is in the next episode, and let no command of the last one reach it."""
+        delay = self._config.world.action_delay_ticks
+        self.fitting = self._variation.fitting(self._seed, self._episode + 1)
+        if self.fitting is not None:
+            self.chair.become(self.fitting.spec)
+            drawn = self.fitting.drawn.action_delay_ticks
+            delay = delay if drawn is None else drawn
+        self._waiting = deque([AT_REST] * delay)
+
+    def command(self, joystick: Joystick) -> None:
+        """Take a command; the chair obeys it after the delay."""
+        self._waiting.append(joystick)
+        self.chair.command(self._waiting.popleft())
+
     def stand(self) -> None:
         """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
         self.chair.place(self._place.p_W_m, self._place.yaw_rad)
+        self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
 
-    def after_substep(self, dt_s: float) -> None:
-        """IMU sample, contacts, the user's hand."""
+    def after_substep(self) -> None:
+        """IMU sample, contacts."""
         self.chair.after_step()
-        self.user.hand(dt_s)
 
     def end_tick(self, tick: int) -> None:
-        """Close the tick's measurements; noise is keyed by seat, sensor and tick, not drawn in sequence."""
-        self.chair.end_tick(seeding.generator(self._seed, "imu", self.index, tick))
+        """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
+        self.chair.end_tick(child(self._imu_key, tick))
+        world = self._config.world
+        self.user.hand(world.substeps, world.tick_s / world.substeps)
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
         """Show the user the street."""
@@ -138,7 +170,7 @@ class Seat:
     def events(self, jam_teleports: int, first: bool) -> Events:
         """What this tick did to the episode; the first frame of an episode has no events."""
         self._step += not first
-        reason = "" if first else crash_reason(self.chair.imu(), self.chair.contacts(), self._config.reward)
+        reason = "" if first else self._crash_reason()
         return Events(
             episode=self._episode,
             step=self._step,
@@ -151,10 +183,12 @@ class Seat:
             jam_teleports=jam_teleports,
         )
 
-    def truth(self, others: Sequence[ActorState]) -> Truth | None:
-        """Danger and safe actions on the true geometry, when the seat asked for them."""
-        if not self.spec.truth:
-            return None
+    def _crash_reason(self) -> str:
+        chair = self.chair
+        return crash_reason(chair.imu(), chair.state(), chair.contacts(), self._config.reward)
+
+    def truth(self, others: Sequence[ActorState]) -> Truth:
+        """Danger and safe actions on the true geometry, for a seat that asked for them."""
         plant = self.chair.state()
         seen = self._oracle.assess(plant, self.user.joystick, others)
         return Truth(
@@ -176,6 +210,7 @@ class Seat:
             contacts=self.chair.contacts(),
             events=events,
             truth=truth,
+            drawn=None if self.fitting is None else self.fitting.drawn,
         )
 
     def pose(self) -> ChairPose:
@@ -183,31 +218,24 @@ class Seat:
         return chair_pose(self.index, self.chair.state())
 
     def as_actor(self) -> ActorState:
-        """This chair as other users and the street see it."""
+        """This chair as other users and the street see it; made once for each state of the chair."""
         plant = self.chair.state()
-        ahead = np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad), 0.0])
-        left = np.array([-ahead[1], ahead[0], 0.0])
-        return ActorState(
-            id=chair_actor_id(self.index),
-            kind=ActorKind.WHEELCHAIR,
-            p_W_m=plant.p_WB_m + CHAIR_MIDDLE_M * ahead,
-            yaw_rad=plant.yaw_rad,
-            pitch_rad=plant.pitch_rad,
-            v_W_mps=plant.v_B_mps[0] * ahead + plant.v_B_mps[1] * left,
-            size_lwh_m=CHAIR_SIZE_LWH_M,
-        )
+        if self._shown is None or self._shown[0] is not plant:
+            self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
+        return self._shown[1]
 
-    def _new_user(self) -> SimulatedUser:
+    def _new_user(self) -> SimulatedUser | RecordedUser:
+        if isinstance(self._person, Recording):
+            return RecordedUser(self._person, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
-        exact = profile(self.spec.profile)
-        world, chair = self._config.world, self._config.chair
+        exact, chair = self._person, self._config.chair
         return SimulatedUser(
             sample(exact, rng) if self.spec.start is None else exact,
             rng,
             chair.v_max_mps,
             chair.yaw_rate_max_radps,
-            world.tick_s / world.substeps,
             self._street,
+            self.chair.outline,
         )
 
     def _follow(self, route: Route) -> None:
@@ -217,14 +245,14 @@ class Seat:
 
     def _view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
         plant = self.chair.state()
-        here = plant.p_WB_m[:2]
+        x, y, _ = plant.p_WB_m.tolist()
         return UserView(
             time_s=time_s,
             p_W_m=plant.p_WB_m,
             yaw_rad=plant.yaw_rad,
             speed_mps=float(plant.v_B_mps[0]),
             route=self.route,
-            actors=tuple(a for a in others if float(((a.p_W_m[:2] - here) ** 2).sum()) < SIGHT_M**2),
+            actors=tuple(a for a in others if _in_sight(a, x, y)),
             signals=signals,
             obstacles_W_m=self._obstacles.on_way(self.route, self.user.route_progress_m),
         )
@@ -241,20 +269,43 @@ class Seat:
         clear_m = self._config.world.clear_spawn_m
         for attempt in range(1, SPAWN_TRIES + 1):
             xy, yaw_rad = self._router.random_start(rng)
-            if is_clear(self._street.grid, np.array(xy), yaw_rad, clear_m, taken):
+            if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
                 break
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
         return self._start(xy, yaw_rad, self._router.random_goal(rng, xy, *GOAL_RANGE_M))
 
 
-def is_clear(grid: Ground, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
+def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
+    cos, sin = math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
+    (x, y, z), (ahead_mps, left_mps, _) = plant.p_WB_m.tolist(), plant.v_B_mps.tolist()
+    return ActorState(
+        id=name,
+        kind=ActorKind.WHEELCHAIR,
+        p_W_m=np.array([x + outline.middle_x_m * cos, y + outline.middle_x_m * sin, z]),
+        yaw_rad=plant.yaw_rad,
+        pitch_rad=plant.pitch_rad,
+        v_W_mps=np.array([ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos, 0.0]),
+        size_lwh_m=outline.size_lwh_m,
+    )
+
+
+def _in_sight(actor: ActorState, x_m: float, y_m: float) -> bool:
+    ax, ay, _ = actor.p_W_m.tolist()
+    return math.hypot(ax - x_m, ay - y_m) < SIGHT_M
+
+
+def is_clear(
+    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
+) -> bool:
     """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    hull = xy_W_m + FOOTPRINT_B_M @ np.array([[cos, sin], [-sin, cos]])
+    middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
+    footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    hull = xy_W_m + np.array(footprint_B_m) @ np.array([[cos, sin], [-sin, cos]])
     if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
         return False
-    middle = xy_W_m + CHAIR_MIDDLE_M * np.array([cos, sin])
-    reach_m = clear_m + 0.5 * CHAIR_SIZE_LWH_M[0]
+    middle = xy_W_m + middle_m * np.array([cos, sin])
+    reach_m = clear_m + half_m
     return all(
         float(np.hypot(*(a.p_W_m[:2] - middle))) > reach_m + 0.5 * max(a.size_lwh_m[:2])
         for a in taken(middle, reach_m + 10.0)

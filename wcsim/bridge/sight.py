@@ -6,16 +6,21 @@ much of it lies near the way at a time, so that the user notices it once or not 
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import cv2
 import numpy as np
 
 from wcsim.types import F64, Bool, Ground, Route
 
 LOOK_AHEAD_M = 7.0
+LOOK_BACK_M = 1.0
+PIECE_M = 10.0  # of the way are searched at a time, once
 NEAR_WAY_M = 0.55  # what lies further from the line does not touch a chair that follows it
 AROUND_M = 1.5  # of the near part, looked at to see what hangs together
 THIN_M = 0.3  # one point for each square of this size is enough
 KEY_CELLS = 5  # things are known again by squares of so many cells
+NOTHING: F64 = np.zeros((0, 4))
 
 
 class ObstacleWatch:
@@ -25,28 +30,50 @@ class ObstacleWatch:
         self._ground = ground
         self._numbers: dict[tuple[int, int], int] = {}
         self._next = 0
+        self._route: Route | None = None
 
     def on_way(self, route: Route, progress_m: float) -> F64:
-        """Points (n, 4) x, y, radius, number of things near the next metres of the route; none on a clear way."""
-        ahead = (route.arc_m > progress_m - 1.0) & (route.arc_m < progress_m + LOOK_AHEAD_M)
-        way = route.points_W_m[ahead]
+        """Points (n, 4) x, y, radius, number of things near the next metres of the route; none on a clear way.
+
+        Nothing of it moves, so each piece of a route is searched once, when it comes near.
+        """
+        if route is not self._route:
+            self._route, self._found, self._arcs_m = route, NOTHING, []
+            self._searched_m = progress_m - LOOK_BACK_M
+        while self._searched_m < min(progress_m + LOOK_AHEAD_M, float(route.arc_m[-1]) + 1e-6):
+            arcs_m, found = self._search(route, self._searched_m, self._searched_m + PIECE_M)
+            self._searched_m += PIECE_M
+            self._arcs_m += arcs_m
+            self._found = np.concatenate([self._found, found])
+        first, last = (bisect_left(self._arcs_m, progress_m + m) for m in (-LOOK_BACK_M, LOOK_AHEAD_M))
+        return self._found[first:last]
+
+    def _search(self, route: Route, from_m: float, to_m: float) -> tuple[list[float], F64]:
+        """The points (n, 4) near a piece of the route, and how far along it (n,) each is; in that order."""
+        piece = (route.arc_m >= from_m) & (route.arc_m < to_m)
+        way = route.points_W_m[piece]
         if not len(way):
-            return np.zeros((0, 4))
+            return [], NOTHING
         grid = self._ground.around(0.5 * (way.min(axis=0) + way.max(axis=0)))
         if float(grid.clearance_at(way).min()) > NEAR_WAY_M + 0.6:
-            return np.zeros((0, 4))
+            return [], NOTHING
         margin_m = NEAR_WAY_M + AROUND_M
         (row0, row1), (col0, col1) = grid.cells(np.array([way.min(0) - margin_m, way.max(0) + margin_m]))
         solid = grid.clearance_dm[row0 : row1 + 1, col0 : col1 + 1] == 0
+        rows, cols = np.nonzero(solid)
+        if not len(rows):
+            return [], NOTHING
         first = np.rint(np.array(grid.origin_W_m) / grid.cell_m).astype(np.int64)  # so that numbers hold in all of W
         numbers = self._numbered(solid, int(row0 + first[1]), int(col0 + first[0]))
-        rows, cols = np.nonzero(solid)
         points = np.c_[cols + col0 + 0.5, rows + row0 + 0.5] * grid.cell_m + grid.origin_W_m
-        near = ((points[:, None] - way[None]) ** 2).sum(-1).min(1) < NEAR_WAY_M**2 if len(points) else np.zeros(0, bool)
+        gap_m = np.hypot(*np.moveaxis(points[:, None] - way[None], -1, 0))  # (n, way)
+        near = gap_m.min(axis=1) < NEAR_WAY_M
         points, things = points[near], numbers[rows[near], cols[near]]
+        along_m = route.arc_m[piece][gap_m[near].argmin(axis=1)]
         _, keep = np.unique(np.floor(points / THIN_M).astype(np.int64), axis=0, return_index=True)
-        keep = np.sort(keep)
-        return np.asarray(np.c_[points[keep], np.full(len(keep), 0.1), things[keep]], np.float64)
+        keep = keep[np.argsort(along_m[keep], kind="stable")]
+        found = np.c_[points[keep], np.full(len(keep), 0.1), things[keep]]
+        return along_m[keep].tolist(), np.asarray(found, np.float64)
 
     def _numbered(self, solid: Bool, row0: int, col0: int) -> F64:
         """The number of the thing that each solid cell belongs to, as an image; -1 where nothing stands."""

@@ -1,33 +1,29 @@
 """What the bridge costs: one world beside a twin in which the bridge is left out, tick by tick in turns.
 
-Each world lives in a process of its own (libsumo holds one a process); they take turns, so that both are timed under
-the same load. The twin's SUMO and engine do the same work on the same town with the same seed; nobody reacts and
-nothing is mirrored in it.
+The twin's SUMO and engine do the same work on the same town with the same seed; nobody reacts and nothing is mirrored
+in it.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+import psutil  # type: ignore[import-untyped]
 
 from wcsim.bridge.stopwatch import Stopwatch
+from wcsim.bridge.turns import Contestant, in_turns
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
-from wcsim.errors import SumoError
 from wcsim.towns.town import Town, open_town
 from wcsim.types import Command, SeatSpec
 
 SETTLE_TICKS = 50
 BLOCK_TICKS = 10
-ANSWER_S = 120.0
-STAGES = ("react", "read", "mirror")
+STAGES = ("react", "sumo", "read", "mirror", "physics", "user", "render", "truth", "street")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +43,7 @@ class BridgeCost:
         return (self.react_ms + self.read_ms + self.mirror_ms) / self.engines_ms
 
 
-class _Twin(World):
+class Twin(World):
     """A world without a bridge, whose engines are timed alone."""
 
     engines_s = 0.0
@@ -74,79 +70,83 @@ class _Twin(World):
             self._open_engine.step()
             self.engines_s += time.thread_time() - start_s
             for seat in self.seats:
-                seat.after_substep(self.config.world.tick_s / self.config.world.substeps)
+                seat.after_substep()
+
+
+class TimedWorld:
+    """A world that follows its users and times its stages; see `STAGES` and `turns.Runner`."""
+
+    def __init__(self, sumocfg: Path, config: RunConfig, specs: tuple[SeatSpec, ...], seed: int) -> None:
+        self.world = World(open_town(sumocfg), config, specs, seed)
+        self.world.stopwatch = Stopwatch(time.thread_time)
+        _settle(self.world)
+
+    def tick(self) -> tuple[float, ...]:
+        """Wall seconds of the tick, its processor seconds, those of every stage, actors in town, mirrored, memory."""
+        self.world.stopwatch.take()
+        wall_s, cpu_s = time.perf_counter(), time.thread_time()
+        self.world.tick(as_users_wish(self.world.snapshot))
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.thread_time() - cpu_s
+        spent = dict(self.world.stopwatch.take())
+        stages = (spent.get(name, 0.0) for name in STAGES)
+        memory = float(psutil.Process().memory_info().rss)
+        return (wall_s, cpu_s, *stages, float(sum(self.world.counts())), float(len(self.world.snapshot.actors)), memory)
+
+    def close(self) -> None:
+        """End the world."""
+        self.world.close()
+
+
+class TimedTwin:
+    """The twin; a tick gives the processor seconds of its bare engines. See `turns.Runner`."""
+
+    def __init__(self, sumocfg: Path, config: RunConfig, specs: tuple[SeatSpec, ...], seed: int) -> None:
+        self.world = Twin(open_town(sumocfg), config, specs, seed)
+        _settle(self.world)
+
+    def tick(self) -> tuple[float, ...]:
+        """The processor seconds of SUMO's step and the physics steps."""
+        self.world.tick(as_users_wish(self.world.snapshot))
+        return (self.world.engines_s,)
+
+    def close(self) -> None:
+        """End the world."""
+        self.world.close()
 
 
 def measure_bridge(
     town: Town, config: RunConfig, ticks: int, seed: int, progress: Callable[[int], object]
 ) -> BridgeCost:
     """Run both worlds for `ticks` ticks, in turns. Raises SumoError when one of them dies."""
-    context = multiprocessing.get_context("spawn")
-    rows: tuple[list[tuple[float, ...]], list[tuple[float, ...]]] = ([], [])
-    with ExitStack() as held:
-        ends = []
-        for bare in (False, True):
-            mine, theirs = context.Pipe()
-            child = context.Process(target=_serve, args=(theirs, town.sumocfg, config, seed, bare), daemon=True)
-            child.start()
-            theirs.close()
-            held.callback(child.join, 10.0)
-            held.callback(child.terminate)
-            held.enter_context(mine)
-            ends.append(mine)
-        for end in ends:
-            _answer(end)
-        for tick in range(ticks):
-            for end, found in zip(ends, rows, strict=True):
-                end.send(True)
-                found.append(_answer(end))
-            progress(tick + 1)
-    react, read, mirror, actors, mirrored = _typical(rows[0])
-    (engines,) = _typical(rows[1])
+    given = (town.sumocfg, config, (SeatSpec(),), seed)
+    pair = (Contestant(make=TimedWorld, given=given), Contestant(make=TimedTwin, given=given))
+    ours, bare = in_turns(pair, ticks, progress)
+    return bridge_cost(ours, bare)
+
+
+def bridge_cost(ours: list[tuple[float, ...]], bare: list[tuple[float, ...]]) -> BridgeCost:
+    """The cost of the bridge from the ticks of a `TimedWorld` and a `TimedTwin`."""
+    _, _, *middle, actors, mirrored, _ = typical(ours)
+    spent = dict(zip(STAGES, middle, strict=True))
+    (engines,) = typical(bare)
     return BridgeCost(
-        react_ms=1e3 * react,
-        read_ms=1e3 * read,
-        mirror_ms=1e3 * mirror,
+        react_ms=1e3 * spent["react"],
+        read_ms=1e3 * spent["read"],
+        mirror_ms=1e3 * spent["mirror"],
         engines_ms=1e3 * engines,
         actors=actors,
         mirrored=mirrored,
     )
 
 
-def _typical(rows: list[tuple[float, ...]]) -> list[float]:
-    """The median of each column over the means of blocks of ticks."""
-    whole = np.array(rows[: len(rows) // BLOCK_TICKS * BLOCK_TICKS])
-    typical: list[float] = np.median(whole.reshape(-1, BLOCK_TICKS, whole.shape[1]).mean(axis=1), axis=0).tolist()
-    return typical
+def typical(rows: list[tuple[float, ...]]) -> list[float]:
+    """The median of each column over the means of blocks of ticks (of the ticks themselves, when they are few)."""
+    block = BLOCK_TICKS if len(rows) >= 2 * BLOCK_TICKS else 1
+    whole = np.array(rows[: len(rows) // block * block])
+    values: list[float] = np.median(whole.reshape(-1, block, whole.shape[1]).mean(axis=1), axis=0).tolist()
+    return values
 
 
-def _answer(end: Connection) -> tuple[float, ...]:
-    try:
-        if end.poll(ANSWER_S):
-            numbers: tuple[float, ...] = end.recv()
-            return numbers
-    except EOFError:
-        pass
-    raise SumoError("a world of the comparison died or hangs; run `wcsim doctor`, then try again")
-
-
-def _serve(end: Connection, sumocfg: Path, config: RunConfig, seed: int, bare: bool) -> None:
-    """One of the two worlds: a tick for each message, the numbers of that tick as the answer."""
-    kind = _Twin if bare else World
-    with kind(open_town(sumocfg), config, (SeatSpec(),), seed) as world:
-        world.stopwatch = Stopwatch(time.thread_time)
-        for _ in range(SETTLE_TICKS):
-            world.tick(as_users_wish(world.snapshot))
-        end.send(())
-        while True:
-            try:
-                end.recv()
-            except EOFError:
-                return
-            world.stopwatch.take()
-            world.tick(as_users_wish(world.snapshot))
-            if isinstance(world, _Twin):
-                end.send((world.engines_s,))
-            else:
-                spent = dict(world.stopwatch.take())
-                end.send((*(spent.get(name, 0.0) for name in STAGES), sum(world.counts()), len(world.snapshot.actors)))
+def _settle(world: World) -> None:
+    for _ in range(SETTLE_TICKS):
+        world.tick(as_users_wish(world.snapshot))

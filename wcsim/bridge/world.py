@@ -31,6 +31,9 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.bodies import BodyPool
 from wcsim.physics.camera import CameraRig
 from wcsim.physics.engine import Engine
+from wcsim.physics.mounting import refuse_cameras_inside
+from wcsim.physics.plant import plant_spec
+from wcsim.physics.renderer.store import GeometryStore
 from wcsim.streets import FLAT, joined_mesh
 from wcsim.towns.netcheck import require_pavement, validate_net
 from wcsim.towns.routes import Router
@@ -41,7 +44,7 @@ from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatS
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
 LEVEL_M = 2.5  # who is so much above or below a chair is on another level
-TILE_REACH_M = 30.0  # the street this far beyond the cameras' range is in memory
+TILE_REACH_M = 30.0  # the street so far around a chair is in the engine, and so far beyond its cameras' range in sight
 TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
 
 
@@ -58,7 +61,8 @@ class World:
     ) -> None:
         """Load the town and warm its traffic up; `place` says where the outputs of its SUMO scenario go.
 
-        Raises TownError for a net that cannot be used, WorldInUseError while another world lives in this process.
+        Raises TownError for a net that cannot be used, ConfigError for a camera inside the chair's body,
+        WorldInUseError while another world lives in this process.
         """
         refuse_second_world()
         validate_net(town.net)
@@ -66,13 +70,14 @@ class World:
         self.config = config
         self.street = load_street(town)
         if specs:
+            refuse_cameras_inside(config.cameras, plant_spec(config.chair).frame.boxes)
             require_pavement(self.street, town)
         router = Router(self.street.walk) if specs else None
         self.seats = tuple(Seat(i, spec, config, self.street, router) for i, spec in enumerate(specs) if router)
         self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
         self.epoch = -1
-        self._drawn: set[TileKey] = set()
+        self._drawn: dict[TileKey, GeometryStore] = {}
         self._engine: Engine | None = None
         self.snapshot: Snapshot
         self._held = ExitStack()
@@ -164,17 +169,16 @@ class World:
             self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
-        dt_s = self.config.world.tick_s / self.config.world.substeps
         self._reach_street()
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
-                seat.chair.command(command.joystick)
+                seat.command(command.joystick)
             for _ in range(self.config.world.substeps):
                 for seat in self.seats:
                     seat.chair.before_step()
                 self._open_engine.step()
                 for seat in self.seats:
-                    seat.after_substep(dt_s)
+                    seat.after_substep()
         with self.stopwatch.measure("mirror"):
             self._guard.check(self._actors)
 
@@ -208,6 +212,7 @@ class World:
         self._bodies = BodyPool(self._engine)
         self._guard = MirrorGuard(self._bodies)
         self._articulation = Articulation()
+        self._rig.begin(seed)
         for seat in self.seats:
             seat.build(self._engine, seed)
         self.snapshot = self._published(self._open_episodes(self.seats))
@@ -223,6 +228,8 @@ class World:
         for seat in seats:
             seat.spawn(self._taken)
             self._rig.reset(seat.index)
+            if seat.fitting is not None:
+                self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)
         if seats:
             self._reach_street()
             self._read_street()
@@ -242,27 +249,29 @@ class World:
 
     def _seen(self, seat: Seat, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
-            poses = [other.pose() for other in self.seats]
+            poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
             sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals)
         with self.stopwatch.measure("truth"):
-            truth = seat.truth(self._others(seat))
+            truth = seat.truth(self._others(seat)) if seat.spec.truth else None
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
     def _reach_street(self) -> None:
         """Bring the street near every chair into memory: into the engine for good, into the pictures for now."""
-        here_W_m = self._places()
-        reach_m = max(camera.range_m for camera in self.config.cameras) + TILE_REACH_M
-        near = self.street.tiles.near(here_W_m, reach_m)
-        if self._drawn.issuperset(near) and self._solid.issuperset(near):
+        tiles, here_W_m = self.street.tiles, self._places()
+        sight_m = max(camera.range_m for camera in self.config.cameras) + TILE_REACH_M
+        under = [key for key in tiles.near(here_W_m, TILE_REACH_M) if key not in self._solid]
+        drawn = self._drawn.keys() >= set(tiles.near(here_W_m, sight_m))
+        if drawn and not under:
             return
         with self.stopwatch.measure("street"):
-            for key in near:
-                if key not in self._solid:
-                    self._open_engine.add_street(self.street.tiles.mesh(key))
-                    self._solid.add(key)
-            keys = self.street.tiles.near(here_W_m, reach_m + TILE_KEEP_M)
-            self._rig.show(joined_mesh([self.street.tiles.mesh(key) for key in keys]))
-            self._drawn = set(keys)
+            for key in under:
+                self._open_engine.add_street(tiles.mesh(key))
+                self._solid.add(key)
+            if not drawn:
+                keys = tiles.near(here_W_m, sight_m + TILE_KEEP_M)
+                old = self._drawn
+                self._drawn = {key: old.get(key) or GeometryStore(tiles.mesh(key)) for key in keys}
+                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
 
     def _read_street(self) -> None:
         """See the street again, after a chair has moved to another place."""
@@ -315,6 +324,7 @@ class World:
             on_road=ground in ROADWAY,
             yaw_rad=chair.yaw_rad,
             z_m=z,
+            half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
         )
 
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.bridge.reaction_bench import Battery, run_battery
-from wcsim.cli.common import OutFile, in_bounds, parse, write_json
+from wcsim.cli.common import OutFile, in_bounds, write_json
 
 
 @dataclass
@@ -34,9 +34,8 @@ class ReactionOptions:
     """Write the result to this file."""
 
 
-def run(words: list[str]) -> int:
+def run(options: ReactionOptions) -> int:
     """Run the bench."""
-    options = parse(ReactionOptions, words, "bench reaction")
     in_bounds("--minutes", options.minutes, 0.1, 120)
     in_bounds("--trials", options.trials, 1, 1000)
     in_bounds("--streets", options.streets, 1, 3)

@@ -15,7 +15,6 @@ from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, wr
 from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import TownError
-from wcsim.supervisor.profiles import profile
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
@@ -31,11 +30,11 @@ class Options:
     """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
-    """What to test; the baselines follow, random, zero and stop are always added."""
+    """What to test; the baselines follow, random, zero, stop and dwa are always added, oracle is not."""
     town: str = "monaco"
     """Towns, joined by commas."""
     profile: str = "inattentive"
-    """User profiles, joined by commas."""
+    """User profiles, joined by commas; recorded:FILE.csv replays a recorded joystick."""
     episodes: int = 5
     """Episodes for each policy, town and profile."""
     max_steps: int = 10_000
@@ -120,9 +119,13 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
+    from wcsim.supervisor.recorded import find_user  # numba is loaded here, not for --help
+
     in_bounds("--episodes", options.episodes, 1, math.inf)
     in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
-    profiles = tuple(profile(name).name for name in some_words("--profile", options.profile))
+    profiles = some_words("--profile", options.profile)
+    for name in profiles:
+        find_user(name)
     return _towns(options), profiles
 
 

@@ -19,7 +19,7 @@ from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, 
 from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
-from wcsim.supervisor.profiles import HELD_OUT, profile
+from wcsim.supervisor.profiles import HELD_OUT
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
@@ -114,10 +114,11 @@ def train_in(
     from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
     from wcsim.bridge.stage import settings_of
+    from wcsim.supervisor.recorded import find_user
 
     check_folder("--out", out)
     find_network(config.learn.network)
-    profile(config.env.profile)
+    find_user(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
     overrides = scenario_overrides(town, settings_of(config, seeding.derive(seed, "sumo")))
     aided = config.learn.aid == "oracle"

@@ -5,26 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import TracebackType
 
 import numpy as np
 
-from wcsim import frames
+from wcsim import frames, seeding
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
+from wcsim.physics.camera_noise import camera_noise
+from wcsim.physics.noise import child
 from wcsim.physics.renderer.base import Images, Pinhole, Renderer, new_images
 from wcsim.physics.renderer.instances import (
     ChairPose,
     Instances,
     actor_instances,
     chair_instances,
+    chosen,
     joined,
     rotation_of,
 )
 from wcsim.physics.renderer.lamps import SignalLamps
 from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.store import GeometryStore
-from wcsim.types import F64, ActorState, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+from wcsim.types import F64, U8, ActorState, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 
@@ -46,14 +50,17 @@ class _Shutter:
     buffers: tuple[Images, ...]
     turn: int = 0
     last: CameraFrame | None = None
+    key: int = 0  # of its noise
 
 
 @dataclass(slots=True)
 class _Cast:
-    """The actors of a tick as instances; all seats of the tick share them."""
+    """The actors and the wheelchairs of a tick as instances; all seats of the tick share them."""
 
     actors: Sequence[ActorState] = ()
     instances: Instances = field(default_factory=lambda: actor_instances(()))
+    chairs: Sequence[ChairPose] = ()
+    chair_instances: Instances = field(default_factory=lambda: chair_instances(()))
 
 
 class CameraRig:
@@ -91,9 +98,14 @@ class CameraRig:
             warm_up(raster)
         self._lamps = SignalLamps(heads)
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
-        self._mounts = tuple(mount(camera) for camera in cameras)
+        self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
+        self._light = [1.0] * seats
+        self._noises = tuple(camera_noise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
+        for noise in filter(None, self._noises):
+            noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
         self._cast = _Cast()
+        self.begin(0)
 
     def __enter__(self) -> CameraRig:
         return self
@@ -110,11 +122,23 @@ class CameraRig:
                 renderer.close()
         self._renderers.clear()
 
-    def show(self, mesh: StreetMesh) -> None:
+    def show(self, street: StreetMesh | GeometryStore) -> None:
         """Draw this part of the street from now on."""
         self.close()
-        self.store = GeometryStore(mesh)
+        self.store = street if isinstance(street, GeometryStore) else GeometryStore(street)
         self._renderers = {name: _renderer(name, self.store) for name in sorted({c.renderer for c in self.cameras})}
+
+    def begin(self, seed: int) -> None:
+        """Take the noise of the pictures from this seed on; each seat and camera has its own."""
+        for seat, shutters in enumerate(self._shutters):
+            for shutter, camera in zip(shutters, self.cameras, strict=True):
+                shutter.key = seeding.key(seed, "camera", seat, camera.name)
+                shutter.last = None
+
+    def mount(self, seat: int, cameras: Sequence[CameraConfig], light: float) -> None:
+        """Put the cameras of a seat where these are from now on, into a street `light` times as bright as usual."""
+        self._mounts[seat] = tuple(mount(camera) for camera in cameras)
+        self._light[seat] = light
 
     def reset(self, seat: int) -> None:
         """Forget what the cameras of a seat saw, so that each takes a new image at its next shot."""
@@ -138,7 +162,7 @@ class CameraRig:
             tick: the tick that the images show.
             plant: where the seat's wheelchair is.
             actors: what moves in the street; a tuple that is given again (the same object) is not read again.
-            chairs: the wheelchairs, the seat's own among them or not; it is never drawn.
+            chairs: the wheelchairs, the seat's own among them or not; it is never drawn. A tuple, as with the actors.
             buffers: where to write; the rig's own buffers when None.
             signals: the traffic lights of now; a head whose light is not among them is dark.
 
@@ -148,18 +172,18 @@ class CameraRig:
         Raises:
             ConfigError: when given buffers do not fit the cameras.
         """
-        others = chair_instances([chair for chair in chairs if chair.seat != seat])
+        others = self._other_chairs(seat, chairs)
         lamps = self._lamps.near(plant.p_WB_m, max(camera.range_m for camera in self.cameras), signals)
         instances = joined(joined(self._actors(actors), others), lamps)
         T_WB = pose_matrix(plant.p_WB_m, plant.q_WB)
         shots = []
         for index, shutter in enumerate(self._shutters[seat]):
             own = buffers.images[index] if buffers is not None else None
-            shots.append(self._shot(index, shutter, tick, T_WB, instances, own))
+            shots.append(self._shot(seat, index, shutter, tick, T_WB, instances, own))
         return tuple(shots)
 
     def _shot(
-        self, index: int, shutter: _Shutter, tick: int, T_WB: F64, instances: Instances, own: Images | None
+        self, seat: int, index: int, shutter: _Shutter, tick: int, T_WB: F64, instances: Instances, own: Images | None
     ) -> CameraFrame:
         camera = self.cameras[index]
         if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
@@ -168,16 +192,28 @@ class CameraRig:
             return shutter.last
         out = own if own is not None else shutter.buffers[shutter.turn]
         shutter.turn = (shutter.turn + 1) % BUFFERS
-        T_CW = camera_matrix(T_WB, self._mounts[index])
+        T_CW = camera_matrix(T_WB, self._mounts[seat][index])
         self._renderers[camera.renderer].render(self._pinholes[index], T_CW, instances, out)
+        if out.rgb is not None and self._light[seat] != 1.0:
+            np.take(brightened(self._light[seat]), out.rgb, out=out.rgb)
+        noise = self._noises[index]
+        if noise is not None:  # a tick that ends an episode takes two pictures
+            noise.lay_over(out, child(shutter.key, 2 * tick + (shutter.last is None)))
         shutter.last = _frame(camera.name, tick, out)
         return shutter.last
+
+    def _other_chairs(self, seat: int, chairs: Sequence[ChairPose]) -> Instances:
+        if not isinstance(chairs, tuple):  # a list may have changed since
+            return chair_instances([chair for chair in chairs if chair.seat != seat])
+        if chairs is not self._cast.chairs:
+            self._cast.chairs, self._cast.chair_instances = chairs, chair_instances(chairs)
+        return chosen(self._cast.chair_instances, np.array([chair.seat != seat for chair in chairs], np.bool_))
 
     def _actors(self, actors: Sequence[ActorState]) -> Instances:
         if not isinstance(actors, tuple):  # a list may have changed since
             return actor_instances(actors)
         if actors is not self._cast.actors:
-            self._cast = _Cast(actors, actor_instances(actors))
+            self._cast.actors, self._cast.instances = actors, actor_instances(actors)
         return self._cast.instances
 
 
@@ -195,6 +231,13 @@ class FreeCamera:
         images = new_images(self.camera.width_px, self.camera.height_px, rgb=True)
         self._renderer.render(self.camera, T_CW, instances, images)
         return images
+
+
+@lru_cache(maxsize=64)
+def brightened(light: float) -> U8:
+    """What each of 256 colour values becomes in a street `light` times as bright."""
+    table: U8 = np.minimum(np.arange(256) * light, 255.0).astype(np.uint8)
+    return table
 
 
 def pinhole(camera: CameraConfig) -> Pinhole:

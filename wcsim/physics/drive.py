@@ -2,94 +2,79 @@
 
 Linear velocity is held by two PI controllers, throttle and brake, as in the paper; angular velocity is set directly
 within its limits. What they give are target speeds for the two motors, whose torque ends where that of a DC motor does.
+All of it is compiled, and works on an array of memory (`new_state`) and one of settings (`settings`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+
 from wcsim.config import ChairConfig
+from wcsim.jit import exact_kernel
 from wcsim.physics.plant import PlantSpec
-from wcsim.types import Joystick
+from wcsim.types import F64
 
 YAW_SLOWDOWN_S_PER_M: Final = 0.6  # the fastest turn falls as 1 / (1 + 0.6 v)
 PI_KP_PER_S: Final = 3.0
 PI_KI_PER_S2: Final = 1.0
+SLIP_MPS: Final = 0.1  # more than this between wheels and ground is a wheel without grip
 SPEED_BAND_MPS: Final = 0.25  # how far the controllers may lead the speed that is wanted
+STEER_S: Final = 10.0  # share of its torque that a wheel loses for each rad/s by which it outruns the turn asked for
 _STILL_MPS: Final = 1e-3
 _STILL_RADPS: Final = 1e-3
 
+# memory of the controllers
+V_REF_MPS, A_REF_MPS2, W_REF_RADPS, V_MOTOR_MPS = 0, 1, 2, 3
+THROTTLE_MPS2, BRAKE_MPS2 = 4, 5  # integral parts of the two PI controllers
+IDLE_S, STICK_X, STICK_Y = 6, 7, 8
+_STATE_SIZE: Final = 9
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
-    """What a joystick position asks for."""
-
-    v_mps: float  # forward positive
-    w_radps: float  # to the left positive
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WheelCommand:
-    """Targets and torque limits for the left and the right motor."""
-
-    radps: tuple[float, float]
-    torque_Nm: tuple[float, float]
+# settings
+_DT_S, _DEADBAND, _EXPONENT, _SMOOTHING = 0, 1, 2, 3
+_V_MAX, _REVERSE, _ACCEL, _DECEL, _JERK = 4, 5, 6, 7, 8
+_YAW_MAX, _YAW_ACCEL, _BRAKE_AFTER = 9, 10, 11
+_HALF_TRACK, _RADIUS = 12, 13
+_STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 14, 15, 16, 17
 
 
-@dataclass(slots=True)
-class PiState:
-    """Memory of one PI controller: its integral part, in m/s2."""
-
-    integral_mps2: float = 0.0
+def new_state() -> F64:
+    """Memory of the controllers of a chair that stands."""
+    return np.zeros(_STATE_SIZE)
 
 
-@dataclass(slots=True)
-class DriveState:
-    """Memory of the drive controllers of one chair."""
-
-    v_ref_mps: float = 0.0
-    a_ref_mps2: float = 0.0
-    w_ref_radps: float = 0.0
-    v_motor_mps: float = 0.0
-    throttle: PiState = field(default_factory=PiState)
-    brake: PiState = field(default_factory=PiState)
-    idle_s: float = 0.0
-
-
-def shaped(joystick: Joystick, deadband: float, exponent: float) -> Joystick:
-    """A joystick position inside the unit disc, without its deadband, then shaped along its radius.
-
-    >>> shaped(Joystick(0.0, 0.05), 0.08, 1.0)
-    Joystick(x=0.0, y=0.0)
-    >>> shaped(Joystick(0.0, 3.0), 0.08, 1.5)
-    Joystick(x=0.0, y=1.0)
-    """
-    radius = math.hypot(joystick.x, joystick.y)
-    if not radius > deadband:
-        return Joystick(0.0, 0.0)
-    out = ((min(radius, 1.0) - deadband) / (1.0 - deadband)) ** exponent
-    return Joystick(joystick.x / radius * out, joystick.y / radius * out)
+def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
+    """Everything that `step` must know of a chair, for control steps of `dt_s`."""
+    damping_s = chair.tremor_damping_s
+    return np.array(
+        [
+            dt_s,
+            chair.deadband,
+            chair.shape_exponent,
+            1.0 - math.exp(-dt_s / damping_s) if damping_s > 0.0 else 1.0,
+            chair.v_max_mps,
+            chair.reverse_share,
+            chair.accel_mps2,
+            chair.decel_mps2,
+            chair.jerk_mps3,
+            chair.yaw_rate_max_radps,
+            chair.yaw_accel_radps2,
+            chair.brake_after_s,
+            0.5 * spec.wheel.track_m,
+            spec.wheel.radius_m,
+            spec.motor.stall_torque_Nm,
+            spec.motor.no_load_radps,
+            spec.motor.least_torque_share,
+            spec.motor.brake_torque_Nm,
+        ]
+    )
 
 
 def yaw_rate_limit(v_mps: float, chair: ChairConfig) -> float:
     """The fastest turn at a speed, in rad/s: full in place, slower the faster the chair drives."""
     return chair.yaw_rate_max_radps / (1.0 + YAW_SLOWDOWN_S_PER_M * abs(v_mps))
-
-
-def target(joystick: Joystick, v_now_mps: float, chair: ChairConfig) -> Target:
-    """The speeds that a joystick position asks for; the faster of speed now and speed asked for limits the turn.
-
-    Args:
-        joystick: The position; it is pulled to the unit disc first.
-        v_now_mps: Speed that the chair has at the moment.
-        chair: Limits and shape.
-    """
-    stick = shaped(joystick, chair.deadband, chair.shape_exponent)
-    v = stick.y * chair.v_max_mps * (chair.reverse_share if stick.y < 0.0 else 1.0)
-    limit = yaw_rate_limit(max(abs(v), abs(v_now_mps)), chair)
-    return Target(v_mps=v, w_radps=0.0 - stick.x * limit)
 
 
 def stopping_distance_m(v_mps: float, decel_mps2: float, jerk_mps3: float) -> float:
@@ -102,94 +87,158 @@ def stopping_distance_m(v_mps: float, decel_mps2: float, jerk_mps3: float) -> fl
     return 0.5 * v_mps * v_mps / full + 0.5 * abs(v_mps) * full / jerk_mps3
 
 
+def speed_mps(axle_mps: float, wheels_mps: float) -> float:
+    """The speed that the controllers take for the chair's: that of its axle, but near that of its wheels.
+
+    A chair that turns on the spot creeps a little without its wheels' knowing, which the axle's speed corrects. Where
+    one wheel has no grip, as across a ramp, the axle swings round the other one, and holding its speed would brake the
+    only wheel that can steer.
+    """
+    return wheels_mps + min(max(axle_mps - wheels_mps, -SLIP_MPS), SLIP_MPS)
+
+
+@exact_kernel
+def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
+    """A joystick position inside the unit disc, without its deadband, then shaped along its radius."""
+    radius = math.sqrt(x * x + y * y)
+    if not radius > deadband:
+        return 0.0, 0.0
+    out = ((min(radius, 1.0) - deadband) / (1.0 - deadband)) ** exponent
+    return x / radius * out, y / radius * out
+
+
+@exact_kernel
+def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
+    """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
+
+    The position is pulled to the unit disc first. The faster of reference speed and speed asked for limits the turn;
+    the measured speed would not do, because the axle of a chair that turns in place trembles.
+
+    Args:
+        x: Joystick to the right.
+        y: Joystick forward.
+        v_ref_mps: Speed that the controllers hold at the moment.
+        setting: From `settings`.
+    """
+    sx, sy = shaped(x, y, setting[_DEADBAND], setting[_EXPONENT])
+    v = sy * setting[_V_MAX]
+    if sy < 0.0:
+        v *= setting[_REVERSE]
+    limit = setting[_YAW_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v), abs(v_ref_mps)))
+    return v, 0.0 - sx * limit
+
+
+@exact_kernel
+def motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
+    """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
+    return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
+
+
+@exact_kernel
+def _towards(value: float, goal: float, most: float) -> float:
+    return value + min(max(goal - value, -most), most)
+
+
+@exact_kernel
+def _follow_speed(state: F64, v_wanted_mps: float, setting: F64) -> None:
+    """Move the reference speed towards the wanted one within the limits of acceleration and jerk."""
+    dt_s, jerk = setting[_DT_S], setting[_JERK]
+    gap = v_wanted_mps - state[V_REF_MPS]
+    limit = setting[_DECEL] if state[V_REF_MPS] * gap < 0.0 else setting[_ACCEL]
+    # sqrt(2 j |gap|) is the acceleration from which a jerk of j ends exactly at the wanted speed; one step ahead, so
+    # that the jerk has not to catch up at the end
+    ahead = gap - state[A_REF_MPS2] * dt_s
+    a_wanted = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
+    state[A_REF_MPS2] = _towards(state[A_REF_MPS2], a_wanted, jerk * dt_s)
+    move = state[A_REF_MPS2] * dt_s
+    if abs(gap) <= abs(move) + _STILL_MPS * dt_s and abs(state[A_REF_MPS2]) <= 2.0 * jerk * dt_s + 0.1:
+        state[V_REF_MPS] = v_wanted_mps
+        state[A_REF_MPS2] = 0.0
+    else:
+        state[V_REF_MPS] += move
+
+
+@exact_kernel
+def _control(state: F64, v_mps: float, setting: F64) -> None:
+    """Throttle or brake: the motors' speed moves on by the acceleration that the controller in charge gives.
+
+    A PI controller with a feed-forward part; its integral rests while the output is at a bound.
+    """
+    dt_s, v_ref = setting[_DT_S], state[V_REF_MPS]
+    forward = 1.0 if v_ref + 1e-9 * state[A_REF_MPS2] >= 0.0 else -1.0
+    error = forward * (v_ref - v_mps)
+    out = forward * state[A_REF_MPS2] + PI_KP_PER_S * error
+    if out >= 0.0:
+        charge, rest = THROTTLE_MPS2, BRAKE_MPS2
+        low, high = 0.0, 2.0 * setting[_ACCEL]
+    else:
+        charge, rest = BRAKE_MPS2, THROTTLE_MPS2
+        low, high = -2.0 * setting[_DECEL], 0.0
+    state[rest] = 0.0
+    out += state[charge]
+    held = min(max(out, low), high)
+    if out == held:
+        state[charge] += PI_KI_PER_S2 * error * dt_s
+    motor = state[V_MOTOR_MPS] + forward * held * dt_s
+    state[V_MOTOR_MPS] = min(max(motor, v_ref - SPEED_BAND_MPS), v_ref + SPEED_BAND_MPS)
+
+
+@exact_kernel
+def _steered(ahead_radps: float, push_radps: float) -> float:
+    """Share of its torque for a wheel that is ahead of the other one and is pushed on."""
+    return max(0.0, 1.0 - STEER_S * abs(ahead_radps)) if ahead_radps * push_radps > 0.0 else 1.0
+
+
+@exact_kernel
+def _damped(state: F64, x: float, y: float, setting: F64) -> None:
+    """The controller's low-pass against a trembling hand."""
+    share = setting[_SMOOTHING]
+    if share >= 1.0:
+        state[STICK_X] = x
+        state[STICK_Y] = y
+    else:
+        state[STICK_X] += share * (x - state[STICK_X])
+        state[STICK_Y] += share * (y - state[STICK_Y])
+
+
+@exact_kernel
 def step(
-    state: DriveState,
-    joystick: Joystick,
-    v_mps: float,
-    wheel_radps: tuple[float, float],
-    chair: ChairConfig,
-    spec: PlantSpec,
-    dt_s: float,
-) -> WheelCommand:
-    """One control step: `state` is moved on by `dt_s`, the command holds for the physics step to come.
+    state: F64, setting: F64, x: float, y: float, v_mps: float, left_radps: float, right_radps: float
+) -> tuple[float, float, float, float]:
+    """One control step: `state` is moved on, the result holds for the physics step to come.
 
     Args:
         state: The chair's memory, changed in place.
-        joystick: What the driver wants now.
-        v_mps: Measured forward speed of the drive axle.
-        wheel_radps: Measured speeds of the left and the right drive wheel.
-        chair: Limits of the drive.
-        spec: The plant's wheels and motors.
-        dt_s: Length of the step.
+        setting: From `settings`.
+        x: Joystick to the right.
+        y: Joystick forward.
+        v_mps: Measured forward speed, see `speed_mps`.
+        left_radps: Measured speed of the left drive wheel.
+        right_radps: And of the right one.
+
+    Returns:
+        Target speeds in rad/s and torque limits in Nm of the motors: left, right, left, right.
     """
-    wanted = target(joystick, v_mps, chair)
-    idle = wanted.v_mps == 0.0 and wanted.w_radps == 0.0
-    _follow_speed(state, wanted.v_mps, chair, dt_s)
-    state.w_ref_radps = _towards(state.w_ref_radps, wanted.w_radps, chair.yaw_accel_radps2 * dt_s)
-    state.idle_s = state.idle_s + dt_s if idle else 0.0
-    if idle and abs(state.v_ref_mps) < _STILL_MPS and abs(state.w_ref_radps) < _STILL_RADPS:
-        _stand(state)
-        if state.idle_s >= chair.brake_after_s:
-            return WheelCommand(radps=(0.0, 0.0), torque_Nm=(spec.brake_torque_Nm, spec.brake_torque_Nm))
+    _damped(state, x, y, setting)
+    v_wanted, w_wanted = target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
+    idle = v_wanted == 0.0 and w_wanted == 0.0
+    _follow_speed(state, v_wanted, setting)
+    state[W_REF_RADPS] = _towards(state[W_REF_RADPS], w_wanted, setting[_YAW_ACCEL] * setting[_DT_S])
+    state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
+    if idle and abs(state[V_REF_MPS]) < _STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
+        state[:IDLE_S] = 0.0
+        if state[IDLE_S] >= setting[_BRAKE_AFTER]:
+            return 0.0, 0.0, setting[_BRAKE_TORQUE], setting[_BRAKE_TORQUE]
     else:
-        _control(state, v_mps, chair, dt_s)
-    half = 0.5 * spec.track_m * state.w_ref_radps
-    return WheelCommand(
-        radps=((state.v_motor_mps - half) / spec.wheel_radius_m, (state.v_motor_mps + half) / spec.wheel_radius_m),
-        torque_Nm=(motor_torque_Nm(wheel_radps[0], spec), motor_torque_Nm(wheel_radps[1], spec)),
+        _control(state, v_mps, setting)
+    half = setting[_HALF_TRACK] * state[W_REF_RADPS]
+    left = (state[V_MOTOR_MPS] - half) / setting[_RADIUS]
+    right = (state[V_MOTOR_MPS] + half) / setting[_RADIUS]
+    # steering comes first: where both motors are at their limit, uphill, the chair would turn across the slope
+    ahead = (left_radps - right_radps) - (left - right)
+    return (
+        left,
+        right,
+        motor_torque_Nm(left_radps, setting) * _steered(ahead, left - left_radps),
+        motor_torque_Nm(right_radps, setting) * _steered(-ahead, right - right_radps),
     )
-
-
-def motor_torque_Nm(wheel_radps: float, spec: PlantSpec) -> float:
-    """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
-    return spec.stall_torque_Nm * max(spec.least_torque_share, 1.0 - abs(wheel_radps) / spec.no_load_radps)
-
-
-def _follow_speed(state: DriveState, v_wanted_mps: float, chair: ChairConfig, dt_s: float) -> None:
-    """Move the reference speed towards the wanted one within the limits of acceleration and jerk."""
-    gap = v_wanted_mps - state.v_ref_mps
-    slowing = state.v_ref_mps * gap < 0.0
-    limit = chair.decel_mps2 if slowing else chair.accel_mps2
-    # sqrt(2 j |gap|) is the acceleration from which a jerk of j ends exactly at the wanted speed; one step ahead, so
-    # that the jerk has not to catch up at the end
-    ahead = gap - state.a_ref_mps2 * dt_s
-    a_wanted = math.copysign(min(limit, math.sqrt(2.0 * chair.jerk_mps3 * abs(ahead))), ahead)
-    state.a_ref_mps2 = _towards(state.a_ref_mps2, a_wanted, chair.jerk_mps3 * dt_s)
-    move = state.a_ref_mps2 * dt_s
-    if abs(gap) <= abs(move) + _STILL_MPS * dt_s and abs(state.a_ref_mps2) <= 2.0 * chair.jerk_mps3 * dt_s + 0.1:
-        state.v_ref_mps, state.a_ref_mps2 = v_wanted_mps, 0.0
-    else:
-        state.v_ref_mps += move
-
-
-def _control(state: DriveState, v_mps: float, chair: ChairConfig, dt_s: float) -> None:
-    """Throttle or brake: the motors' speed moves on by the acceleration that the controller in charge gives."""
-    forward = 1.0 if state.v_ref_mps + 1e-9 * state.a_ref_mps2 >= 0.0 else -1.0
-    error = forward * (state.v_ref_mps - v_mps)
-    feed = forward * state.a_ref_mps2
-    if feed + PI_KP_PER_S * error >= 0.0:
-        state.brake.integral_mps2 = 0.0
-        a = _pi(state.throttle, error, feed, (0.0, 2.0 * chair.accel_mps2), dt_s)
-    else:
-        state.throttle.integral_mps2 = 0.0
-        a = _pi(state.brake, error, feed, (-2.0 * chair.decel_mps2, 0.0), dt_s)
-    motor = state.v_motor_mps + forward * a * dt_s
-    state.v_motor_mps = min(max(motor, state.v_ref_mps - SPEED_BAND_MPS), state.v_ref_mps + SPEED_BAND_MPS)
-
-
-def _pi(state: PiState, error_mps: float, feed_mps2: float, bounds: tuple[float, float], dt_s: float) -> float:
-    """PI controller with a feed-forward part; its integral rests while the output is at a bound."""
-    out = feed_mps2 + PI_KP_PER_S * error_mps + state.integral_mps2
-    held = min(max(out, bounds[0]), bounds[1])
-    if out == held:
-        state.integral_mps2 += PI_KI_PER_S2 * error_mps * dt_s
-    return held
-
-
-def _stand(state: DriveState) -> None:
-    state.v_ref_mps = state.a_ref_mps2 = state.w_ref_radps = state.v_motor_mps = 0.0
-    state.throttle.integral_mps2 = state.brake.integral_mps2 = 0.0
-
-
-def _towards(value: float, goal: float, most: float) -> float:
-    return value + min(max(goal - value, -most), most)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from wcsim.physics.pose import Quat, Vec3, added, matrix, rotate_back, turned
 from wcsim.physics.quiet import pybullet
@@ -29,15 +29,14 @@ class Tyre:
     half_width_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class Motion(NamedTuple):
     """How a body moved before a step."""
 
     p_W_m: Vec3
     q_WB: Quat
     v_W_mps: Vec3
     w_W_radps: Vec3
-    joints: Sequence[tuple[float, float]]  # position and velocity of each turning joint
+    joints: Sequence[tuple[Any, ...]]  # of each that moves, first its position and its velocity
 
 
 def off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
@@ -80,5 +79,5 @@ def coast(body: int, joints: Sequence[int], before: Motion, dt_s: float, client:
         body, p, turned(before.q_WB, before.w_W_radps, dt_s), physicsClientId=client
     )
     pybullet.resetBaseVelocity(body, before.v_W_mps, before.w_W_radps, physicsClientId=client)
-    for joint, (angle, rate) in zip(joints, before.joints, strict=True):
-        pybullet.resetJointState(body, joint, angle + rate * dt_s, rate, physicsClientId=client)
+    for joint, (place, rate, *_) in zip(joints, before.joints, strict=True):
+        pybullet.resetJointState(body, joint, place + rate * dt_s, rate, physicsClientId=client)

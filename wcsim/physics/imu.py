@@ -3,7 +3,7 @@
 The accelerometer feels the specific force at its mount, R^T (dv/dt - g), sampled every substep. Per tick it says the
 mean (gravity included) and, per axis, the largest magnitude of the same signal without gravity behind two first-order
 low-passes in a row. The raw difference quotient is an artefact of the step (a wall gives 92, 181 and 358 m/s2 at 120,
-240 and 480 Hz), the low-passed peak is not.
+240 and 480 Hz), the low-passed peak is not. Noise is on what the agent sees (means, turn rates, tilt), not on the peak.
 """
 
 from __future__ import annotations
@@ -14,15 +14,19 @@ import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.errors import PhysicsError
-from wcsim.physics.pose import LEVEL, Rotation, euler, rotate, rotate_back, velocity_at
+from wcsim.frames import rad
+from wcsim.physics.imu_filter import ROW, STATE, filter_tick
+from wcsim.physics.noise import child, normals
+from wcsim.physics.pose import LEVEL, Rotation, Vec3, euler
+from wcsim.physics.tilt import TiltSensor
 from wcsim.types import F64, ImuFrame
 
-Vec3 = tuple[float, float, float]
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
+STANDARD_GRAVITY_MPS2 = 9.80665  # the g of data sheets
+_DRAWS = 14  # of a tick: accelerometer 3, gyroscope 3, drift of each 3, tilt 2
 
 
 class Imu:
-    """Accelerometer, gyroscope and ideal tilt sensor at one mount.
+    """Accelerometer, gyroscope and tilt sensor at one mount.
 
     Args:
         config: Mount, filter, range and noise.
@@ -33,62 +37,72 @@ class Imu:
 
     def __init__(self, config: ImuConfig, com_B_m: Vec3, dt_s: float, gravity_mps2: float) -> None:
         self._config = config
-        mount = config.p_BI_m
-        self._arm_B_m: Vec3 = (mount[0] - com_B_m[0], mount[1] - com_B_m[1], mount[2] - com_B_m[2])
-        self._per_s = 1.0 / dt_s
+        self._arm_B_m = np.array(config.p_BI_m) - np.array(com_B_m)
+        self._dt_s = dt_s
         self._gravity_mps2 = gravity_mps2
+        self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * config.lowpass_hz * dt_s)
-        self._force_sum = self._gyro_sum = self._peak = _ZERO
-        self._samples = 0
+        self._errors = _Errors(config)
+        self._tilt = TiltSensor(config)
+        self._low = np.zeros((0, 3))
         self.reset(LEVEL)
+
+    @property
+    def lowpass_mps2(self) -> F64:
+        """The low-passed signal after each substep of the last closed tick, (n, 3)."""
+        return self._low
+
+    def start(self, noise_key: int | None) -> None:
+        """Switch on for an episode: draw the biases that it keeps, none without a key."""
+        if not self._config.noise:
+            noise_key = None
+        self._errors.start(noise_key)
+        self._tilt.start(np.zeros(2) if noise_key is None else normals(child(noise_key, 1), 2))
 
     def reset(self, rotation: Rotation) -> None:
         """Stand still at rotation R_WB: no velocity, quiet filters, a tick of no samples."""
         self._rotation = rotation
-        self._v_W_mps: Vec3 = _ZERO
-        self._stage1: Vec3 = _ZERO
-        self._stage2: Vec3 = _ZERO
-        self._begin_tick()
+        self._state = np.zeros(STATE)
+        self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(rotation[6:9])
+        self._tilt.reset()
+        self._rows: list[float] = []
 
     def sample(self, rotation: Rotation, v_com_W_mps: Vec3, w_W_radps: Vec3) -> None:
         """Take the motion after a physics step into the tick."""
-        arm_W_m = rotate(rotation, *self._arm_B_m)
-        vx, vy, vz = velocity_at(arm_W_m, _ZERO, v_com_W_mps, w_W_radps)
-        ox, oy, oz = self._v_W_mps
-        k = self._per_s
-        ax, ay, az = rotate_back(rotation, (vx - ox) * k, (vy - oy) * k, (vz - oz) * k)
-        self._v_W_mps = (vx, vy, vz)
         self._rotation = rotation
-        self._filter(ax, ay, az)
-        g = self._gravity_mps2
-        sx, sy, sz = self._force_sum
-        self._force_sum = (sx + ax + rotation[6] * g, sy + ay + rotation[7] * g, sz + az + rotation[8] * g)
-        gx, gy, gz = rotate_back(rotation, *w_W_radps)
-        tx, ty, tz = self._gyro_sum
-        self._gyro_sum = (tx + gx, ty + gy, tz + gz)
-        self._samples += 1
+        self._rows += rotation  # nothing but kept: it is called every substep
+        self._rows += v_com_W_mps
+        self._rows += w_W_radps
 
-    def end_tick(self, rng: np.random.Generator | None) -> ImuFrame:
-        """Close the tick: means, peaks and tilt of its samples, noise on the means when `rng` is given.
+    def end_tick(self, noise_key: int | None) -> ImuFrame:
+        """Close the tick: means, peaks and tilt of its samples; `noise_key` (64 bits) says which noise, None: none.
 
         Raises:
             PhysicsError: The motion left the finite numbers.
         """
         config = self._config
-        n = max(self._samples, 1)
-        mean, gyro = np.array(self._force_sum) / n, np.array(self._gyro_sum) / n
-        if self._samples == 0:  # a chair that was just placed: it stands
-            mean = self._gravity_mps2 * np.array(self._rotation[6:9])
-        peak = np.array(self._peak)
-        if not np.isfinite([*mean, *peak, *gyro]).all():
+        rows = np.array(self._rows, np.float64).reshape(-1, ROW)
+        self._rows = []
+        count = len(rows)
+        self._low = np.empty((count, 3))
+        felt, g = self._felt_mps2, self._gravity_mps2
+        sums = filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
+        if not math.isfinite(sums.sum()):
             raise PhysicsError("the wheelchair's motion left the finite numbers; expected finite: rebuild the world")
-        if rng is not None:
-            mean += rng.normal(0.0, config.accel_noise_mps2, 3)
-            gyro += rng.normal(0.0, config.gyro_noise_radps, 3)
+        means = sums / max(count, 1)
+        accel, gravity, gyro = means[0:3], means[3:6], means[9:12]
+        peak = sums[6:9]
+        if count == 0:  # a chair that was just placed: it stands
+            gravity, peak = g * np.array(self._rotation[6:9]), np.abs(self._state[6:9])
+        if config.accel_window == "tick_mean":
+            peak = np.abs(accel + gravity) if felt else np.abs(accel)
+        tick_s = count * self._dt_s
+        key = noise_key if config.noise else None
+        force, gyro, drawn = self._errors.on(accel + gravity, gyro, tick_s, key)
         roll, pitch, yaw = euler(self._rotation)
-        self._begin_tick()
+        roll, pitch = self._tilt.read((roll, pitch), force, gyro, tick_s, drawn)
         return ImuFrame(
-            accel_mean_mps2=_clipped(mean, config.saturation_mps2),
+            accel_mean_mps2=force if config.mean_gravity == "included" else force - gravity,
             accel_peak_mps2=_clipped(peak, config.saturation_mps2),
             gyro_radps=gyro,
             roll_rad=roll,
@@ -96,21 +110,43 @@ class Imu:
             yaw_rad=yaw,
         )
 
-    def _begin_tick(self) -> None:
-        self._force_sum = self._gyro_sum = self._peak = _ZERO
-        self._samples = 0
 
-    def _filter(self, ax: float, ay: float, az: float) -> None:
-        k = self._alpha
-        x, y, z = self._stage1
-        x, y, z = x + k * (ax - x), y + k * (ay - y), z + k * (az - z)
-        self._stage1 = (x, y, z)
-        u, v, w = self._stage2
-        u, v, w = u + k * (x - u), v + k * (y - v), w + k * (z - w)
-        self._stage2 = (u, v, w)
-        px, py, pz = self._peak
-        self._peak = (max(px, abs(u)), max(py, abs(v)), max(pz, abs(w)))
+class _Errors:
+    """White noise, turn-on bias and drifting bias of accelerometer and gyroscope.
+
+    White noise of density N (per root hertz) has the standard deviation N / sqrt(2 T) in a mean over T seconds. The
+    drift is a Gauss-Markov process that is stationary from its start.
+    """
+
+    def __init__(self, config: ImuConfig) -> None:
+        mg, deg = 1e-3 * STANDARD_GRAVITY_MPS2, rad(1.0)
+        three = np.ones(3)
+        self._tau_s = config.bias_tau_s
+        self._density = np.r_[1e-3 * mg * config.accel_density_ug * three, deg * config.gyro_density_deg * three]
+        self._turn_on = np.r_[mg * config.accel_bias_mg * three, deg * config.gyro_bias_deg * three]
+        self._drift = np.r_[mg * config.accel_instability_mg * three, deg * config.gyro_instability_deg * three]
+        self._most_mps2, self._most_radps = config.saturation_mps2, rad(config.gyro_range_deg)
+        self.start(None)
+
+    def start(self, noise_key: int | None) -> None:
+        """Draw the biases of an episode."""
+        drawn = np.zeros(12) if noise_key is None else normals(child(noise_key, 0), 12)
+        self._bias = self._turn_on * drawn[:6]
+        self._drifted = self._drift * drawn[6:]
+
+    def on(self, force_mps2: F64, gyro_radps: F64, tick_s: float, noise_key: int | None) -> tuple[F64, F64, F64]:
+        """Force and turn rate as they are measured, and two standard normal numbers for the tilt sensor."""
+        drawn = np.zeros(_DRAWS)
+        if noise_key is not None:
+            drawn = normals(noise_key, _DRAWS)
+            kept = math.exp(-tick_s / self._tau_s)
+            self._drifted = kept * self._drifted + math.sqrt(1.0 - kept * kept) * self._drift * drawn[6:12]
+            error = self._bias + self._drifted
+            if tick_s > 0.0:
+                error = error + self._density / math.sqrt(2.0 * tick_s) * drawn[:6]
+            force_mps2, gyro_radps = force_mps2 + error[:3], gyro_radps + error[3:]
+        return _clipped(force_mps2, self._most_mps2), _clipped(gyro_radps, self._most_radps), drawn[12:]
 
 
 def _clipped(vector: F64, limit: float) -> F64:
-    return np.asarray(np.clip(vector, -limit, limit))
+    return np.minimum(np.maximum(vector, -limit), limit)

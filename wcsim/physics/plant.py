@@ -1,210 +1,177 @@
-"""The wheelchair as rigid bodies: every number of a plant in one object, and its URDF text.
+"""The wheelchair as it is built: every parameter of its file, and the geometry that follows from them.
 
-Body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle. The numbers of the
-rear-wheel-drive chair are typical of a powered chair for in- and outdoors with a grown-up user.
+Body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Final
 
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
+from wcsim.physics.plant_check import check_plant
+from wcsim.plant_file import (
+    AntitipPart,
+    CasterPart,
+    ClimbPart,
+    FramePart,
+    LimitPart,
+    MassPart,
+    MotorPart,
+    PlantFile,
+    WheelPart,
+    read_plant,
+    with_values,
+)
+from wcsim.types import Outline
 
 Vec3 = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
-    """A collision box of the frame, in B."""
-
-    centre_m: Vec3
-    size_m: Vec3
+FORK_M: Final = 0.10  # a fork's swivel lies this far above the middle of its caster
+FORK_COM_M: Final = 0.05  # and its centre of mass this far below the swivel
+_LIMITS: Final = (
+    ("v_max_mps", "speed_mps", "m/s"),
+    ("accel_mps2", "accel_mps2", "m/s2"),
+    ("decel_mps2", "decel_mps2", "m/s2"),
+    ("jerk_mps3", "jerk_mps3", "m/s3"),
+    ("yaw_rate_max_radps", "yaw_rate_radps", "rad/s"),
+    ("yaw_accel_radps2", "yaw_accel_radps2", "rad/s2"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantSpec:
-    """A rear-wheel-drive chair with its user: two drive wheels, two swivelling casters, two anti-tips.
+    """A chair with its user; made by `plant_spec` and `varied`, which check it."""
 
-    The wheels' friction is multiplied by that of the ground, which is 1. Swivel friction is the bearing's torque.
-    """
+    shows: str
+    mass: MassPart
+    wheel: WheelPart
+    casters: tuple[CasterPart, ...]
+    antitips: tuple[AntitipPart, ...]
+    frame: FramePart
+    motor: MotorPart
+    limits: LimitPart
+    climbs: ClimbPart
 
-    # masses: chair and user together, wheels and forks included in the chair
-    chair_mass_kg: float = 110.0
-    user_mass_kg: float = 80.0
-    com_x_m: float = 0.18  # of chair and user, ahead of the drive axle
-    com_z_m: float = 0.50
-    inertia_box_m: Vec3 = (0.7, 0.5, 0.9)  # the frame and user resist turning like a box of this size
-    # drive wheels
-    wheel_radius_m: float = 0.178
-    wheel_width_m: float = 0.08
-    wheel_mass_kg: float = 8.0
-    track_m: float = 0.54
-    # casters
-    caster_radius_m: float = 0.10
-    caster_width_m: float = 0.05
-    caster_mass_kg: float = 1.5
-    caster_track_m: float = 0.50
-    trail_m: float = 0.06
-    wheelbase_m: float = 0.50  # drive axle to swivel axis
-    fork_mass_kg: float = 1.0
-    fork_inertia_kgm2: float = 0.004
-    swivel_friction_Nm: float = 0.5
-    # anti-tips
-    antitip_radius_m: float = 0.035
-    antitip_p_m: Vec3 = (-0.30, 0.18, 0.07)  # the left one
-    antitip_mass_kg: float = 0.3
-    antitip_inertia_kgm2: float = 0.001
-    # frame
-    seat: Box = Box(centre_m=(0.18, 0.0, 0.42), size_m=(0.70, 0.44, 0.36))
-    footplate: Box = Box(centre_m=(0.70, 0.0, 0.14), size_m=(0.20, 0.36, 0.04))
-    torso: Box = Box(centre_m=(0.05, 0.0, 0.85), size_m=(0.35, 0.44, 0.60))
-    # contact
-    wheel_friction: float = 0.9
-    caster_friction: float = 0.72
-    antitip_friction: float = 0.05
-    frame_friction: float = 0.5
-    # motors: what a 24 V permanent-magnet motor with gearbox gives at a wheel
-    stall_torque_Nm: float = 90.0
-    no_load_radps: float = 24.0
-    least_torque_share: float = 0.15
-    brake_torque_Nm: float = 150.0  # spring-applied parking brake
-
-    def stand_m(self) -> tuple[tuple[float, float], ...]:
-        """Where the drive wheels and the trailing casters touch the ground, in B."""
-        caster_x_m = self.wheelbase_m - self.trail_m
-        return tuple(
-            (x, side * 0.5 * track)
-            for x, track in ((0.0, self.track_m), (caster_x_m, self.caster_track_m))
-            for side in (1.0, -1.0)
-        )
+    @property
+    def whole_kg(self) -> float:
+        """Mass of chair and user."""
+        return self.mass.chair_kg + self.mass.user_kg
 
     @property
     def frame_mass_kg(self) -> float:
-        """Mass of the base link: everything but wheels, forks and anti-tips."""
-        return self.chair_mass_kg + self.user_mass_kg - sum(mass for mass, _ in self._moving_parts())
+        """Mass of the base link: everything but wheels, forks, arms and anti-tips."""
+        return self.whole_kg - sum(mass for mass, _ in self._parts())
 
     @property
     def frame_com_m(self) -> Vec3:
         """Centre of mass of the base link in B, such that that of the whole is (com_x_m, 0, com_z_m)."""
-        whole_kg = self.chair_mass_kg + self.user_mass_kg
-        parts = self._moving_parts()
-        x = whole_kg * self.com_x_m - sum(mass * p[0] for mass, p in parts)
-        z = whole_kg * self.com_z_m - sum(mass * p[2] for mass, p in parts)
+        parts = self._parts()
+        x = self.whole_kg * self.mass.com_x_m - sum(mass * p[0] for mass, p in parts)
+        z = self.whole_kg * self.mass.com_z_m - sum(mass * p[2] for mass, p in parts)
         return x / self.frame_mass_kg, 0.0, z / self.frame_mass_kg
 
     @property
-    def footplate_from_x_m(self) -> float:
-        """Contacts of the frame ahead of this x in B are the footplate's."""
-        seat_front = self.seat.centre_m[0] + 0.5 * self.seat.size_m[0]
-        return 0.5 * (seat_front + self.footplate.centre_m[0] - 0.5 * self.footplate.size_m[0])
+    def frame_inertia_kgm2(self) -> Vec3:
+        """Principal moments of inertia of the base link about its centre of mass."""
+        x, y, z = self.mass.inertia_box_m
+        k = self.frame_mass_kg / 12.0
+        return k * (y * y + z * z), k * (x * x + z * z), k * (x * x + y * y)
 
-    def _moving_parts(self) -> tuple[tuple[float, Vec3], ...]:
-        caster_x = self.wheelbase_m - self.trail_m
-        return (
-            (2 * self.wheel_mass_kg, (0.0, 0.0, self.wheel_radius_m)),
-            (2 * self.caster_mass_kg, (caster_x, 0.0, self.caster_radius_m)),
-            (2 * self.fork_mass_kg, (self.wheelbase_m - 0.5 * self.trail_m, 0.0, self._fork_z_m - 0.05)),
-            (2 * self.antitip_mass_kg, (self.antitip_p_m[0], 0.0, self.antitip_p_m[2])),
+    @property
+    def outline(self) -> Outline:
+        """The box around everything on the chair and its user, casters trailing."""
+        boxes = self.frame.boxes
+        wheel = self.wheel
+        front = [box.centre_m[0] + 0.5 * box.size_m[0] for box in boxes] + [wheel.radius_m]
+        back = [box.centre_m[0] - 0.5 * box.size_m[0] for box in boxes] + [-wheel.radius_m]
+        side = [abs(box.centre_m[1]) + 0.5 * box.size_m[1] for box in boxes]
+        side += [0.5 * (wheel.track_m + wheel.width_m)]
+        for pair in self.casters:
+            front.append(pair.swivel_x_m - pair.trail_m + pair.radius_m)
+            back.append(pair.swivel_x_m - pair.trail_m - pair.radius_m)
+            side.append(0.5 * (pair.track_m + pair.width_m))
+        for antitip in self.antitips:
+            front.append(antitip.p_m[0] + antitip.radius_m)
+            back.append(antitip.p_m[0] - antitip.radius_m)
+            side.append(antitip.p_m[1] + antitip.radius_m)
+        return Outline(
+            length_m=max(front) - min(back),
+            width_m=2.0 * max(side),
+            height_m=self.frame.height_m,
+            middle_x_m=0.5 * (max(front) + min(back)),
         )
 
     @property
-    def _fork_z_m(self) -> float:
-        return self.caster_radius_m + 0.10
+    def footplate_from_x_m(self) -> float:
+        """Contacts of the frame ahead of this x in B are the footplate's; infinite for a chair without one."""
+        ends = [
+            (box.part == "footplate", box.centre_m[0] - 0.5 * box.size_m[0], box.centre_m[0] + 0.5 * box.size_m[0])
+            for box in self.frame.boxes
+        ]
+        plates = [back for footplate, back, _ in ends if footplate]
+        if not plates:
+            return float("inf")
+        bodies = [front for footplate, _, front in ends if not footplate]
+        return 0.5 * (min(plates) + max(bodies, default=min(plates)))
 
+    def stand_m(self) -> tuple[tuple[float, float], ...]:
+        """Where the drive wheels and the trailing casters touch the ground, in B, left and right of each pair."""
+        pairs = [(0.0, self.wheel.track_m)]
+        pairs += [(pair.swivel_x_m - pair.trail_m, pair.track_m) for pair in self.casters]
+        return tuple((x, side * 0.5 * track) for x, track in pairs for side in (1.0, -1.0))
 
-def rear_wheel_drive(chair: ChairConfig) -> PlantSpec:
-    """The rear-wheel-drive chair with the user of `chair`."""
-    return PlantSpec(user_mass_kg=chair.user_mass_kg, com_z_m=chair.com_height_m)
-
-
-PLANTS: Final[dict[str, Callable[[ChairConfig], PlantSpec]]] = {"rwd": rear_wheel_drive}
+    def _parts(self) -> list[tuple[float, Vec3]]:
+        """Mass of each pair of parts that the frame carries, and its middle in B with the casters trailing."""
+        parts = [(2.0 * self.wheel.mass_kg, (0.0, 0.0, self.wheel.radius_m))]
+        for pair in self.casters:
+            swivel_z_m = pair.radius_m + FORK_M
+            parts += [
+                (2.0 * pair.mass_kg, (pair.swivel_x_m - pair.trail_m, 0.0, pair.radius_m)),
+                (2.0 * pair.fork_mass_kg, (pair.swivel_x_m - 0.5 * pair.trail_m, 0.0, swivel_z_m - FORK_COM_M)),
+            ]
+            if pair.arm is not None:
+                parts.append((2.0 * pair.arm.mass_kg, (pair.swivel_x_m, 0.0, swivel_z_m)))
+        parts += [(2.0 * item.mass_kg, (item.p_m[0], 0.0, item.p_m[2])) for item in self.antitips]
+        return parts
 
 
 def plant_spec(chair: ChairConfig) -> PlantSpec:
-    """The plant that `chair` names. Raises ConfigError for an unknown name."""
-    make = PLANTS.get(chair.plant)
-    if make is None:
-        raise ConfigError(f"chair.plant is {chair.plant!r}; expected one of: {', '.join(sorted(PLANTS))}")
-    return make(chair)
+    """The plant that `chair` names, with the user's mass and the height of the centre of mass that it sets.
+
+    Raises:
+        ConfigError: The plant is unknown, a parameter is out of bounds, it cannot stand, or `chair` sets the controller
+            beyond the plant's limits.
+    """
+    file = read_plant(chair.plant)
+    own = {"mass.user_kg": chair.user_mass_kg, "mass.com_z_m": chair.com_height_m}
+    file = with_values(file, {name: value for name, value in own.items() if value is not None})
+    for key, limit, unit in _LIMITS:
+        got, most = getattr(chair, key), getattr(file.limits, limit)
+        if got > most:
+            raise ConfigError(
+                f"chair.{key} is {got} {unit}, limits.{limit} of plant {chair.plant!r} is {most}; expected no more"
+            )
+    return _checked(file, chair.plant)
 
 
-def urdf(spec: PlantSpec) -> str:
-    """The plant as URDF text; joints are named wheel_l, swivel_l, caster_l, antitip_l and the same with _r."""
-    links = (_frame(spec), *_wheels(spec), *_casters(spec), *_antitips(spec))
-    return "\n".join(('<robot name="wheelchair">', *links, "</robot>"))
+def varied(spec: PlantSpec, values: Mapping[str, float]) -> PlantSpec:
+    """The plant with other values under the dotted names of its file; `*` stands for every pair of a list.
+
+    Args:
+        spec: The plant to start from.
+        values: New values by name, such as `{"mass.user_kg": 95.0, "casters.*.friction": 0.4}`.
+
+    Raises:
+        ConfigError: A name is unknown, a value is out of bounds, or the plant cannot stand.
+    """
+    file = PlantFile(**{item.name: getattr(spec, item.name) for item in fields(spec)})
+    return _checked(with_values(file, values), "varied")
 
 
-def _frame(spec: PlantSpec) -> str:
-    x, y, z = spec.inertia_box_m
-    k = spec.frame_mass_kg / 12.0
-    inertia = (k * (y * y + z * z), k * (x * x + z * z), k * (x * x + y * y))
-    boxes = "".join(
-        f'<collision><origin xyz="{_text(box.centre_m)}"/>'
-        f'<geometry><box size="{_text(box.size_m)}"/></geometry></collision>'
-        for box in (spec.seat, spec.footplate, spec.torso)
-    )
-    return f'<link name="frame">{_inertial(spec.frame_mass_kg, inertia, spec.frame_com_m)}{boxes}</link>'
+def _checked(file: PlantFile, name: str) -> PlantSpec:
+    spec = PlantSpec(**{item.name: getattr(file, item.name) for item in fields(PlantSpec)})
+    check_plant(file, spec.frame_mass_kg, spec.frame_com_m[2], name)
+    return spec
 
-
-def _wheels(spec: PlantSpec) -> Iterator[str]:
-    for side, sign in _SIDES:
-        yield _rolling(f"wheel_{side}", spec.wheel_mass_kg, spec.wheel_radius_m, spec.wheel_width_m)
-        at = (0.0, sign * 0.5 * spec.track_m, spec.wheel_radius_m)
-        yield _joint(f"wheel_{side}", "frame", at, axis="0 1 0")
-
-
-def _casters(spec: PlantSpec) -> Iterator[str]:
-    inertia = (spec.fork_inertia_kgm2,) * 3
-    for side, sign in _SIDES:
-        com = (-0.5 * spec.trail_m, 0.0, -0.05)
-        yield f'<link name="swivel_{side}">{_inertial(spec.fork_mass_kg, inertia, com)}</link>'
-        at = (spec.wheelbase_m, sign * 0.5 * spec.caster_track_m, spec.caster_radius_m + 0.10)
-        yield _joint(f"swivel_{side}", "frame", at, axis="0 0 1")
-        yield _rolling(f"caster_{side}", spec.caster_mass_kg, spec.caster_radius_m, spec.caster_width_m)
-        yield _joint(f"caster_{side}", f"swivel_{side}", (-spec.trail_m, 0.0, -0.10), axis="0 1 0")
-
-
-def _antitips(spec: PlantSpec) -> Iterator[str]:
-    shape = f'<collision><geometry><sphere radius="{spec.antitip_radius_m}"/></geometry></collision>'
-    inertial = _inertial(spec.antitip_mass_kg, (spec.antitip_inertia_kgm2,) * 3, (0.0, 0.0, 0.0))
-    x, y, z = spec.antitip_p_m
-    for side, sign in _SIDES:
-        yield f'<link name="antitip_{side}">{inertial}{shape}</link>'
-        yield _joint(f"antitip_{side}", "frame", (x, sign * y, z), axis=None)
-
-
-_SIDES: Final = (("l", 1.0), ("r", -1.0))
-
-
-def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
-    across = mass_kg * (3.0 * radius_m**2 + width_m**2) / 12.0
-    inertia = (across, 0.5 * mass_kg * radius_m**2, across)
-    return (
-        f'<link name="{name}">{_inertial(mass_kg, inertia, (0.0, 0.0, 0.0))}'
-        '<collision><origin rpy="1.5707963267948966 0 0"/>'
-        f'<geometry><cylinder radius="{radius_m}" length="{width_m}"/></geometry></collision></link>'
-    )
-
-
-def _joint(child: str, parent: str, at_m: Vec3, axis: str | None) -> str:
-    kind = "continuous" if axis else "fixed"
-    turns = f'<axis xyz="{axis}"/>' if axis else ""
-    return (
-        f'<joint name="{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{_text(at_m)}"/>{turns}</joint>'
-    )
-
-
-def _inertial(mass_kg: float, inertia_kgm2: Vec3, com_m: Vec3) -> str:
-    xx, yy, zz = inertia_kgm2
-    return (
-        f'<inertial><origin xyz="{_text(com_m)}"/><mass value="{mass_kg}"/>'
-        f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-
-
-def _text(vector: Vec3) -> str:
-    return " ".join(repr(float(value)) for value in vector)

@@ -6,11 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Thing
-from wcsim.types import ClassId, Ground
 
 HALF_LENGTH_M = 0.57  # of the chair
 HALF_WIDTH_M = 0.31
@@ -23,10 +20,7 @@ STOP_GAP_M = 0.4  # left in front of the footplate
 MEET_S = 3.5  # whom the chair meets later than this is left alone
 
 EDGE_MARGIN_M = 0.12  # between the chair's side and a kerb or wall that it drives along on purpose
-ROOM_STEP_M = 0.1
-ROOM_STEPS = 16
-ROOM_AHEAD_M = 0.5
-KERB_STEP_M = 0.04
+BESIDE_M = HALF_WIDTH_M + EDGE_MARGIN_M
 DEFAULT_ROOM_M = 0.35  # what the user dares without knowing the street
 
 
@@ -65,13 +59,16 @@ def blocked_lanes(path: Path, body: Body, things: Sequence[Thing], desired_mps: 
     return lanes
 
 
-def choose_lane(blocked: Sequence[tuple[float, float]], room: tuple[float, float], before_m: float) -> float | None:
-    """The free offset nearest to the route that also stays near the one of before; None when nothing is free.
+def choose_lane(
+    blocked: Sequence[tuple[float, float]], room: tuple[float, float], before_m: float, home_m: float = 0.0
+) -> float | None:
+    """The free offset nearest to the usual one that also stays near the one of before; None when nothing is free.
 
     Args:
         blocked: Offsets (low, high) that lead into something.
-        room: How far left and right of the route the chair's middle may go, both positive.
+        room: How far left and right of the route the chair's middle may go; negative where the route is at the edge.
         before_m: The offset of the tick before; without it the user would waver between two sides.
+        home_m: The offset where nothing is in the way.
 
     >>> choose_lane([(-0.2, 0.9)], (1.0, 1.0), 0.0)
     -0.2
@@ -80,13 +77,9 @@ def choose_lane(blocked: Sequence[tuple[float, float]], room: tuple[float, float
     >>> choose_lane([(-5.0, 5.0)], (1.0, 1.0), 0.0) is None
     True
     """
-    edges = [edge for lane in blocked for edge in lane]
-    free = [
-        offset
-        for offset in (0.0, *edges)
-        if -room[1] <= offset <= room[0] and not any(low < offset < high for low, high in blocked)
-    ]
-    return min(free, key=lambda offset: abs(offset) + 0.8 * abs(offset - before_m), default=None)
+    edges = [edge for lane in blocked for edge in lane if -room[1] <= edge <= room[0]]
+    free = [offset for offset in (home_m, *edges) if not any(low < offset < high for low, high in blocked)]
+    return min(free, key=lambda offset: abs(offset - home_m) + 0.8 * abs(offset - before_m), default=None)
 
 
 def safe_speed(body: Body, things: Sequence[Thing], brake_mps2: float, reaction_s: float) -> float:
@@ -105,29 +98,6 @@ def safe_speed(body: Body, things: Sequence[Thing], brake_mps2: float, reaction_
             own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
             limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
     return limit
-
-
-def side_room(grid: Ground, path: Path, arc_m: float) -> tuple[float, float]:
-    """How far the chair's middle may leave the route to the left and to the right over the next metres.
-
-    Measured on level ground up to the first kerb or solid thing; never less than nothing, at most 1.2 m.
-    """
-    arcs = np.arange(arc_m, arc_m + HORIZON_M, ROOM_AHEAD_M)
-    line = np.array([path.at(arc) for arc in arcs.tolist()])
-    headings = np.array([path.heading(arc) for arc in arcs.tolist()])
-    left = np.c_[-np.sin(headings), np.cos(headings)]
-    rooms = []
-    for side in (1.0, -1.0):
-        offsets = side * ROOM_STEP_M * np.arange(ROOM_STEPS)
-        points = line[:, None] + offsets[:, None] * left[:, None]  # (stations, offsets, 2)
-        height = grid.raised_at(points)
-        on_road = np.isin(grid.class_at(points), (ClassId.ROAD, ClassId.RAIL_TRACK))
-        stops = np.abs(np.diff(height, axis=1, prepend=height[:, :1])) > KERB_STEP_M
-        stops |= grid.clearance_at(points) < ROOM_STEP_M
-        stops |= on_road & ~on_road[:, :1]
-        first = np.where(stops.any(axis=1), stops.argmax(axis=1), ROOM_STEPS)
-        rooms.append(max(0.0, float(first.min() - 1) * ROOM_STEP_M - HALF_WIDTH_M - EDGE_MARGIN_M))
-    return rooms[0], rooms[1]
 
 
 def _meet_s(gap_m: float, closing_mps: float) -> float:

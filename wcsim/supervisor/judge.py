@@ -44,7 +44,7 @@ def judge(
     events = snapshot.events
     return Judgement(
         observation=observation_of(snapshot, config, camera),
-        reward=reward(distance, snapshot.sensors.imu, events, config.reward),
+        reward=reward(distance, snapshot.sensors.imu, snapshot.plant, events, config.reward),
         terminated=events.crashed,
         truncated=events.truncated and not events.crashed,
     )
@@ -60,6 +60,8 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = ""
         camera=seen.name,
         range_m=seen.range_m,
         fold=config.env.classes == "cityscapes",
+        gyro=config.env.observe_gyro,
+        yaw=config.env.observe_yaw,
     )
 
 

@@ -1,7 +1,8 @@
 """What the agent gets to see (Table 3 of the paper), in two forms.
 
 `compact` keeps images as uint8 (class ids, and depth on a logarithmic scale) for the replay store, and networks expand
-them; `table3` gives the paper's floats. Both hold the same picture, in fresh arrays that a replay buffer may keep.
+them; `table3` gives the paper's floats. Both hold the same picture, in fresh arrays that a replay buffer may keep. A
+depth of 0 says in both that nothing was measured there; whatever was measured is above 0.
 """
 
 from __future__ import annotations
@@ -22,18 +23,24 @@ Form = Literal["compact", "table3"]
 Observation = dict[str, npt.NDArray[Any]]
 
 DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
+DEPTH_STEPS = 254  # of the codes 1 to 255; 0 is for what was not measured
 ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
+GYRO_FULL_SCALE_RADPS = 4.0  # more than a chair turns before it falls
+IMU_SIZE = 5  # numbers of the IMU in the paper's observation
 
 _MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
 _TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
 _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 
 
-def observation_space(form: Form, width: int, height: int) -> spaces.Dict:
-    """The Gymnasium space of `observe`; images are (C, height, width). Raises ConfigError for an unknown form."""
+def observation_space(form: Form, width: int, height: int, imu: int = IMU_SIZE) -> spaces.Dict:
+    """The Gymnasium space of `observe`; images are (C, height, width), `imu` numbers come from the IMU.
+
+    Raises ConfigError for an unknown form.
+    """
     _check_form(form)
     vectors: dict[str, spaces.Space[Any]] = {
-        "imu": spaces.Box(-1.0, 1.0, (5,), np.float32),
+        "imu": spaces.Box(-1.0, 1.0, (imu,), np.float32),
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
     }
     if form == "compact":
@@ -54,7 +61,15 @@ def observation_space(form: Form, width: int, height: int) -> spaces.Dict:
 
 
 def observe(
-    form: Form, sensors: SensorFrame, user: Joystick, *, camera: str, range_m: float, fold: bool
+    form: Form,
+    sensors: SensorFrame,
+    user: Joystick,
+    *,
+    camera: str,
+    range_m: float,
+    fold: bool,
+    gyro: bool = False,
+    yaw: bool = False,
 ) -> Observation:
     """The observation of one frame.
 
@@ -65,6 +80,8 @@ def observe(
         camera: Name of the camera to look through.
         range_m: That camera's range; depth is scaled by it.
         fold: Whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road).
+        gyro: Whether turn rates are seen.
+        yaw: Whether the heading is seen.
 
     Returns:
         Arrays as in `observation_space`, contiguous and owned by the caller.
@@ -74,7 +91,7 @@ def observe(
     """
     _check_form(form)
     frame = _frame(sensors, camera)
-    vectors = {"imu": imu_vector(sensors.imu), "joystick": np.array([user.x, user.y], np.float32)}
+    vectors = {"imu": imu_vector(sensors.imu, gyro, yaw), "joystick": np.array([user.x, user.y], np.float32)}
     if form == "compact":
         seg = _fold(frame.class_id) if fold else frame.class_id.copy()
         return {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None], **vectors}
@@ -87,15 +104,31 @@ def observe(
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
 
 
-def imu_vector(imu: ImuFrame) -> F32:
-    """(5,) float32 in [-1, 1]: tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2."""
+def imu_size(gyro: bool, yaw: bool) -> int:
+    """How many numbers `imu_vector` has; no two choices give the same."""
+    return IMU_SIZE + 3 * gyro + 2 * yaw
+
+
+def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
+    """What is seen of the IMU, float32 in [-1, 1]; (5,), and more when asked for.
+
+    Tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2; with `gyro` the turn rates
+    over 4 rad/s; with `yaw` the sine and cosine of the heading.
+    """
     accel = imu.accel_mean_mps2 / ACCEL_FULL_SCALE_MPS2
-    scaled = (*accel, imu.roll_rad / math.pi, imu.pitch_rad / (0.5 * math.pi))
+    scaled = [*accel, imu.roll_rad / math.pi, imu.pitch_rad / (0.5 * math.pi)]
+    if gyro:
+        scaled += list(imu.gyro_radps / GYRO_FULL_SCALE_RADPS)
+    if yaw:
+        scaled += [math.sin(imu.yaw_rad), math.cos(imu.yaw_rad)]
     return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
 
 
 def encode_depth(depth_m: F32, range_m: float) -> U8:
-    """Depth (H, W) as uint8 on a logarithmic scale: 0 at 0.1 m and below, 255 at `range_m` and above."""
+    """Depth (H, W) as uint8 on a logarithmic scale: 1 at 0.1 m and below, 255 at `range_m` and above, 0 for none.
+
+    None is what is not above 0: a pixel that a noisy camera did not measure, and no distance at all.
+    """
     # The leading bits of a float32 are a logarithm already: a table over them is five times faster than np.log.
     bits = np.ascontiguousarray(depth_m, dtype=np.float32).view(np.uint32) >> _MANTISSA_BITS_DROPPED
     code: U8 = np.take(_depth_codes(float(range_m)), bits)
@@ -103,22 +136,28 @@ def encode_depth(depth_m: F32, range_m: float) -> U8:
 
 
 def decode_depth(code: U8, range_m: float) -> F32:
-    """The depth in metres that a code of `encode_depth` stands for; relative error at most 1.3 % up to 40 m."""
-    steps = np.arange(256) / 255.0
+    """The depth in metres that a code of `encode_depth` stands for, 0 for none.
+
+    The relative error is at most 1.3 % up to 40 m. Who looks for obstacles must leave zeros out: they are not near.
+    """
+    steps = np.arange(-1, DEPTH_STEPS + 1) / DEPTH_STEPS
     metres = (DEPTH_NEAR_M * (range_m / DEPTH_NEAR_M) ** steps).astype(np.float32)
+    metres[0] = 0.0
     decoded: F32 = metres[code]
     return decoded
 
 
 @lru_cache(maxsize=8)
 def _depth_codes(range_m: float) -> U8:
-    """Table from the leading bits of a float32 to its code; negative numbers give 0, infinity and NaN give 255."""
+    """Table from the leading bits of a float32 to its code; what is not above 0 and NaN give 0, infinity gives 255."""
     leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)  # the sign bit is the first: the other half is negative
     middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
     middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
     near_to_far = np.clip(middle.view(np.float32).astype(np.float64), DEPTH_NEAR_M, range_m) / DEPTH_NEAR_M
     codes = np.zeros(_TABLE_SIZE, np.uint8)
-    codes[: len(leading)] = np.rint(255.0 * np.log(near_to_far) / math.log(range_m / DEPTH_NEAR_M))
+    codes[: len(leading)] = 1 + np.rint(DEPTH_STEPS * np.log(near_to_far) / math.log(range_m / DEPTH_NEAR_M))
+    codes[0] = 0  # what is smaller than any distance
+    codes[_INFINITE + 1 : len(leading)] = 0  # NaN
     return codes
 
 

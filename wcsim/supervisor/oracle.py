@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.supervisor.rollout import free_distance, roll_out
-from wcsim.types import F64, ActorState, Bool, Ground, Joystick, PlantState
+from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
@@ -35,16 +35,18 @@ class Assessment:
 class Oracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
-    def __init__(self, grid: Ground, chair: ChairConfig, actions: F64) -> None:
+    def __init__(self, grid: Ground, chair: ChairConfig, outline: Outline, actions: F64) -> None:
         """Prepare the arrays.
 
         Args:
             grid: The street from above.
             chair: The limits of the drive.
+            outline: The chair seen from above.
             actions: (A, 2) joystick positions of the action set.
         """
         self._grid = grid
         self._chair = chair
+        self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
         self._commands = shaped(actions, chair)
         self._limits = np.array(
             [
@@ -90,6 +92,7 @@ class Oracle:
             _state(plant),
             commands,
             self._limits,
+            self._hull,
             grid.height_cm,
             grid.clearance_dm,
             np.array(grid.origin_W_m, np.float64),
@@ -101,7 +104,7 @@ class Oracle:
     def _clearance(self, plant: PlantState, table: F64) -> float:
         grid = self._grid.around(plant.p_WB_m)
         origin_m = np.array(grid.origin_W_m, np.float64)
-        gap = free_distance(_state(plant), grid.clearance_dm, origin_m, grid.cell_m, table)
+        gap = free_distance(_state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, table)
         return min(float(gap), FAR_M)
 
 

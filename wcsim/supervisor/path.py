@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wcsim.errors import ConfigError
+from wcsim.jit import exact_kernel
 from wcsim.types import F64, Route
 
 CORNER_WINDOW_M = 0.6  # turns within this distance of each other are one corner
@@ -82,16 +83,8 @@ class Path:
         return min(max(bisect_right(self._arc, arc_m) - 1, 0), len(self._unit) - 1)
 
     def _nearest(self, x_m: float, y_m: float, first: int, last: int) -> tuple[Place, float]:
-        start: F64 = self._points[:-1][first:last]
-        unit: F64 = self._unit[first:last]
-        rel = np.array((x_m, y_m)) - start
-        ahead = np.clip((rel * unit).sum(axis=1), 0.0, self._lengths[first:last])
-        off = rel - ahead[:, None] * unit
-        distance = np.hypot(off[:, 0], off[:, 1])
-        i = int(distance.argmin())
-        left = float(unit[i, 0] * rel[i, 1] - unit[i, 1] * rel[i, 0])
-        beside = math.copysign(float(distance[i]), left)
-        return Place(self._arc[first + i] + float(ahead[i]), beside), float(distance[i])
+        i, ahead_m, left_m, off_m = _nearest(self._points, self._unit, self._lengths, x_m, y_m, first, last)
+        return Place(self._arc[i] + ahead_m, left_m), off_m
 
     def _find_corners(self) -> list[tuple[float, float]]:
         """(arc, angle turned around there) of every bend worth slowing down for, in order."""
@@ -104,3 +97,19 @@ class Path:
             if turn > 1e-3 and sharpness > GENTLE_TURN_RAD:
                 corners.append((arc_m, sharpness))
         return corners
+
+
+@exact_kernel
+def _nearest(
+    points: F64, unit: F64, lengths: F64, x_m: float, y_m: float, first: int, last: int
+) -> tuple[int, float, float, float]:
+    """Segment, distance along it, distance to its left, and distance of the point nearest to (x, y)."""
+    best, best_ahead_m, best_left_m, best_m = first, 0.0, 0.0, np.inf
+    for i in range(first, min(last, len(unit))):
+        dx, dy = x_m - points[i, 0], y_m - points[i, 1]
+        ahead_m = min(max(dx * unit[i, 0] + dy * unit[i, 1], 0.0), lengths[i])
+        off_m = math.hypot(dx - ahead_m * unit[i, 0], dy - ahead_m * unit[i, 1])
+        if off_m < best_m:
+            best, best_ahead_m, best_m = i, ahead_m, off_m
+            best_left_m = math.copysign(off_m, unit[i, 0] * dy - unit[i, 1] * dx)
+    return best, best_ahead_m, best_left_m, best_m

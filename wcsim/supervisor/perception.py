@@ -15,6 +15,7 @@ HALF_VIEW_RAD = rad(80.0)
 PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
 FORGET_S = 10.0
 LONGEST_AWAY = 2.0  # times the mean
+UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
 SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
 
 
@@ -51,25 +52,26 @@ class Perception:
         self._noticed: dict[str, tuple[bool, float]] = {}  # key -> noticed or missed, last time in sight
         self.attentive = True
         self._away_s = 0.0
+        self._leaves = False
 
     def attend(self, dt_s: float, calm: bool = True) -> bool:
         """Advance the two-state Markov chain of attention; whether the user looks at the street.
 
-        A look elsewhere begins only while the driving is `calm` (nobody looks away in the middle of a turn) and is at
-        most twice as long as its mean.
+        A look elsewhere waits until the driving is `calm` (nobody looks away in the middle of a turn) and is at most
+        twice as long as its mean.
         """
         p = self._profile
         if p.away_share <= 0.0 or dt_s <= 0.0:
             return self.attentive
-        self._away_s = 0.0 if self.attentive else self._away_s + dt_s
-        back_per_s = 1.0 / p.away_s
-        away_per_s = back_per_s * p.away_share / (1.0 - p.away_share)
-        leave = away_per_s if self.attentive else back_per_s
-        changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * leave))
+        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (UNCUT_AWAY * p.away_s)
+        changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
         if self.attentive:
-            self.attentive = not (changes and calm)
+            self._leaves = self._leaves or changes
+            if self._leaves and calm:
+                self.attentive, self._leaves, self._away_s = False, False, 0.0
         else:
-            self.attentive = changes or self._away_s >= LONGEST_AWAY * p.away_s
+            self._away_s += dt_s
+            self.attentive = changes or self._away_s >= LONGEST_AWAY * p.away_s - 1e-9
         return self.attentive
 
     def look(self, view: UserView) -> Seen:
@@ -79,7 +81,7 @@ class Perception:
         for actor in view.actors:
             slow = actor.kind in SLOW_KINDS
             reach_m = self._profile.see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
-            x, y = float(actor.p_W_m[0]), float(actor.p_W_m[1])
+            x, y, _ = actor.p_W_m.tolist()
             if not self._notices(f"a{actor.id}", x, y, reach_m, view, everywhere=not slow):
                 continue
             things.extend(discs(actor))
@@ -125,7 +127,7 @@ def discs(actor: ActorState) -> list[Thing]:
     reach = 0.5 * max(length, width) - radius
     yaw = actor.yaw_rad if length >= width else actor.yaw_rad + 0.5 * math.pi
     cos, sin = math.cos(yaw), math.sin(yaw)
-    x, y = float(actor.p_W_m[0]), float(actor.p_W_m[1])
-    vx, vy = float(actor.v_W_mps[0]), float(actor.v_W_mps[1])
-    offsets = np.linspace(-reach, reach, count).tolist() if count > 1 else [0.0]
+    x, y, _ = actor.p_W_m.tolist()
+    vx, vy, _ = actor.v_W_mps.tolist()
+    offsets = [reach * (2.0 * k / (count - 1) - 1.0) for k in range(count)] if count > 1 else [0.0]
     return [Thing(x_m=x + o * cos, y_m=y + o * sin, radius_m=radius, vx_mps=vx, vy_mps=vy) for o in offsets]

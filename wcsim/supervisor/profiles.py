@@ -42,6 +42,7 @@ class UserProfile:
     law_share: float  # chance to respect a red light and an approaching vehicle at a crossing
     give_up_s: float  # blocked for so long, the user gives up
     discrete: bool  # four switches instead of a stick
+    hold_s: float  # with switches: forward, and a rest after a turn, last at least this long
 
 
 def profile(name: str) -> UserProfile:
@@ -50,7 +51,7 @@ def profile(name: str) -> UserProfile:
         if known.name == name:
             return known
     names = ", ".join(item.name for item in PROFILES)
-    raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}")
+    raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, or recorded:FILE.csv")
 
 
 def profile_names() -> tuple[str, ...]:
@@ -61,8 +62,8 @@ def profile_names() -> tuple[str, ...]:
 def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     """The user of one episode: every parameter within 30 % of the profile's, shares stay shares.
 
-    The chance to see is spread by its complement (who misses 2 % misses 1.4 to 2.6 %), gains by how far they are from
-    one (a faithful hand stays faithful).
+    The chances to see and to keep to the law are spread by their complement (who misses 2 % misses 1.4 to 2.6 %), gains
+    by how far they are from one (a faithful hand stays faithful).
     """
 
     def around(value: float) -> float:
@@ -86,6 +87,8 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
         correct_every_s=around(base.correct_every_s),
         speed_share=min(1.0, around(base.speed_share)),
         give_up_s=around(base.give_up_s),
+        law_share=max(0.0, 1.0 - around(1.0 - base.law_share)),
+        hold_s=around(base.hold_s),
     )
 
 
@@ -109,6 +112,7 @@ _COMPETENT = UserProfile(
     law_share=0.98,
     give_up_s=15.0,
     discrete=False,
+    hold_s=0.3,
 )
 
 PROFILES: tuple[UserProfile, ...] = (

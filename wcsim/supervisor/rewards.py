@@ -15,7 +15,7 @@ import numpy as np
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.frames import rad
-from wcsim.types import F64, Contact, Events, ImuFrame, RewardTerms
+from wcsim.types import F64, Contact, Events, ImuFrame, PlantState, RewardTerms
 
 CrashReason = Literal["", "collision", "acceleration", "tilt"]
 
@@ -69,14 +69,14 @@ def crash_term(crashed: bool, config: RewardConfig) -> float:
     return 0.0 - config.crash if crashed else 0.0
 
 
-def reward(distance: float, imu: ImuFrame, events: Events, config: RewardConfig) -> RewardTerms:
-    """All terms of one step; `distance` as from `joystick_distance`."""
+def reward(distance: float, imu: ImuFrame, plant: PlantState, events: Events, config: RewardConfig) -> RewardTerms:
+    """All terms of one step; `distance` as from `joystick_distance`. The tilt is the true one, whatever is sensed."""
     base, joystick = joystick_terms(distance, config)
     return RewardTerms(
         base=base,
         joystick=joystick,
         accel=accel_term(imu.accel_peak_mps2, config),
-        tilt=tilt_term(imu.roll_rad, imu.pitch_rad, config),
+        tilt=tilt_term(plant.roll_rad, plant.pitch_rad, config),
         crash=crash_term(events.crashed, config),
     )
 
@@ -90,7 +90,9 @@ def joystick_distance(user: F64, agent: F64, config: RewardConfig) -> float:
     return min(float(np.hypot(user[0] - agent[0], user[1] - agent[1])), config.max_distance)
 
 
-def crash_reason(imu: ImuFrame, contacts: Sequence[Contact], config: RewardConfig) -> CrashReason:
+def crash_reason(
+    imu: ImuFrame, plant: PlantState, contacts: Sequence[Contact], config: RewardConfig
+) -> CrashReason:
     """Why this tick ends the episode, "" when it does not (Table 2 row "crash"; Table 1 column "maximum").
 
     A collision goes before an acceleration and that before a tilt, because the first explains the others.
@@ -99,7 +101,8 @@ def crash_reason(imu: ImuFrame, contacts: Sequence[Contact], config: RewardConfi
         return "collision"
     if any(abs(float(axis)) > config.accel_window_mps2[1] for axis in imu.accel_peak_mps2):
         return "acceleration"
-    if abs(imu.roll_rad) > rad(config.roll_window_deg[1]) or abs(imu.pitch_rad) > rad(config.pitch_window_deg[1]):
+    roll_max, pitch_max = rad(config.roll_window_deg[1]), rad(config.pitch_window_deg[1])
+    if abs(plant.roll_rad) > roll_max or abs(plant.pitch_rad) > pitch_max:
         return "tilt"
     return ""
 

@@ -21,12 +21,7 @@ HOLD_S = 0.5
 STEP_S = 0.05
 LONGEST_S = 4.0
 
-# The chair seen from above, in B (x forward from the drive axle).
-MIDDLE_M = 0.23
-HALF_LENGTH_M = 0.57
-HALF_WIDTH_M = 0.31
-DISC_SPACING_M = 0.26  # three discs as wide as the chair, and its four corners, stand for the rectangle
-FAR_M = 0.75  # beyond the footprint's corners by 0.1 m
+# Where wheels stand, in B (x forward from the drive axle): the drive wheels and the front casters of a usual chair.
 WHEEL_X_M = (0.0, 0.0, 0.50, 0.50)
 WHEEL_Y_M = (0.29, -0.29, 0.27, -0.27)
 
@@ -42,6 +37,9 @@ YAW_SLOWDOWN_S_PER_M = 0.6
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
 # entries of the chair's limits (7,)
 V_MAX, REVERSE, ACCEL, DECEL, YAW_ACCEL, JERK, W_MAX = range(7)
+# entries of its hull (3,) seen from above: its middle ahead of the drive axle, half its length and half its width
+MIDDLE, HALF_L, HALF_W = range(3)
+BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 
 
 @exact_kernel
@@ -49,6 +47,7 @@ def roll_out(
     state: F64,
     commands: F64,
     limits: F64,
+    hull: F64,
     height_cm: U8,
     clearance_dm: U8,
     origin_m: F64,
@@ -61,6 +60,7 @@ def roll_out(
         state: (5,) x, y, yaw, v, w of the drive axle.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (7,) see the column names above.
+        hull: (3,) see the column names above.
         height_cm: (rows, cols) of the street grid.
         clearance_dm: (rows, cols) of the street grid.
         origin_m: (2,) of the street grid.
@@ -70,35 +70,35 @@ def roll_out(
     Returns:
         (K,) float64.
     """
-    _set_margins(state, actors)
-    start_gap = _static_gap(state[0], state[1], state[2], clearance_dm, origin_m, cell_m, FAR_M)
+    _set_margins(state, hull, actors)
+    start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
     allowed_gap = min(0.0, start_gap - DEEPENING_M)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, commands[k], limits, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
+            state, commands[k], limits, hull, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
         )
     return first_s
 
 
 @exact_kernel
-def free_distance(state: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64) -> float:
+def free_distance(state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
-    nearest = _static_gap(state[0], state[1], state[2], clearance_dm, origin_m, cell_m, np.inf)
+    nearest = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, np.inf)
     cos, sin = math.cos(state[2]), math.sin(state[2])
-    cx, cy = state[0] + MIDDLE_M * cos, state[1] + MIDDLE_M * sin
+    cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin
     for i in range(len(actors)):
         other = actors[i]
-        if _overlap(cx, cy, cos, sin, other[AX], other[AY], other, 0.0):
+        if _overlap(cx, cy, cos, sin, hull, other[AX], other[AY], other, 0.0):
             return 0.0
         gap = min(
             _corners_to_box(
-                cx, cy, cos, sin, HALF_LENGTH_M, HALF_WIDTH_M,
+                cx, cy, cos, sin, hull[HALF_L], hull[HALF_W],
                 other[AX], other[AY], other[ACOS], other[ASIN], other[AHALF_L], other[AHALF_W],
             ),
             _corners_to_box(
                 other[AX], other[AY], other[ACOS], other[ASIN], other[AHALF_L], other[AHALF_W],
-                cx, cy, cos, sin, HALF_LENGTH_M, HALF_WIDTH_M,
+                cx, cy, cos, sin, hull[HALF_L], hull[HALF_W],
             ),
         )  # fmt: skip
         nearest = min(nearest, gap)
@@ -110,6 +110,7 @@ def _one(
     state: F64,
     command: F64,
     limits: F64,
+    hull: F64,
     allowed_gap: float,
     height_cm: U8,
     clearance_dm: U8,
@@ -143,7 +144,7 @@ def _one(
         later_s = (i + 1) * STEP_S
         _wheel_heights(x, y, yaw, height_cm, origin_m, cell_m, now)
         if _falls(now, before, before2, v * w) or _touches(
-            x, y, yaw, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors
+            x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors
         ):
             return later_s
         before2[:] = before
@@ -183,6 +184,7 @@ def _touches(
     x: float,
     y: float,
     yaw: float,
+    hull: F64,
     later_s: float,
     allowed_gap: float,
     clearance_dm: U8,
@@ -190,46 +192,50 @@ def _touches(
     cell_m: float,
     actors: F64,
 ) -> bool:
-    if _static_gap(x, y, yaw, clearance_dm, origin_m, cell_m, FAR_M) < allowed_gap:
+    if _static_gap(x, y, yaw, hull, clearance_dm, origin_m, cell_m, BEYOND_M) < allowed_gap:
         return True
     cos, sin = math.cos(yaw), math.sin(yaw)
-    cx, cy = x + MIDDLE_M * cos, y + MIDDLE_M * sin
+    cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
     for i in range(len(actors)):
         other = actors[i]
         ox, oy = other[AX] + later_s * other[AVX], other[AY] + later_s * other[AVY]
-        if _overlap(cx, cy, cos, sin, ox, oy, other, other[AMARGIN]):
+        if _overlap(cx, cy, cos, sin, hull, ox, oy, other, other[AMARGIN]):
             return True
     return False
 
 
 @exact_kernel
-def _set_margins(state: F64, actors: F64) -> None:
+def _set_margins(state: F64, hull: F64, actors: F64) -> None:
     """Others get a small margin, except those who stand within it already: they would forbid every move."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
-    cx, cy = state[0] + MIDDLE_M * cos, state[1] + MIDDLE_M * sin
+    cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin
     for i in range(len(actors)):
         other = actors[i]
-        near = _overlap(cx, cy, cos, sin, other[AX], other[AY], other, ACTOR_MARGIN_M)
+        near = _overlap(cx, cy, cos, sin, hull, other[AX], other[AY], other, ACTOR_MARGIN_M)
         other[AMARGIN] = 0.0 if near else ACTOR_MARGIN_M
 
 
 @exact_kernel
 def _static_gap(
-    x: float, y: float, yaw: float, clearance_dm: U8, origin_m: F64, cell_m: float, far_m: float
+    x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, beyond_m: float
 ) -> float:
-    """Distance from the footprint to the nearest solid thing, negative inside it; a rough one beyond `far_m`."""
+    """Distance from the footprint to the nearest solid thing, negative inside it; a rough one further than `beyond_m`.
+
+    Three discs as wide as the chair, and its four corners, stand for the rectangle.
+    """
     cos, sin = math.cos(yaw), math.sin(yaw)
-    cx, cy = x + MIDDLE_M * cos, y + MIDDLE_M * sin
+    cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
     middle = _clearance(cx, cy, clearance_dm, origin_m, cell_m)
-    if middle > far_m:
-        return middle - (FAR_M - 0.1)
+    corner = math.hypot(hull[HALF_L], hull[HALF_W])
+    if middle > corner + beyond_m:
+        return middle - corner
     gap = np.inf
     for i in range(-1, 2):
-        ahead = i * DISC_SPACING_M
-        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, origin_m, cell_m) - HALF_WIDTH_M)
+        ahead = i * max(0.0, hull[HALF_L] - hull[HALF_W])
+        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, origin_m, cell_m) - hull[HALF_W])
     for i in range(4):
-        ahead = HALF_LENGTH_M if i < 2 else -HALF_LENGTH_M
-        left = HALF_WIDTH_M if i % 2 == 0 else -HALF_WIDTH_M
+        ahead = hull[HALF_L] if i < 2 else -hull[HALF_L]
+        left = hull[HALF_W] if i % 2 == 0 else -hull[HALF_W]
         px, py = cx + ahead * cos - left * sin, cy + ahead * sin + left * cos
         gap = min(gap, _clearance(px, py, clearance_dm, origin_m, cell_m))
     return gap
@@ -266,23 +272,25 @@ def _wheel_heights(
 
 
 @exact_kernel
-def _overlap(cx: float, cy: float, cos: float, sin: float, ox: float, oy: float, other: F64, margin: float) -> bool:
+def _overlap(
+    cx: float, cy: float, cos: float, sin: float, hull: F64, ox: float, oy: float, other: F64, margin: float
+) -> bool:
     """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
     half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
     dx, dy = ox - cx, oy - cy
-    reach = HALF_LENGTH_M + HALF_WIDTH_M + half_l + half_w
+    reach = hull[HALF_L] + hull[HALF_W] + half_l + half_w
     if dx * dx + dy * dy > reach * reach:
         return False
     ocos, osin = other[ACOS], other[ASIN]
     along = abs(cos * ocos + sin * osin)
     cross = abs(cos * osin - sin * ocos)
-    if abs(dx * cos + dy * sin) > HALF_LENGTH_M + half_l * along + half_w * cross:
+    if abs(dx * cos + dy * sin) > hull[HALF_L] + half_l * along + half_w * cross:
         return False
-    if abs(dy * cos - dx * sin) > HALF_WIDTH_M + half_l * cross + half_w * along:
+    if abs(dy * cos - dx * sin) > hull[HALF_W] + half_l * cross + half_w * along:
         return False
-    if abs(dx * ocos + dy * osin) > half_l + HALF_LENGTH_M * along + HALF_WIDTH_M * cross:
+    if abs(dx * ocos + dy * osin) > half_l + hull[HALF_L] * along + hull[HALF_W] * cross:
         return False
-    return bool(abs(dy * ocos - dx * osin) <= half_w + HALF_LENGTH_M * cross + HALF_WIDTH_M * along)
+    return bool(abs(dy * ocos - dx * osin) <= half_w + hull[HALF_L] * cross + hull[HALF_W] * along)
 
 
 @exact_kernel

@@ -17,26 +17,36 @@ from wcsim.frames import wrap
 from wcsim.supervisor import avoidance
 from wcsim.supervisor.avoidance import HALF_LENGTH_M, Body
 from wcsim.supervisor.crossing import Crossing, crossings, has_light, is_red, vehicle_comes
-from wcsim.supervisor.hand import Hand, SwitchHand
+from wcsim.supervisor.edges import Edges
+from wcsim.supervisor.hand import Hand, SwitchHand, on_disc
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Perception, Seen
 from wcsim.supervisor.profiles import UserProfile
-from wcsim.supervisor.steering import steer, stopping_speed
-from wcsim.types import Joystick, Route, Street, UserView
+from wcsim.supervisor.steering import DRIVE_DELAY_S, TURN_IN_PLACE_RAD, steer, stopping_speed
+from wcsim.supervisor.turning import Axle, Turn, Turning, plan_turn
+from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 
-# The drive axle is near the chair's rear end; who steers thinks of its middle.
-MIDDLE_AHEAD_M = 0.23
-LOOKAHEAD_S = 0.6  # the look-ahead grows with speed
+# The drive axle may be near the chair's rear end; who steers thinks of the middle.
+USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)
+LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
 BRAKE_MPS2 = 0.6
 CORNER_RADPS = 1.0
 CORNER_AHEAD_M = 5.0
+SLOPE_MPS, SLOPE_AHEAD_M = 0.8, 4.0  # how fast a ramp is driven on, and how far ahead it is seen
 CORRECTION_ERROR = 0.25  # relative, of one corrective movement
 CALM_STICK = 0.2  # who steers more than this looks at the street
 ARRIVED_M = 0.5
 PROGRESS_M = 0.25  # less than this is being blocked
-WAIT_PATIENCE = 8.0  # at a light or for a vehicle the user waits this many times longer
+RED_BELIEVED_S = 60.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
+WAIT_PATIENCE = 8.0  # at a light or for a vehicle the user waits this many times longer,
+TURN_PATIENCE = 3.0  # and this many times while turning round
 LONGEST_STEP_S = 0.05
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
+HAIRPIN_M = 1.0
+STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
+CREEP_MPS, BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
+STUCK_S, STUCK_M, STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
+FREE_M = 0.5  # and is backed up so far
 LIGHT_SEEN_M, TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 
 
@@ -45,13 +55,13 @@ class Plan:
     """What the user has decided on."""
 
     wish: Joystick
-    waiting: bool  # at a kerb, which costs little patience
+    patience: float = 1.0  # a tick costs one part in so many of what is usual
 
 
 class SimulatedUser:
     """One user during one episode; the episode may have several destinations (`follow`).
 
-    The world calls `look` once a tick and `hand` once a physics step.
+    The world calls `hand` for the steps of a tick, and `look` at the tick's end.
     """
 
     def __init__(
@@ -60,8 +70,8 @@ class SimulatedUser:
         rng: np.random.Generator,
         v_max_mps: float,
         yaw_rate_max_radps: float,
-        step_s: float,
         street: Street | None = None,
+        outline: Outline = USUAL_OUTLINE,
     ) -> None:
         """A user who stands still until `follow` and the first `look`.
 
@@ -70,46 +80,55 @@ class SimulatedUser:
             rng: Source of all chance of this user.
             v_max_mps: Top speed of the chair.
             yaw_rate_max_radps: Fastest turn in place.
-            step_s: Length of a physics step.
             street: What a person sees of kerbs and crossings; without it the user keeps within 0.35 m of its route and
                 knows no crossing.
-
-        Raises:
-            ConfigError: The step is too long for a hand (more than 0.05 s), or not positive.
+            outline: The chair's box.
         """
-        if not 0.0 < step_s <= LONGEST_STEP_S:
-            raise ConfigError(f"step_s is {step_s}; expected 0 < step_s <= {LONGEST_STEP_S}: call hand() more often")
         self.profile = profile
         self.arrived = False
         self.gave_up = False
         attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
         self._limits = (v_max_mps, yaw_rate_max_radps)
         self._delay_s = profile.reaction_s + profile.lag_s
+        self._lookahead_s = LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
         self._street = street
+        self._outline = outline
         self._perception = Perception(profile, attention_rng)
         self._hand = SwitchHand(profile) if profile.discrete else Hand(profile, hand_rng)
-        self._stick = Joystick(0.0, 0.0)
+        self._sticks = np.zeros((1, 2))
         self._intent = Joystick(0.0, 0.0)
         self._time_s: float | None = None
         self._yaw_rad = self._yaw_rate_radps = 0.0
         self._correct_at_s = -math.inf
         self._path: Path | None = None
+        self._witness: tuple[UserView, Seen] | None = None
+        self._moved: tuple[float, Body] | None = None  # when and where the chair last was somewhere else
+        self._freed_m = FREE_M
 
     def follow(self, route: Route) -> None:
         """Take a new destination; patience and progress begin anew. Raises ConfigError for a route without points."""
         self._path = Path(route)
+        self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
         self._crossings = crossings(route, self._street.walk) if self._street is not None else ()
         self._obeys: dict[Crossing, bool] = {}
+        self._red_since_s: dict[Crossing, float] = {}
         self._arc_m = 0.0
         self._furthest_m = -math.inf
         self._blocked_s = 0.0
         self._lane_m = 0.0
+        self._turning: Turning | None = None
+        self._turned_last: Turning | None = None
         self.arrived = self.gave_up = False
 
     @property
     def joystick(self) -> Joystick:
         """The stick now, on the unit disc: what the agent is shown."""
-        return self._stick
+        return Joystick(*self._sticks[-1].tolist())
+
+    @property
+    def sticks(self) -> F64:
+        """The stick (steps, 2) after each step of the last call of `hand`; for measurements of the hand."""
+        return self._sticks
 
     @property
     def intent(self) -> Joystick:
@@ -117,14 +136,28 @@ class SimulatedUser:
         return self._intent
 
     @property
+    def witness(self) -> tuple[UserView, Seen] | None:
+        """What lay before the user at the last look and what of it was noticed, None of a look elsewhere; for tests."""
+        return self._witness
+
+    @property
     def route_progress_m(self) -> float:
         """How far along the present route the chair is."""
         return self._arc_m if self._path is not None else 0.0
 
-    def hand(self, dt_s: float) -> Joystick:
-        """Move the hand on by one physics step; the stick afterwards."""
-        self._stick = self._hand.move(dt_s)
-        return self._stick
+    def hand(self, steps: int, dt_s: float) -> Joystick:
+        """Move the hand on by a tick of `steps` physics steps; the stick afterwards.
+
+        Raises:
+            ConfigError: A step is too long for a hand (more than 0.05 s), or not positive, or there is none.
+        """
+        if steps < 1 or not 0.0 < dt_s <= LONGEST_STEP_S:
+            raise ConfigError(
+                f"a hand cannot move in {steps} steps of {dt_s} s; expected at least one, of 0 to {LONGEST_STEP_S} s: "
+                "change world.substeps"
+            )
+        self._sticks = self._hand.move(steps, dt_s)
+        return self.joystick
 
     def look(self, view: UserView) -> None:
         """Look at the street once: attention, perception, plan. The hand learns of it after its delay."""
@@ -135,12 +168,13 @@ class SimulatedUser:
         if self._path is None:
             return
         body = self._body(view, self._path)
-        waiting = False
+        patience = 1.0
+        self._witness = None
         if self._perception.attend(dt_s, abs(self._intent.x) < CALM_STICK):
             plan = self._plan(view, body, self._path)
-            waiting = plan.waiting
+            patience = plan.patience
             self._intent = self._corrected(plan.wish, view.time_s)
-        self._judge_progress(self._path, dt_s / WAIT_PATIENCE if waiting else dt_s)
+        self._judge_progress(self._path, dt_s / patience)
         if self.arrived or self.gave_up:
             self._intent = Joystick(0.0, 0.0)
         self._hand.want(self._intent)
@@ -148,52 +182,104 @@ class SimulatedUser:
     def _body(self, view: UserView, path: Path) -> Body:
         """The chair's middle where it will be when the hand answers: drivers steer ahead of their own delay."""
         x, y, yaw = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
-        now = path.project(x + MIDDLE_AHEAD_M * math.cos(yaw), y + MIDDLE_AHEAD_M * math.sin(yaw), self._arc_m)
-        self._arc_m = now.arc_m
+        ahead_m = self._outline.middle_x_m
+        arc_m = path.project(x + ahead_m * math.cos(yaw), y + ahead_m * math.sin(yaw), self._arc_m).arc_m
+        # In a hairpin both legs are equally near, and turning there swings the chair's middle from one to the other:
+        # who has come to a place of the route does not go back over it by turning.
+        self._arc_m = arc_m if arc_m < self._arc_m - HAIRPIN_M else max(arc_m, self._arc_m)
         delay_s = self._delay_s
         turned = delay_s * self._yaw_rate_radps
-        x += delay_s * view.speed_mps * math.cos(yaw + 0.5 * turned) + MIDDLE_AHEAD_M * math.cos(yaw + turned)
-        y += delay_s * view.speed_mps * math.sin(yaw + 0.5 * turned) + MIDDLE_AHEAD_M * math.sin(yaw + turned)
+        x += delay_s * view.speed_mps * math.cos(yaw + 0.5 * turned) + ahead_m * math.cos(yaw + turned)
+        y += delay_s * view.speed_mps * math.sin(yaw + 0.5 * turned) + ahead_m * math.sin(yaw + turned)
         there = path.project(x, y, self._arc_m)
         return Body(
             x_m=x,
             y_m=y,
             yaw_rad=yaw + turned,
             speed_mps=view.speed_mps,
-            arc_m=there.arc_m,
+            arc_m=max(there.arc_m, self._arc_m),
             left_m=there.left_m,
         )
 
     def _plan(self, view: UserView, body: Body, path: Path) -> Plan:
         seen = self._perception.look(view)
+        self._witness = (view, seen)
         speed = self.profile.speed_share * self._limits[0]
         speed = min(speed, path.speed_limit(body.arc_m, CORNER_RADPS, BRAKE_MPS2, CORNER_AHEAD_M))
         speed = min(speed, stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
+        if self._edges is not None:
+            slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, SLOPE_AHEAD_M)
+            speed = min(speed, math.hypot(SLOPE_MPS, stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
         kerb_m = self._kerb_to_wait_at(view, body, seen)
         if kerb_m is not None:
             speed = min(speed, stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
         speed = min(speed, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
-        speed = self._change_lane(body, path, seen, speed)
-        ahead_m = self.profile.lookahead_m + LOOKAHEAD_S * max(0.0, body.speed_mps)
-        goal = path.at(body.arc_m + ahead_m, self._lane_m)
-        wish = steer(body, goal, speed, self._limits, self._delay_s, self._intent.x)
-        waiting = kerb_m is not None and speed < 0.3
-        return Plan(wish=wish, waiting=waiting)
+        goal_m = body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
+        speed = self._change_lane(body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0)
+        goal = path.at(goal_m, self._lane_m)
+        if kerb_m is not None and speed < 0.3:
+            self._moved = None
+            return Plan(wish=self._steered(body, goal, speed), patience=WAIT_PATIENCE)
+        self._free_when_stuck(body, view.time_s)
+        turn = self._turned(body, goal, seen, view.time_s)
+        if turn is not None:
+            return turn
+        return Plan(wish=self._steered(body, goal, speed))
 
-    def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float) -> float:
-        """Pick the offset from the route; the speed that goes with it."""
-        blocked = avoidance.blocked_lanes(path, body, seen.things, self.profile.speed_share * self._limits[0])
+    def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
+        return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
+
+    def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> Plan | None:
+        """A turn on the spot, with room made for it before; None when none is needed."""
+        axle = self._axle(body)
+        if self._turning is None:
+            # seen from the axle, which a turn does not move: else the turn itself would change what is wanted
+            error = wrap(math.atan2(goal[1] - axle.y_m, goal[0] - axle.x_m) - body.yaw_rad)
+            if self._street is None or abs(error) < TURN_IN_PLACE_RAD or abs(body.speed_mps) > STANDS_MPS:
+                return None
+            tried = self._turned_last.tried(axle) if self._turned_last is not None else 0.0
+            backwards = not self.profile.discrete
+            turn = plan_turn(self._street.grid, self._outline, axle, error, backwards, tried)
+            self._turning = self._turned_last = Turning(turn, axle, time_s)
+        to_do = self._turning.next(axle, time_s)
+        if to_do is None:
+            self._turning = None
+            return None
+        patience = TURN_PATIENCE if self._turning.turns else 1.0
+        on_m, turn_rad = to_do
+        if on_m < 0.0:
+            return Plan(wish=Joystick(0.0, BACK_STICK), patience=patience)
+        yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
+        speed = min(CREEP_MPS, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
+        there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
+        return Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
+
+    def _free_when_stuck(self, body: Body, time_s: float) -> None:
+        """Back up, or next time creep on, when the chair hangs on something: a kerb, a caster across."""
+        wants = math.hypot(self._intent.x, self._intent.y) > CALM_STICK
+        if self._moved is None or not wants or _apart(self._moved[1], body):
+            self._moved = (time_s, body)
+        elif time_s - self._moved[0] > STUCK_S and not self.profile.discrete:
+            self._freed_m = -self._freed_m
+            self._turning = Turning(Turn(move_m=self._freed_m, turn_rad=0.0), self._axle(body), time_s)
+            self._moved = (time_s, body)
+
+    def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
+        """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
+        desired_mps = self.profile.speed_share * self._limits[0]
+        blocked = avoidance.blocked_lanes(path, body, seen.things, desired_mps)
         if not blocked:
-            self._lane_m = 0.0
+            self._lane_m = home_m
             return speed_mps
         room = (avoidance.DEFAULT_ROOM_M, avoidance.DEFAULT_ROOM_M)
-        if self._street is not None:
-            room = avoidance.side_room(self._street.grid, path, body.arc_m)
-        lane = avoidance.choose_lane(blocked, room, self._lane_m)
+        if self._edges is not None:
+            left_m, right_m = self._edges.room(body.arc_m, avoidance.HORIZON_M)
+            room = (left_m - avoidance.BESIDE_M, right_m - avoidance.BESIDE_M)
+        lane = avoidance.choose_lane(blocked, room, self._lane_m, home_m)
         if lane is not None:
             self._lane_m = lane
         off = abs(body.left_m - self._lane_m) > 0.15
-        return min(speed_mps, 0.6 * self.profile.speed_share * self._limits[0]) if off or lane is None else speed_mps
+        return min(speed_mps, 0.6 * desired_mps) if off or lane is None else speed_mps
 
     def _kerb_to_wait_at(self, view: UserView, body: Body, seen: Seen) -> float | None:
         """Arc where the chair's middle must stop because of a light or a vehicle; None when the way is free."""
@@ -210,8 +296,11 @@ class SimulatedUser:
             if not self._obeys[item]:
                 continue
             if is_red(item, view.signals):
-                return stop_m
-            watched = to_go_m < TRAFFIC_SEEN_M and not has_light(item, view.signals)
+                if to_go_m < TRAFFIC_SEEN_M:
+                    since_s = self._red_since_s.setdefault(item, view.time_s)
+                if to_go_m >= TRAFFIC_SEEN_M or view.time_s - since_s < RED_BELIEVED_S:
+                    return stop_m
+            watched = to_go_m < TRAFFIC_SEEN_M and (item in self._red_since_s or not has_light(item, view.signals))
             if watched and vehicle_comes(item, seen.vehicles):
                 return stop_m
         return None
@@ -221,11 +310,16 @@ class SimulatedUser:
         period_s = self.profile.correct_every_s
         if period_s <= 0.0:
             return wish
-        if time_s < self._correct_at_s:
+        if time_s < self._correct_at_s - 1e-9:
             return self._intent
-        self._correct_at_s = time_s + period_s
+        # From when it was due, not from this tick: else the ticks' grid would make every period longer.
+        self._correct_at_s = max(self._correct_at_s, time_s - period_s) + period_s
         wrong_x, wrong_y = (1.0 + CORRECTION_ERROR * self._rng.standard_normal(2)).tolist()
-        return Joystick(wish.x * wrong_x, wish.y * wrong_y)
+        return Joystick(*on_disc(wish.x * wrong_x, wish.y * wrong_y))
+
+    def _axle(self, body: Body) -> Axle:
+        ahead_m, yaw = self._outline.middle_x_m, body.yaw_rad
+        return Axle(x_m=body.x_m - ahead_m * math.cos(yaw), y_m=body.y_m - ahead_m * math.sin(yaw), yaw_rad=yaw)
 
     def _judge_progress(self, path: Path, patience_s: float) -> None:
         self.arrived = self.arrived or self._arc_m > path.length_m - ARRIVED_M
@@ -234,3 +328,7 @@ class SimulatedUser:
         else:
             self._blocked_s += patience_s
         self.gave_up = self.gave_up or (self._blocked_s > self.profile.give_up_s and not self.arrived)
+
+
+def _apart(a: Body, b: Body) -> bool:
+    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > STUCK_M or abs(wrap(a.yaw_rad - b.yaw_rad)) > STUCK_RAD

@@ -15,6 +15,7 @@ from wcsim.types import F64, I32, Route, WalkEdge, WalkGraph, WayKind
 SPACING_M = 1.0  # of a route's points
 START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
 CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
+SPUR_M, SPUR_GAP_M, SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
 
 XY = tuple[float, float]
 
@@ -162,9 +163,27 @@ def _resampled(points_m: F64, edges: I32) -> Route:
     count = np.maximum(1, np.ceil(np.diff(corner_m) / SPACING_M).astype(int))
     fine = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(corner_m[:-1], corner_m[1:], count, strict=True)]
     arc_m = np.concatenate([*fine, corner_m[-1:]])
-    owner = np.concatenate([np.repeat(edges[:-1], count), edges[-1:]])
+    owner = np.concatenate([np.repeat(edges[:-1], count), edges[-1:]]).astype(np.int32)
     fine_m = np.column_stack([np.interp(arc_m, corner_m, points_m[:, k]) for k in (0, 1)])
-    return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner.astype(np.int32))
+    through = _without_spurs(fine_m, arc_m)
+    if len(through) == len(fine_m):
+        return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
+    fine_m, owner = fine_m[through], owner[through]
+    arc_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine_m, axis=0), axis=1))])
+    return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
+
+
+def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
+    """Indices of the points that are left when a way goes on where it comes by again, instead of to a node and back."""
+    kept, at, last = [], 0, len(points_m) - 1
+    while at <= last:
+        kept.append(at)
+        reach = int(np.searchsorted(arc_m, arc_m[at] + SPUR_M, side="right"))
+        way_m = arc_m[at + 2 : reach] - arc_m[at]
+        gap_m = np.linalg.norm(points_m[at + 2 : reach] - points_m[at], axis=1)
+        back = np.flatnonzero((gap_m > 1e-6) & (gap_m < SPUR_GAP_M) & (way_m > SPUR_RATIO * gap_m))
+        at = at + 2 + int(back[-1]) if len(back) else at + 1
+    return kept
 
 
 def _turned(yaw_rad: float) -> float:

@@ -19,7 +19,8 @@ from wcsim.towns.ground import CELL_M as CHUNK_M
 from wcsim.types import F64, U8, Relief, StreetGrid, StreetMesh, TileKey
 
 TILE_M = 3 * CHUNK_M
-KEPT_RASTERS = 40  # 7 MB each; a chair and those around it stand on about four
+RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
+KEPT_RASTERS = 36  # 2.5 MB each; a chair and those around it stand on about four
 _RASTERS = ("height_cm", "ground_class", "clearance_dm")
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 
@@ -34,20 +35,29 @@ def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
     last = np.floor(np.array([east, north]) / TILE_M - 1e-9).astype(int)
     keys = [(x, y) for x in range(first[0], last[0] + 1) for y in range(first[1], last[1] + 1)]
     owner = _tile_of_chunk(mesh, first, last)
-    packer = zstandard.ZstdCompressor(level=1)
     arrays: dict[str, np.ndarray] = {"tile_range": np.array([*first, *last])}
     spans = []
     for key in keys:
         part = _chunks_of(mesh, np.flatnonzero((owner == key).all(axis=1)))
         arrays |= {_name(key, name): getattr(part, name) for name in _MESH}
+        spans.append(_span(key, part))
+    arrays["tile_spans"] = np.array(spans)
+    return arrays | _packed_rasters(grid)
+
+
+def _packed_rasters(grid: GridMaker) -> dict[str, np.ndarray]:
+    west, south, east, north = grid.bounds()
+    columns = range(math.floor(west / RASTER_M), math.floor(east / RASTER_M - 1e-9) + 1)
+    rows = range(math.floor(south / RASTER_M), math.floor(north / RASTER_M - 1e-9) + 1)
+    packer = zstandard.ZstdCompressor(level=1)
+    arrays = {"raster_range": np.array([columns[0], rows[0], columns[-1], rows[-1]])}
+    for key in ((x, y) for x in columns for y in rows):
         piece = grid.piece(_box(key))
         arrays |= {
             # a copy, because the packer's own bytes hold as much memory as what they were made of
             _name(key, n): np.frombuffer(packer.compress(getattr(piece, n).tobytes()), np.uint8).copy()
             for n in _RASTERS
         }
-        spans.append(_span(key, part))
-    arrays["tile_spans"] = np.array(spans)
     return arrays
 
 
@@ -61,7 +71,8 @@ class TileStore:
         self._packed = packed
         self._relief = relief
         west, south, east, north = (int(number) for number in packed["tile_range"])
-        self._first, self._last = (west, south), (east, north)
+        corners = [int(number) for number in packed["raster_range"]]
+        self._first, self._last = (corners[0], corners[1]), (corners[2], corners[3])
         self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
         self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
         self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()
@@ -113,16 +124,16 @@ class TileStore:
 
     def _grid(self, x_W_m: float, y_W_m: float) -> StreetGrid:
         (west, south), (east, north) = self._first, self._last
-        x, y = math.floor(x_W_m / TILE_M), math.floor(y_W_m / TILE_M)
+        x, y = math.floor(x_W_m / RASTER_M), math.floor(y_W_m / RASTER_M)
         return self._raster((min(max(x, west), east), min(max(y, south), north)))
 
     def _ask(self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray]) -> np.ndarray:
         """The answer for points (..., 2 or 3), tile by tile; nearly always one tile holds them all."""
         if p_W_m.ndim == 1:
             return question(self.around(p_W_m), p_W_m)
-        tiles = np.clip(np.floor(p_W_m[..., :2] / TILE_M).astype(int), self._first, self._last).reshape(-1, 2)
+        tiles = np.clip(np.floor(p_W_m[..., :2] / RASTER_M).astype(int), self._first, self._last).reshape(-1, 2)
         if not len(tiles):
-            return question(self._raster(self._keys[0]), p_W_m)
+            return question(self._raster(self._first), p_W_m)
         if (tiles == tiles[0]).all():
             return question(self._raster((int(tiles[0, 0]), int(tiles[0, 1]))), p_W_m)
         points = p_W_m.reshape(-1, p_W_m.shape[-1])
@@ -166,9 +177,9 @@ def _name(key: TileKey, name: str) -> str:
 
 
 def _box(key: TileKey) -> Box:
-    """The ground that a tile's raster covers: its square and AROUND_M more on each side."""
-    x, y = key[0] * TILE_M, key[1] * TILE_M
-    return x - AROUND_M, y - AROUND_M, x + TILE_M + AROUND_M, y + TILE_M + AROUND_M
+    """The ground that a raster covers: its square and AROUND_M more on each side."""
+    x, y = key[0] * RASTER_M, key[1] * RASTER_M
+    return x - AROUND_M, y - AROUND_M, x + RASTER_M + AROUND_M, y + RASTER_M + AROUND_M
 
 
 def _tile_of_chunk(mesh: StreetMesh, first: np.ndarray, last: np.ndarray) -> np.ndarray:

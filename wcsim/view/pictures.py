@@ -23,13 +23,14 @@ def class_colours(class_id: U8) -> U8:
 def depth_colours(depth_m: F32, range_m: float | None = None) -> U8:
     """Depth (H, W) as a colour image (H, W, 3): near is red, far is blue, `range_m` (default: the largest) is black.
 
-    The scale is logarithmic from 0.3 m on, since what is near matters most.
+    Where nothing was measured (0) it is white. The scale is logarithmic from 0.3 m on, since what is near matters most.
     """
     far = float(range_m if range_m is not None else depth_m.max(initial=1.0))
     near = min(0.3, 0.5 * far)
     share = np.log(np.clip(depth_m, near, far) / near) / np.log(far / near)
     bgr = cv2.applyColorMap(np.asarray(230 - 210 * share, np.uint8), cv2.COLORMAP_TURBO)
     bgr[depth_m >= far] = 0
+    bgr[depth_m <= 0.0] = 255
     return np.ascontiguousarray(bgr[..., ::-1])
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from wcsim.physics.renderer.kernels import place_models
 from wcsim.physics.renderer.models import GAIT_PHASES, POSTURES, STANDING
 from wcsim.physics.renderer.templates import Template, template_of
-from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, PlantState
+from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, PlantState
 
 U32 = npt.NDArray[np.uint32]
 
@@ -123,6 +123,11 @@ def joined(first: Instances, second: Instances) -> Instances:
         colour_seed=np.concatenate([first.colour_seed, second.colour_seed]),
         lamps=np.concatenate([first.lamps, second.lamps]),
     )
+
+
+def chosen(instances: Instances, rows: Bool) -> Instances:
+    """The rows (n,) bool of all."""
+    return Instances(**{name: getattr(instances, name)[rows] for name in Instances.__dataclass_fields__})
 
 
 def transforms(instances: Instances) -> F64:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -27,6 +29,24 @@ class GeometryStore:
         self.spheres_W_m = _spheres(self.vertices_W_m, self.chunk_vertices)  # (C, 4) x, y, z, radius
         self.templates: ActorTemplates = actor_templates()
 
+    @classmethod
+    def joined(cls, parts: Sequence[GeometryStore]) -> GeometryStore:
+        """The parts as one; much cheaper than the store of a mesh joined from theirs. Raises ValueError without any."""
+        store = cls.__new__(cls)
+        store.vertices_W_m = np.concatenate([part.vertices_W_m for part in parts])
+        store.faces = np.concatenate([part.faces for part in parts])
+        store.face_class = np.concatenate([part.face_class for part in parts])
+        store.chunk_vertices = _end_to_end([part.chunk_vertices for part in parts])
+        store.chunk_faces = _end_to_end([part.chunk_faces for part in parts])
+        store.paint = SurfacePaint(
+            rgb=np.concatenate([part.paint.rgb for part in parts]),
+            pattern=np.concatenate([part.paint.pattern for part in parts]),
+            frame=np.concatenate([part.paint.frame for part in parts]),
+        )
+        store.spheres_W_m = np.concatenate([part.spheres_W_m for part in parts])
+        store.templates = actor_templates()
+        return store
+
     @property
     def chunk_count(self) -> int:
         """Number of chunks."""
@@ -36,6 +56,13 @@ class GeometryStore:
         """Faces (F, 3) that index `vertices_W_m` as a whole."""
         start = np.repeat(self.chunk_vertices[:-1], np.diff(self.chunk_faces))
         return np.asarray(self.faces + start[:, None], np.int32)
+
+
+def _end_to_end(starts: Sequence[I32]) -> I32:
+    """Starts of chunks, each list ending with its total, as one such list."""
+    before = np.cumsum([0, *(part[-1] for part in starts)])
+    shifted = [part[:-1] + base for part, base in zip(starts, before[:-1], strict=True)]
+    return np.concatenate([*shifted, before[-1:]]).astype(np.int32)
 
 
 def _by_cell(mesh: StreetMesh, chunk_m: float) -> tuple[npt.NDArray[np.int64], I32]:

@@ -1,0 +1,93 @@
+"""Worlds beside each other in one measurement: each in a process of its own, taking turns, so that all meet one load.
+
+libsumo holds one simulation a process, so what is compared must live apart; and a machine's speed changes from minute
+to minute, so that figures of different runs cannot be compared at all.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Protocol
+
+from wcsim.errors import SumoError
+
+ANSWER_S = 300.0
+
+
+class Runner(Protocol):
+    """What takes turns; it is made in its own process."""
+
+    def tick(self) -> tuple[float, ...]:
+        """One tick; the numbers that were measured in it."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contestant:
+    """Who takes part: `make` must be picklable, and so must what it is given."""
+
+    make: Callable[..., Runner]
+    given: tuple[object, ...]
+    every: int = 1  # its turn comes in every n-th round; for what is much slower than the others
+
+
+def in_turns(
+    contestants: Sequence[Contestant], rounds: int, progress: Callable[[int], object]
+) -> tuple[list[tuple[float, ...]], ...]:
+    """Let all of them tick in turns; what each tick of each of them gave.
+
+    Raises:
+        SumoError: One of the processes died or hangs.
+    """
+    context = multiprocessing.get_context("spawn")
+    rows: tuple[list[tuple[float, ...]], ...] = tuple([] for _ in contestants)
+    with ExitStack() as held:
+        ends = []
+        for contestant in contestants:
+            mine, theirs = context.Pipe()
+            child = context.Process(target=_serve, args=(theirs, contestant.make, contestant.given), daemon=True)
+            child.start()
+            theirs.close()
+            held.callback(child.join, 10.0)
+            held.callback(child.terminate)
+            ends.append(held.enter_context(mine))
+        for end in ends:
+            _answer(end)
+        for number in range(rounds):
+            for contestant, end, found in zip(contestants, ends, rows, strict=True):
+                if number % contestant.every == 0:
+                    end.send(True)
+                    found.append(_answer(end))
+            progress(number + 1)
+    return rows
+
+
+def _answer(end: Connection) -> tuple[float, ...]:
+    try:
+        if end.poll(ANSWER_S):
+            numbers: tuple[float, ...] = end.recv()
+            return numbers
+    except EOFError:
+        pass
+    raise SumoError("a world of the comparison died or hangs; run `wcsim doctor`, then try again")
+
+
+def _serve(end: Connection, make: Callable[..., Runner], given: tuple[object, ...]) -> None:
+    """One contestant: a tick for each message, its numbers as the answer."""
+    runner = make(*given)
+    try:
+        end.send(())
+        while True:
+            try:
+                end.recv()
+            except EOFError:
+                return
+            end.send(runner.tick())
+    finally:
+        runner.close()

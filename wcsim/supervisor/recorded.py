@@ -1,0 +1,204 @@
+"""A recorded joystick in the place of a simulated user, and the file that it comes from.
+
+The file is a table of comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until
+the next one. Recording and episode begin together; when the recording is over the stick rests and the user gives up.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from wcsim.errors import ConfigError
+from wcsim.supervisor.hand import on_disc
+from wcsim.supervisor.path import Path
+from wcsim.supervisor.profiles import UserProfile, profile
+from wcsim.supervisor.user import ARRIVED_M, USUAL_OUTLINE
+from wcsim.types import F64, Joystick, Outline, Route, UserView
+
+PREFIX = "recorded:"
+COLUMNS = ("time_s", "x", "y")
+LONGEST_GAP_S = 0.5
+LARGEST_BYTES = 64 << 20
+SAME_TIME_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """A joystick over time; see `read_recording`."""
+
+    name: str
+    time_s: F64  # (n,) rising, from 0 to LONGEST_GAP_S on, n >= 2
+    sticks: F64  # (n, 2) x, y on the unit disc
+
+    @property
+    def end_s(self) -> float:
+        """When the last sample, held as long as an average one, is over."""
+        return float(self.time_s[-1] + (self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    def at(self, time_s: F64) -> F64:
+        """The stick (N, 2) at times (N,); at rest before the first sample and after the end."""
+        index = np.searchsorted(self.time_s, time_s + SAME_TIME_S, side="right") - 1
+        there = (index >= 0) & (time_s < self.end_s - SAME_TIME_S)
+        return np.where(there[:, None], self.sticks[index], 0.0)
+
+
+class RecordedUser:
+    """Replays a recording in one episode, with the interface of `SimulatedUser`.
+
+    What the person wanted beyond what the hand did is not known: the intent is the stick itself.
+    """
+
+    def __init__(self, recording: Recording, outline: Outline = USUAL_OUTLINE) -> None:
+        self.arrived = False
+        self.gave_up = False
+        self._recording = recording
+        self._middle_m = outline.middle_x_m
+        self._time_s = 0.0
+        self._sticks = recording.at(np.zeros(1))
+        self._path: Path | None = None
+        self._arc_m = 0.0
+        self._told = False
+
+    def follow(self, route: Route) -> None:
+        """Take a new destination: it says what arriving is, and moves nothing."""
+        self._path = Path(route)
+        self._arc_m = 0.0
+        self.arrived = self.gave_up = False
+
+    @property
+    def joystick(self) -> Joystick:
+        """The stick now, on the unit disc."""
+        return Joystick(*self._sticks[-1].tolist())
+
+    @property
+    def intent(self) -> Joystick:
+        """The stick itself."""
+        return self.joystick
+
+    @property
+    def sticks(self) -> F64:
+        """The stick (steps, 2) after each step of the last call of `hand`."""
+        return self._sticks
+
+    @property
+    def route_progress_m(self) -> float:
+        """How far along the present route the chair is."""
+        return self._arc_m
+
+    def hand(self, steps: int, dt_s: float) -> Joystick:
+        """Move on by a tick of `steps` physics steps; the stick afterwards."""
+        times_s: F64 = self._time_s + dt_s * np.arange(1, steps + 1, dtype=np.float64)
+        self._sticks = self._recording.at(times_s)
+        self._time_s += steps * dt_s
+        return self.joystick
+
+    def look(self, view: UserView) -> None:
+        """Take note of how far the chair has come; giving up at the recording's end is said once."""
+        if self._path is None:
+            return
+        x, y, yaw = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
+        there = self._path.project(x + self._middle_m * math.cos(yaw), y + self._middle_m * math.sin(yaw), self._arc_m)
+        self._arc_m = there.arc_m
+        self.arrived = self.arrived or self._arc_m > self._path.length_m - ARRIVED_M
+        if not self._told and self._time_s >= self._recording.end_s - SAME_TIME_S:
+            self._told = self.gave_up = True
+
+
+def find_user(name: str) -> UserProfile | Recording:
+    """The profile called `name`, or the recording of "recorded:FILE".
+
+    Raises:
+        ConfigError: There is no such profile (the message names all), or the file cannot be used.
+    """
+    return read_recording(FilePath(name.removeprefix(PREFIX))) if name.startswith(PREFIX) else profile(name)
+
+
+def read_recording(path: FilePath) -> Recording:
+    """Read and check a recorded joystick.
+
+    Raises:
+        ConfigError: The file cannot be read, has no samples, or one of them is no number, out of bounds, not later than
+            the one before, or more than 0.5 s later; with the line, the value and what was expected.
+    """
+    rows = _rows(path)
+    if len(rows) < 2:
+        raise ConfigError(f"{path}: {len(rows)} samples; expected at least two lines below {','.join(COLUMNS)}")
+    before_s = 0.0
+    for number, (line, row) in enumerate(rows):
+        _check(f"{path}:{line}", row, before_s, first=number == 0)
+        before_s = row[0]
+    table = np.array([row for _, row in rows])
+    sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
+    return Recording(name=str(path), time_s=table[:, 0], sticks=sticks)
+
+
+def write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
+    """Write a joystick over time, whole or not at all, as `read_recording` takes it.
+
+    Args:
+        path: The file.
+        time_s: (n,) rising, from 0 on.
+        sticks: (n, 2) x right, y forward, each in -1..1.
+
+    Raises:
+        ConfigError: It could not be read again, or the place cannot be written.
+    """
+    lines = [f"{t!r},{x!r},{y!r}" for t, (x, y) in zip(time_s.round(6).tolist(), sticks.tolist(), strict=True)]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
+            part = FilePath(work) / path.name
+            part.write_text("\n".join([",".join(COLUMNS), *lines, ""]), encoding="utf-8")
+            read_recording(part)
+            part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+
+
+def _rows(path: FilePath) -> list[tuple[int, tuple[float, float, float]]]:
+    """Line number and values of each sample."""
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise ConfigError(f"{path}: larger than {LARGEST_BYTES} bytes; expected a recorded joystick, cut it")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            head = tuple(word.strip() for word in next(reader, []))
+            if head != COLUMNS:
+                raise ConfigError(f"{path}:1: {','.join(head)[:80]!r}; expected the column names {','.join(COLUMNS)}")
+            return [(reader.line_num, _values(f"{path}:{reader.line_num}", row)) for row in reader if row]
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a recorded joystick") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: is no table of comma-separated values: {error}") from None
+
+
+def _values(where: str, row: list[str]) -> tuple[float, float, float]:
+    if len(row) != len(COLUMNS):
+        raise ConfigError(f"{where}: {len(row)} values; expected {','.join(COLUMNS)}")
+    values = []
+    for name, text in zip(COLUMNS, row, strict=True):
+        try:
+            values.append(float(text))
+        except ValueError:
+            raise ConfigError(f"{where}: {name} is {text[:40]!r}; expected a number") from None
+    return values[0], values[1], values[2]
+
+
+def _check(where: str, row: tuple[float, float, float], before_s: float, first: bool) -> None:
+    time_s, *stick = row
+    for name, value in zip("xy", stick, strict=True):
+        if not -1.0 <= value <= 1.0:
+            raise ConfigError(f"{where}: {name} is {value}; expected -1 to 1")
+    if first and not 0.0 <= time_s <= LONGEST_GAP_S:
+        raise ConfigError(f"{where}: time_s is {time_s} s; expected the first sample at 0 to {LONGEST_GAP_S} s")
+    if not first and not before_s < time_s <= before_s + LONGEST_GAP_S + SAME_TIME_S:
+        raise ConfigError(
+            f"{where}: time_s is {time_s} s after {before_s} s; expected later, by at most {LONGEST_GAP_S} s: "
+            "a gap is not filled, cut the recording there"
+        )
