@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,7 +17,7 @@ _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at mos
 _UNITS = {
     "m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "kg": "kg", "hz": "Hz", "mps": "m/s", "mps2": "m/s2",
     "mps3": "m/s3", "radps": "rad/s", "radps2": "rad/s2", "Nm": "Nm", "Ns": "Ns", "N": "N", "db": "dB", "mg": "mg",
-    "ticks": "ticks",
+    "ticks": "ticks", "ug": "ug", "Npm": "N/m", "Nspm": "Ns/m", "kgm2": "kg m2",
 }  # fmt: skip
 _OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
 
@@ -47,6 +47,10 @@ def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[st
     """The bounds (their name in pydantic, the limit) of the number at `loc` of a model; empty when there are none."""
     here: Any = model
     for part in loc:
+        if isinstance(part, int):
+            fixed = next((get_args(kind) for kind in _parts(here) if get_origin(kind) is tuple), ())
+            here = fixed[part] if part < len(fixed) and Ellipsis not in fixed else here
+            continue
         fields: dict[str, Any] = next((kind.model_fields for kind in _parts(here) if _is_model(kind)), {})
         if part in fields:
             here = fields[str(part)]

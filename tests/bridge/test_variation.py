@@ -10,7 +10,7 @@ from tests.worlds import hashes, open_world, quick_config
 from wcsim.agents.env import WheelchairEnv
 from wcsim.bridge.variation import Variation, draw
 from wcsim.bridge.world import World
-from wcsim.config import VaryConfig
+from wcsim.config import VaryConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.server.messages import Frame, decode_reply, encode
 from wcsim.types import Command, Joystick
@@ -209,3 +209,16 @@ def test_ranges_in_which_no_chair_can_stand_are_refused(monkeypatch):
     ranges = '{"mass.com_x_m"=[0.3,0.3], "casters.*.swivel_x_m"=[0.35,0.35]}'
     with pytest.raises(ConfigError, match=r"no chair that can stand.*narrower"):
         Variation(quick_config(f"vary.plant={ranges}"), 0).fitting(1, 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("chair.plant=mwd", 'vary.plant={"casters.*.arm.damping_Nspm"=[400,2300]}'), "too stiff for physics steps"),
+        (('vary.plant={"limits.speed_mps"=[0.2,0.5]}',), "expected a number of its body"),
+        (('vary.plant={"mass.user_kg"=[40,50]}', "vary.user_mass_kg=[30,40]"), "expected one of both"),
+    ],
+)
+def test_ranges_that_cannot_be_driven_or_change_nothing_are_refused_at_once(words, says):
+    with pytest.raises(ConfigError, match=says):
+        Variation(load_run_config("quick", words), 0)

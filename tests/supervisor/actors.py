@@ -19,6 +19,8 @@ SIZES = {
     ActorKind.WHEELCHAIR: (1.1, 0.62, 1.25),
 }
 
+USUAL_WHEELS_M = np.array([(0.0, 0.27), (0.0, -0.27), (0.44, 0.25), (0.44, -0.25)])
+
 
 def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0, name: str = "a") -> ActorState:
     return ActorState(

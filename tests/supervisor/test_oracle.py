@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.samples import straight_route, strip_street
-from tests.supervisor.actors import actor, make_user
+from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
 from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
@@ -18,7 +18,7 @@ from wcsim.types import ActorKind, Joystick
 
 STREET = strip_street()
 ACTIONS = action_set("square81")
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, ACTIONS.points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
 FORWARD = Joystick(0.0, 0.8)
 STOP = Joystick(0.0, 0.0)
 UP, DOWN = math.pi / 2, -math.pi / 2
@@ -194,9 +194,19 @@ def test_the_oracle_is_quick():
 
 
 def test_a_wider_and_longer_chair_has_less_room():
-    large = Oracle(STREET.grid, ChairConfig(), replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4), ACTIONS.points)
+    outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
+    large = Oracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, ACTIONS.points)
     beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.25, 0.0, 1.3)
     lost_m = ORACLE.clearance(beside_the_house, ()) - large.clearance(beside_the_house, ())
     assert lost_m == pytest.approx(0.14, abs=0.06)
     assert not ORACLE.danger(beside_the_pole, FORWARD, ())
     assert large.danger(beside_the_pole, FORWARD, ())
+
+
+def test_casters_behind_feel_kerbs_too():
+    behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25), (-0.40, -0.25)]])
+    mid = Oracle(STREET.grid, ChairConfig(), replace(USUAL_OUTLINE, middle_x_m=0.0), behind, ACTIONS.points)
+    backwards = Joystick(0.0, -1.0)
+    above_the_kerb = plant(15.0, 4.55, UP, 0.0)  # the road is behind
+    assert not ORACLE.danger(above_the_kerb, backwards, ())
+    assert mid.danger(above_the_kerb, backwards, ())

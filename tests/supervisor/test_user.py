@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.samples import straight_route, strip_street
-from tests.supervisor.actors import actor, make_user
+from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
 from tests.supervisor.kinematics import Chair, Sim, lateral, polyline
 from tests.supervisor.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
@@ -20,7 +20,7 @@ from wcsim.supervisor.user import USUAL_OUTLINE, SimulatedUser
 from wcsim.types import ActorKind, Joystick, SignalState
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, action_set("square81").points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, action_set("square81").points)
 CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
 PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
 

@@ -77,8 +77,9 @@ class Seat:
         self._config = config
         self._street = street
         self._router = router
-        outline = plant_spec(config.chair).outline
-        self._oracle = Oracle(street.grid, config.chair, outline, action_set(config.env.actions).points)
+        plant = plant_spec(config.chair)
+        wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
+        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points)
         self._variation = Variation(config, index)
         self.fitting: Fitting | None = None
         self._seed = 0
@@ -215,7 +216,7 @@ class Seat:
 
     def pose(self) -> ChairPose:
         """Where the cameras see this chair."""
-        return chair_pose(self.index, self.chair.state())
+        return chair_pose(self.index, self.chair.state(), self.chair.outline)
 
     def as_actor(self) -> ActorState:
         """This chair as other users and the street see it; made once for each state of the chair."""

@@ -14,6 +14,7 @@ from wcsim.config import CameraConfig, RunConfig, parse
 from wcsim.errors import ConfigError
 from wcsim.physics.mounting import refuse_cameras_inside
 from wcsim.physics.plant import PlantSpec, plant_spec, varied
+from wcsim.physics.plant_body import check_springs
 from wcsim.types import Drawn
 from wcsim.vary_file import VaryConfig
 
@@ -50,7 +51,9 @@ class Variation:
         self._vary, self._cameras, self._seat = config.vary, config.cameras, seat
         if not self._vary.nothing:
             self._spec = plant_spec(config.chair)
-            _check_plants(self._vary, self._spec)
+            self._step_s = config.world.tick_s / config.world.substeps
+            _check_names(self._vary)
+            _check_plants(self._vary, self._spec, self._step_s)
             _check_cameras(self._vary, self._cameras, self._spec)
 
     def fitting(self, seed: int, episode: int) -> Fitting | None:
@@ -63,11 +66,13 @@ class Variation:
         for attempt in range(TRIES):
             drawn = draw(self._vary, len(self._cameras), seed, self._seat, episode, attempt)
             try:
-                spec = with_drawn(self._spec, drawn)
+                spec, cameras = with_drawn(self._spec, drawn), moved(self._cameras, drawn)
+                check_springs(spec, self._step_s)
+                refuse_cameras_inside(cameras, spec.frame.boxes)
             except ConfigError as error:
                 fault = error
                 continue
-            return Fitting(drawn=drawn, spec=spec, cameras=moved(self._cameras, drawn))
+            return Fitting(drawn=drawn, spec=spec, cameras=cameras)
         raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand; expected narrower ranges: {fault}")
 
 
@@ -124,15 +129,28 @@ def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: flo
     return parse(CameraConfig, {**camera.model_dump(), "p_BC_m": (x, y, z), **turned}, f"camera {camera.name}")
 
 
-def _check_plants(vary: VaryConfig, spec: PlantSpec) -> None:
+def _check_names(vary: VaryConfig) -> None:
+    """Refuse numbers of a plant that change nothing in an episode, or that another range draws as well."""
+    for name in vary.plant:
+        if name.startswith(("limits.", "climbs.")):
+            raise ConfigError(f"vary.plant.{name}: says what the plant is tested for; expected a number of its body")
+        if name == "mass.user_kg" and vary.user_mass_kg is not None:
+            raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected one of both")
+
+
+def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:
     """Both ends of every range by itself; whether all together can stand is seen when they are drawn."""
     for name, span in vary.plant.items():
         for value in span:
-            _under(f"vary.plant.{name}", partial(varied, spec, {name: value}))
+            _under(f"vary.plant.{name}", partial(_check_plant, spec, name, value, step_s))
     for kg in vary.user_mass_kg or ():
         _under("vary.user_mass_kg", partial(with_drawn, spec, Drawn(user_mass_kg=kg)))
     for factor in vary.friction or ():
         _under("vary.friction", partial(with_drawn, spec, Drawn(friction=factor)))
+
+
+def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
+    check_springs(varied(spec, {name: value}), step_s)
 
 
 def _check_cameras(vary: VaryConfig, cameras: tuple[CameraConfig, ...], spec: PlantSpec) -> None:

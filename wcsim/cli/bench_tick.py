@@ -55,6 +55,8 @@ def run(options: TickOptions) -> int:
     in_bounds("--ticks", options.ticks, 1, MANY)
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--physics-hz", options.physics_hz, 100, 1000)
+    if options.physics_hz % 10:
+        raise ConfigError(f"--physics-hz {options.physics_hz}: expected a multiple of 10, for ticks of 0.1 s")
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     numbers, config = _chairs(options.chairs), _config(options)
     town, naive = find_town(options.town), _naive() if options.naive else None

@@ -35,7 +35,7 @@ SUBCOMMANDS = (
     Subcommand("replay", "wcsim.cli.replay", "a recorded run as SUMO's floating car data, with the wheelchairs in it"),
     Subcommand("snapshot", "wcsim.cli.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.video", "a video from a chair's camera beside a map"),
-    Subcommand("bench", "wcsim.cli.bench", "measure the tick and the cameras on this machine"),
+    Subcommand("bench", "wcsim.cli.bench", "measure chair, users, street, cameras and speed"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
 )
 

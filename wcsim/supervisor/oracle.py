@@ -35,18 +35,20 @@ class Assessment:
 class Oracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
-    def __init__(self, grid: Ground, chair: ChairConfig, outline: Outline, actions: F64) -> None:
+    def __init__(self, grid: Ground, chair: ChairConfig, outline: Outline, wheels_m: F64, actions: F64) -> None:
         """Prepare the arrays.
 
         Args:
             grid: The street from above.
             chair: The limits of the drive.
             outline: The chair seen from above.
+            wheels_m: (W, 2) where its wheels stand in B, the left and right drive wheel first, then pairs of casters.
             actions: (A, 2) joystick positions of the action set.
         """
         self._grid = grid
         self._chair = chair
         self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
+        self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
         self._commands = shaped(actions, chair)
         self._limits = np.array(
             [
@@ -93,6 +95,7 @@ class Oracle:
             commands,
             self._limits,
             self._hull,
+            self._wheels_m,
             grid.height_cm,
             grid.clearance_dm,
             np.array(grid.origin_W_m, np.float64),

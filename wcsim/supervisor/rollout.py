@@ -21,10 +21,6 @@ HOLD_S = 0.5
 STEP_S = 0.05
 LONGEST_S = 4.0
 
-# Where wheels stand, in B (x forward from the drive axle): the drive wheels and the front casters of a usual chair.
-WHEEL_X_M = (0.0, 0.0, 0.50, 0.50)
-WHEEL_Y_M = (0.29, -0.29, 0.27, -0.27)
-
 KERB_STEP_CM = 5  # a wheel takes this much up or down
 DEEPENING_M = 0.03  # who already touches may move, if not closer
 ACTOR_MARGIN_M = 0.05
@@ -48,6 +44,7 @@ def roll_out(
     commands: F64,
     limits: F64,
     hull: F64,
+    wheels: F64,
     height_cm: U8,
     clearance_dm: U8,
     origin_m: F64,
@@ -61,6 +58,7 @@ def roll_out(
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (7,) see the column names above.
         hull: (3,) see the column names above.
+        wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
         height_cm: (rows, cols) of the street grid.
         clearance_dm: (rows, cols) of the street grid.
         origin_m: (2,) of the street grid.
@@ -76,7 +74,7 @@ def roll_out(
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, commands[k], limits, hull, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
+            state, commands[k], limits, hull, wheels, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
         )
     return first_s
 
@@ -111,6 +109,7 @@ def _one(
     command: F64,
     limits: F64,
     hull: F64,
+    wheels: F64,
     allowed_gap: float,
     height_cm: U8,
     clearance_dm: U8,
@@ -120,11 +119,11 @@ def _one(
 ) -> float:
     x, y, yaw, v, w = state[0], state[1], state[2], state[3], state[4]
     a = 0.0
-    before = np.empty(4, np.int64)
-    before2 = np.empty(4, np.int64)
-    _wheel_heights(x, y, yaw, height_cm, origin_m, cell_m, before)
+    before = np.empty(len(wheels), np.int64)
+    before2 = np.empty(len(wheels), np.int64)
+    _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, before)
     before2[:] = before
-    now = np.empty(4, np.int64)
+    now = np.empty(len(wheels), np.int64)
     for i in range(int(LONGEST_S / STEP_S)):
         held = i * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
@@ -142,8 +141,8 @@ def _one(
         x += way * math.cos(0.5 * (yaw_before + yaw))
         y += way * math.sin(0.5 * (yaw_before + yaw))
         later_s = (i + 1) * STEP_S
-        _wheel_heights(x, y, yaw, height_cm, origin_m, cell_m, now)
-        if _falls(now, before, before2, v * w) or _touches(
+        _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, now)
+        if _falls(wheels, now, before, before2, v * w) or _touches(
             x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors
         ):
             return later_s
@@ -169,13 +168,13 @@ def _follow_speed(v: float, a: float, v_wanted: float, limits: F64) -> tuple[flo
 
 
 @exact_kernel
-def _falls(now: I64, before: I64, before2: I64, vw: float) -> bool:
+def _falls(wheels: F64, now: I64, before: I64, before2: I64, vw: float) -> bool:
     """A wheel met a step (within two samples, so that a raster's soft edge counts), or the chair leans too far."""
-    for j in range(4):
+    for j in range(len(now)):
         if abs(now[j] - before[j]) > KERB_STEP_CM or abs(now[j] - before2[j]) > KERB_STEP_CM:
             return True
-    lean = 0.01 * (now[0] - now[1]) / (WHEEL_Y_M[0] - WHEEL_Y_M[1]) + vw / GRAVITY_MPS2
-    pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (WHEEL_X_M[2] - WHEEL_X_M[0])
+    lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + vw / GRAVITY_MPS2
+    pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
     return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
 
 
@@ -258,14 +257,14 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
 
 @exact_kernel
 def _wheel_heights(
-    x: float, y: float, yaw: float, height_cm: U8, origin_m: F64, cell_m: float, out: I64
+    x: float, y: float, yaw: float, wheels: F64, height_cm: U8, origin_m: F64, cell_m: float, out: I64
 ) -> None:
-    """Ground height under the wheels into `out` (4,), centimetres."""
+    """Ground height under the wheels into `out` (W,), centimetres."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     rows, cols = height_cm.shape
-    for j in range(4):
-        wx = x + WHEEL_X_M[j] * cos - WHEEL_Y_M[j] * sin
-        wy = y + WHEEL_X_M[j] * sin + WHEEL_Y_M[j] * cos
+    for j in range(len(wheels)):
+        wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
+        wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
         col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
         row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
         out[j] = height_cm[row, col]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from wcsim.physics.renderer.kernels import place_models
 from wcsim.physics.renderer.models import GAIT_PHASES, POSTURES, STANDING
 from wcsim.physics.renderer.templates import Template, template_of
-from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, PlantState
+from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]
 
@@ -52,11 +52,18 @@ class ChairPose:
     seat: int
     p_WB_m: F64  # (3,) below the middle of the drive axle
     q_WB: F64  # (4,) x, y, z, w
+    middle_x_m: float = CHAIR_BOX_CENTRE_B_M[0]  # of its box, ahead of the drive axle
+    length_width_m: tuple[float, float] = CHAIR_SIZE_LWH_M[:2]
 
 
-def chair_pose(seat: int, plant: PlantState) -> ChairPose:
-    """The pose of a seat's wheelchair for the cameras."""
-    return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB)
+def chair_pose(seat: int, plant: PlantState, outline: Outline | None = None) -> ChairPose:
+    """The pose of a seat's wheelchair for the cameras; without an outline it is as large as the usual one."""
+    if outline is None:
+        return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB)
+    size = (outline.length_m, outline.width_m)
+    return ChairPose(
+        seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB, middle_x_m=outline.middle_x_m, length_width_m=size
+    )
 
 
 def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ()) -> Instances:
@@ -94,14 +101,15 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
 def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
     """Models for the wheelchairs of other seats."""
     turns = [rotation_of(chair.q_WB) for chair in chairs]
-    places = [chair.p_WB_m + R_WB @ CHAIR_BOX_CENTRE_B_M for chair, R_WB in zip(chairs, turns, strict=True)]
+    places = [chair.p_WB_m + chair.middle_x_m * R_WB[:, 0] for chair, R_WB in zip(chairs, turns, strict=True)]
+    sizes_m = [(*chair.length_width_m, CHAIR_SIZE_LWH_M[2]) for chair in chairs]
     return Instances(
         template=np.full(len(chairs), Template.WHEELCHAIR, np.int32),
         p_W_m=np.array(places, np.float64).reshape(-1, 3),
         yaw_rad=np.array([math.atan2(R[1, 0], R[0, 0]) for R in turns], np.float64),
         pitch_rad=np.array([math.asin(min(1.0, max(-1.0, R[2, 0]))) for R in turns], np.float64),
         roll_rad=np.array([math.atan2(R[2, 1], R[2, 2]) for R in turns], np.float64),
-        scale_m=np.tile(CHAIR_SIZE_LWH_M, (len(chairs), 1)).astype(np.float64),
+        scale_m=np.array(sizes_m, np.float64).reshape(-1, 3),
         colour_seed=np.array([zlib.crc32(b"chair %d" % chair.seat) for chair in chairs], np.uint32),
         lamps=np.zeros(len(chairs), np.int32),
     )
