@@ -13,7 +13,7 @@ from wcsim.config import RunConfig
 from wcsim.towns.town import Town
 from wcsim.types import SeatSpec
 
-NAIVE_EVERY = 10  # it is that much slower at least
+TURN_TICKS = 10  # the naive loop is that much slower at least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,10 +45,11 @@ def measure_tick(
         SumoError: One of the three dies or hangs.
     """
     given = (town.sumocfg, config, (SeatSpec(),) * chairs, seed)
-    takers = [Contestant(make=TimedWorld, given=given), Contestant(make=TimedTwin, given=given)]
+    takers = [Contestant(make=make, given=given, ticks=TURN_TICKS) for make in (TimedWorld, TimedTwin)]
     if naive is not None:
-        takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed), every=NAIVE_EVERY))
-    ours, bare, *rival = in_turns(takers, ticks, progress)
+        takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed)))
+    turns = -(-ticks // TURN_TICKS)
+    ours, bare, *rival = in_turns(takers, turns, lambda done: progress(min(ticks, done * TURN_TICKS)))
     whole = np.array(ours)
     wall_s, cpu_s = whole[:, 0], typical(ours)[1]
     share = {name: float(part) for name, part in zip(STAGES, whole[:, 2:-3].sum(0) / whole[:, 1].sum(), strict=True)}
