@@ -238,10 +238,12 @@ def test_noise_is_quick():
     scene, classes = wall(3.0), np.full((240, 320), ClassId.ROAD, np.uint8)
     scene[60:200, 80:180] = 1.5
     images = laid_over(config, scene, classes)
-    noise, best = camera_noise(config, pinhole(config)), math.inf
+    noise, best, yardstick = camera_noise(config, pinhole(config)), math.inf, math.inf
     for key in range(30):
         images.depth_m[:] = scene
-        start = time.perf_counter()
+        start = time.process_time()
         noise.lay_over(images, key)
-        best = min(best, time.perf_counter() - start)
-    assert best < 1e-3
+        between = time.process_time()
+        sum(i * i for i in range(20_000))  # 1.2 ms where the noise takes 0.5
+        best, yardstick = min(best, between - start), min(yardstick, time.process_time() - between)
+    assert best < yardstick

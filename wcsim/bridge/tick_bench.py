@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.bridge.turns import Contestant, Runner, in_turns
-from wcsim.bridge.twin import STAGES, TimedTwin, TimedWorld, bridge_cost, typical
+from wcsim.bridge.twin import BLOCK_TICKS, STAGES, TimedTwin, TimedWorld, bridge_cost, typical
 from wcsim.config import RunConfig
 from wcsim.towns.town import Town
 from wcsim.types import SeatSpec
 
-TURN_TICKS = 10  # the naive loop is that much slower at least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +44,11 @@ def measure_tick(
         SumoError: One of the three dies or hangs.
     """
     given = (town.sumocfg, config, (SeatSpec(),) * chairs, seed)
-    takers = [Contestant(make=make, given=given, ticks=TURN_TICKS) for make in (TimedWorld, TimedTwin)]
+    takers = [Contestant(make=make, given=given, ticks=BLOCK_TICKS) for make in (TimedWorld, TimedTwin)]
     if naive is not None:
         takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed)))
-    turns = -(-ticks // TURN_TICKS)
-    ours, bare, *rival = in_turns(takers, turns, lambda done: progress(min(ticks, done * TURN_TICKS)))
+    turns = -(-ticks // BLOCK_TICKS)
+    ours, bare, *rival = in_turns(takers, turns, lambda done: progress(min(ticks, done * BLOCK_TICKS)))
     whole = np.array(ours)
     wall_s, cpu_s = whole[:, 0], typical(ours)[1]
     share = {name: float(part) for name, part in zip(STAGES, whole[:, 2:-3].sum(0) / whole[:, 1].sum(), strict=True)}

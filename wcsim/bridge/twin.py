@@ -119,8 +119,8 @@ def measure_bridge(
 ) -> BridgeCost:
     """Run both worlds for `ticks` ticks, in turns. Raises SumoError when one of them dies."""
     given = (town.sumocfg, config, (SeatSpec(),), seed)
-    pair = (Contestant(make=TimedWorld, given=given), Contestant(make=TimedTwin, given=given))
-    ours, bare = in_turns(pair, ticks, progress)
+    pair = [Contestant(make=make, given=given, ticks=BLOCK_TICKS) for make in (TimedWorld, TimedTwin)]
+    ours, bare = in_turns(pair, -(-ticks // BLOCK_TICKS), lambda done: progress(min(ticks, done * BLOCK_TICKS)))
     return bridge_cost(ours, bare)
 
 
