@@ -14,7 +14,6 @@ from wcsim.towns.town import Town
 from wcsim.types import SeatSpec
 
 
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TickCost:
     """One number of wheelchairs: rates in wall time, ratios and shares in processor time."""
