@@ -27,6 +27,7 @@ from wcsim.sensors_file import DepthNoiseConfig as DepthNoiseConfig
 from wcsim.sensors_file import ImuConfig as ImuConfig
 from wcsim.vary_file import VaryConfig as VaryConfig
 
+YAW_SLOWDOWN_S_PER_M = 0.6  # of every chair: its fastest turn falls as 1 / (1 + 0.6 v)
 MAX_CONFIG_BYTES = 1 << 20
 
 

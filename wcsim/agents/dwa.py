@@ -19,8 +19,8 @@ from wcsim.config import CameraConfig, ChairConfig
 from wcsim.frames import rad
 from wcsim.jit import exact_kernel
 from wcsim.supervisor.actions import ActionSet
-from wcsim.supervisor.oracle import shaped
-from wcsim.supervisor.rollout import YAW_SLOWDOWN_S_PER_M
+from wcsim.supervisor.oracle import limits_of, shaped
+from wcsim.supervisor.rollout import driven
 from wcsim.types import F32, F64, Outline
 
 HOLD_S, STEP_S, LONGEST_S = 0.5, 0.1, 3.0
@@ -61,17 +61,7 @@ class DynamicWindow:
         self._ahead_rad, self._half_rad = rad(camera.yaw_deg), 0.5 * rad(camera.hfov_deg)
         self._map = StepMap()
         self._commands = shaped(actions.points, chair)
-        self._limits = np.array(
-            [
-                chair.v_max_mps,
-                chair.reverse_share,
-                chair.accel_mps2,
-                chair.decel_mps2,
-                chair.yaw_accel_radps2,
-                chair.jerk_mps3,
-                chair.yaw_rate_max_radps,
-            ]
-        )
+        self._limits = limits_of(chair)
         self.reset()
 
     def begin(self) -> None:
@@ -136,18 +126,7 @@ def up_in_body(imu: F32) -> F64:
 @exact_kernel
 def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (7,)."""
-    v, w, a = motion
-    v_wanted = command[1] * limits[0] * (limits[1] if command[1] < 0.0 else 1.0)
-    w_wanted = -command[0] * limits[6] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v_wanted), abs(v)))
-    gap = v_wanted - v
-    limit = limits[3] if v * gap < 0.0 else limits[2]
-    wanted = math.copysign(min(limit, math.sqrt(2.0 * limits[5] * abs(gap))), gap)
-    a += min(max(wanted - a, -limits[5] * dt_s), limits[5] * dt_s)
-    if abs(gap) <= abs(a * dt_s) or abs(gap) < 0.01:
-        motion[0], motion[2] = v_wanted, 0.0
-    else:
-        motion[0], motion[2] = v + a * dt_s, a
-    motion[1] = w + min(max(w_wanted - w, -limits[4] * dt_s), limits[4] * dt_s)
+    motion[0], motion[1], motion[2] = driven(motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s)
 
 
 @exact_kernel

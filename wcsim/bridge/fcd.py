@@ -15,9 +15,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from wcsim import frames
-from wcsim.bridge.seat import CHAIR_MIDDLE_M, CHAIR_SIZE_LWH_M
 from wcsim.bridge.trace import TickRecord, TraceHeader, read_trace
 from wcsim.errors import WcsimError
+from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import F64, ActorKind
 
 CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -78,10 +78,10 @@ def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
     for seat, row in enumerate(record.plants):
         x, y, z, w = row[3:7]
         yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        middle_W_m = row[:3] + CHAIR_MIDDLE_M * frames.forward(yaw_rad, 0.0)
+        middle_W_m = row[:3] + USUAL_OUTLINE.middle_x_m * frames.forward(yaw_rad, 0.0)
         speed_mps = float(np.hypot(row[7], row[8]))
         name = f"{CHAIR_TYPE}.{seat}"
-        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, CHAIR_SIZE_LWH_M[0], speed_mps, header)
+        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, USUAL_OUTLINE.length_m, speed_mps, header)
 
 
 def _line(

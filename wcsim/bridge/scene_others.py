@@ -7,7 +7,7 @@ from typing import Literal
 
 from wcsim.bridge.footprint import Box, box_of, boxes_touch, gap_to_box
 from wcsim.bridge.scene_facts import ALONE_M, FASTEST_MPS
-from wcsim.bridge.seat import CHAIR_MIDDLE_M, CHAIR_SIZE_LWH_M
+from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import ActorKind, ActorState, ClientSnapshot, Snapshot
 
 Group = Literal["vehicle", "rider", "person", "chair"]
@@ -81,8 +81,8 @@ def chair_box(client: ClientSnapshot) -> Box:
     """A chair's box on the ground."""
     x, y, _ = client.plant.p_WB_m.tolist()
     cos, sin = math.cos(client.plant.yaw_rad), math.sin(client.plant.yaw_rad)
-    half_m = 0.5 * CHAIR_SIZE_LWH_M[0], 0.5 * CHAIR_SIZE_LWH_M[1]
-    return x + CHAIR_MIDDLE_M * cos, y + CHAIR_MIDDLE_M * sin, cos, sin, *half_m
+    half_m = 0.5 * USUAL_OUTLINE.length_m, 0.5 * USUAL_OUTLINE.width_m
+    return x + USUAL_OUTLINE.middle_x_m * cos, y + USUAL_OUTLINE.middle_x_m * sin, cos, sin, *half_m
 
 
 def box_gap_m(a: Box, b: Box) -> float:

@@ -47,8 +47,6 @@ from wcsim.types import (
     chair_actor_id,
 )
 
-CHAIR_SIZE_LWH_M = (1.135, 0.62, 1.25)  # of the usual plant, where a recording does not say which it was
-CHAIR_MIDDLE_M = 0.2325  # from the drive axle forward to the middle of its length
 SIGHT_M = 25.0
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
@@ -133,10 +131,6 @@ class Seat:
         """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
         self.chair.place(self._place.p_W_m, self._place.yaw_rad)
         self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
-
-    def after_substep(self) -> None:
-        """IMU sample, contacts."""
-        self.chair.after_step()
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""

@@ -1,4 +1,4 @@
-"""What the bridge costs: one world beside a twin in which the bridge is left out, tick by tick in turns.
+"""What the bridge costs: one world beside a twin in which the bridge is left out, ten ticks each in turns.
 
 The twin's SUMO and engine do the same work on the same town with the same seed; nobody reacts and nothing is mirrored
 in it.
@@ -62,7 +62,7 @@ class Twin(World):
     def _drive(self, commands: Sequence[Command]) -> None:
         self._reach_street()
         for seat, command in zip(self.seats, commands, strict=True):
-            seat.chair.command(command.joystick)
+            seat.command(command.joystick)
         for _ in range(self.config.world.substeps):
             for seat in self.seats:
                 seat.chair.before_step()
@@ -70,7 +70,7 @@ class Twin(World):
             self._open_engine.step()
             self.engines_s += time.thread_time() - start_s
             for seat in self.seats:
-                seat.after_substep()
+                seat.chair.after_step()
 
 
 class TimedWorld:

@@ -178,7 +178,7 @@ class World:
                     seat.chair.before_step()
                 self._open_engine.step()
                 for seat in self.seats:
-                    seat.after_substep()
+                    seat.chair.after_step()
         with self.stopwatch.measure("mirror"):
             self._guard.check(self._actors)
 

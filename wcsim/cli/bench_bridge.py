@@ -15,7 +15,7 @@ from wcsim.towns.town import find_town
 
 @dataclass
 class BridgeOptions:
-    """The cost of the bridge: one world beside a twin without it, tick by tick in turns, in processor time."""
+    """The cost of the bridge: one world beside a twin without it, ten ticks each in turns, in processor time."""
 
     town: str = "helsinki"
     """Town to run."""

@@ -12,12 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.config import ChairConfig
+from wcsim.config import YAW_SLOWDOWN_S_PER_M, ChairConfig
 from wcsim.jit import exact_kernel
 from wcsim.physics.plant import PlantSpec
 from wcsim.types import F64
 
-YAW_SLOWDOWN_S_PER_M: Final = 0.6  # the fastest turn falls as 1 / (1 + 0.6 v)
 PI_KP_PER_S: Final = 3.0
 PI_KI_PER_S2: Final = 1.0
 SLIP_MPS: Final = 0.1  # more than this between wheels and ground is a wheel without grip

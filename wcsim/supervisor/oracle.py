@@ -50,17 +50,7 @@ class Oracle:
         self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
         self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
         self._commands = shaped(actions, chair)
-        self._limits = np.array(
-            [
-                chair.v_max_mps,
-                chair.reverse_share,
-                chair.accel_mps2,
-                chair.decel_mps2,
-                chair.yaw_accel_radps2,
-                chair.jerk_mps3,
-                chair.yaw_rate_max_radps,
-            ]
-        )
+        self._limits = limits_of(chair)
 
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
@@ -109,6 +99,12 @@ class Oracle:
         origin_m = np.array(grid.origin_W_m, np.float64)
         gap = free_distance(_state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, table)
         return min(float(gap), FAR_M)
+
+
+def limits_of(chair: ChairConfig) -> F64:
+    """The drive's limits (7,) in the order of `rollout`."""
+    speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2)
+    return np.array([*speeds, chair.yaw_accel_radps2, chair.jerk_mps3, chair.yaw_rate_max_radps])
 
 
 def shaped(joysticks: F64, chair: ChairConfig) -> F64:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.config import YAW_SLOWDOWN_S_PER_M
 from wcsim.frames import rad
 from wcsim.jit import exact_kernel
 from wcsim.types import F64, U8
@@ -27,7 +28,6 @@ ACTOR_MARGIN_M = 0.05
 LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
 PITCH_LIMIT = math.tan(rad(30.0))
 GRAVITY_MPS2 = 9.81
-YAW_SLOWDOWN_S_PER_M = 0.6
 
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
@@ -128,13 +128,9 @@ def _one(
         held = i * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
             break
-        v_wanted = w_wanted = 0.0
-        if held:
-            v_wanted = command[1] * limits[V_MAX] * (limits[REVERSE] if command[1] < 0.0 else 1.0)
-            w_wanted = -command[0] * limits[W_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v_wanted), abs(v)))
+        stick_x, stick_y = (command[0], command[1]) if held else (0.0, 0.0)
         v_before = v
-        v, a = _follow_speed(v, a, v_wanted, limits)
-        w += min(max(w_wanted - w, -limits[YAW_ACCEL] * STEP_S), limits[YAW_ACCEL] * STEP_S)
+        v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
         yaw_before = yaw
         yaw += w * STEP_S
         way = 0.5 * (v_before + v) * STEP_S
@@ -152,16 +148,27 @@ def _one(
 
 
 @exact_kernel
-def _follow_speed(v: float, a: float, v_wanted: float, limits: F64) -> tuple[float, float]:
+def driven(
+    v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
+) -> tuple[float, float, float]:
+    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (7,)."""
+    v_wanted = stick_y * limits[V_MAX] * (limits[REVERSE] if stick_y < 0.0 else 1.0)
+    w_wanted = -stick_x * limits[W_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v_wanted), abs(v)))
+    v, a = _follow_speed(v, a, v_wanted, limits, dt_s)
+    return v, w + min(max(w_wanted - w, -limits[YAW_ACCEL] * dt_s), limits[YAW_ACCEL] * dt_s), a
+
+
+@exact_kernel
+def _follow_speed(v: float, a: float, v_wanted: float, limits: F64, dt_s: float) -> tuple[float, float]:
     """Speed and acceleration one step later: limited acceleration, limited jerk, no overshoot."""
     gap = v_wanted - v
     if gap == 0.0:
         return v, 0.0
     limit = limits[DECEL] if v * gap < 0.0 else limits[ACCEL]
     wanted = math.copysign(min(limit, math.sqrt(2.0 * limits[JERK] * abs(gap))), gap)
-    most = limits[JERK] * STEP_S
+    most = limits[JERK] * dt_s
     a += min(max(wanted - a, -most), most)
-    move = a * STEP_S
+    move = a * dt_s
     if abs(gap) <= abs(move) or abs(gap) < 0.01:
         return v_wanted, 0.0
     return v + move, a

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from wcsim.config import YAW_SLOWDOWN_S_PER_M
 from wcsim.frames import wrap
 from wcsim.supervisor.avoidance import Body
 from wcsim.types import Joystick
@@ -16,7 +17,6 @@ TURN_MAX_RADPS = 1.0
 DRIVE_DELAY_S = 0.1  # of the chair's own drive
 TURN_IN_PLACE_RAD = 1.0
 BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
-YAW_SLOWDOWN_S_PER_M = 0.6  # of the chair: its fastest turn falls as 1 / (1 + 0.6 v)
 DEADBAND = 0.08  # of the chair; a user has learnt how far a stick must be moved before anything happens
 
 

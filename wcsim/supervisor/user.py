@@ -27,6 +27,7 @@ from wcsim.supervisor.turning import Axle, Turn, Turning, plan_turn
 from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
+# Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
 USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)
 LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
 BRAKE_MPS2 = 0.6
