@@ -40,7 +40,7 @@ test: $(STAMP) lint
 	$(BIN)/pytest -n 2 --dist loadfile -m 'not proof'
 
 proof: $(STAMP)
-	$(BIN)/pytest -n 2 --dist loadfile -m proof
+	$(BIN)/pytest -n 2 --dist worksteal -m proof
 
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick

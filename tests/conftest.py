@@ -30,6 +30,9 @@ BUDGET_S = {
 }
 """Seconds of test time a group may take, on two cores; their sum over two workers stays under ten minutes."""
 
+PROOF_TIMEOUT_S = 2400
+"""A single proof may take minutes; this is for one that hangs."""
+
 
 def group_of(node_id: str) -> str:
     """The folder under tests/ that a test lies in; doctests of the package count as "wcsim"."""
@@ -56,6 +59,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "proof" in item.keywords and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(PROOF_TIMEOUT_S))
     if SHARED.is_dir():
         return
     skip = pytest.mark.skip(reason="needs the development material beside the checkout (../shared), which is not here")

@@ -6,6 +6,7 @@ Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are 
 from __future__ import annotations
 
 import hashlib
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -117,6 +118,9 @@ class RewardConfig(Model):
         return self
 
 
+Window = Annotated[int, Field(ge=1, le=16)]
+
+
 class EnvConfig(Model):
     """What the agent sees and does."""
 
@@ -124,10 +128,25 @@ class EnvConfig(Model):
     classes: Literal["cityscapes", "wcsim"] = "cityscapes"
     observe_gyro: bool = False  # beyond the paper: the turn rates among what the agent sees
     observe_yaw: bool = False  # and the heading
+    window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
     actions: Literal["square81", "disc69"] = "square81"
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
     profile: str = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
     truth: bool = False
+
+    @model_validator(mode="after")
+    def _window_is_compact(self) -> EnvConfig:
+        if self.observation != "compact" and self.frames > 1:
+            raise ValueError(
+                f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
+                "set env.window=1, or env.observation=compact"
+            )
+        return self
+
+    @property
+    def frames(self) -> int:
+        """Images in an observation: `window`, or one as long as no network was asked."""
+        return 1 if self.window is None else self.window
 
 
 class LearnConfig(Model):
@@ -205,6 +224,12 @@ class RunConfig(Model):
         """SHA-256 over the resolved configuration."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
+    def world_digest(self) -> str:
+        """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
+        shared = {"world", "chair", "cameras", "imu", "reward", "vary"}
+        text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
+        return hashlib.sha256(text.encode()).hexdigest()
+
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
@@ -240,6 +265,7 @@ class PolicyFile(Model):
     net: NetFile
     image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
     vector_size: Annotated[int, Field(ge=3, le=1024)]
+    window: Window = 1
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]
@@ -280,6 +306,15 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
         raise ConfigError(f"{where}: " + "; ".join(fault(model, item) for item in error.errors())) from None
 
 
+def parse_json(model: type[M], text: str, where: str) -> M:
+    """Check JSON text as `parse` does its data."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{where}: is not JSON: {error}") from None
+    return parse(model, data, where)
+
+
 def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
     """A preset by name, a TOML file over it, then `section.key=value` overrides (value in TOML syntax or a word)."""
     folder = Path(__file__).parent / "presets"
@@ -302,6 +337,11 @@ def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
     for text in overrides:
         data, where = _merged(data, _override(text)), f"--set {text}"
     return parse(RunConfig, data, where)
+
+
+def with_file(config: RunConfig, file: Path) -> RunConfig:
+    """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
+    return parse(RunConfig, _merged(config.model_dump(mode="json"), _toml(file)), str(file))
 
 
 def _toml(path: Path) -> dict[str, Any]:

@@ -147,8 +147,8 @@ def test_equal_seeds_draw_equally():
 
 def test_frames_are_kept_once():
     buffer, _ = filled([["go"]] * 30)
-    assert isinstance(buffer.frames, RawFrames)
-    assert buffer.frames._frames.nbytes == 200 * 2 * H * W
+    assert isinstance(buffer.windows.frames, RawFrames)
+    assert buffer.windows.frames._frames.nbytes == 200 * 2 * H * W
     assert not buffer.after_end
 
 

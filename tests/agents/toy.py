@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import gymnasium as gym
 import numpy as np
 
+from wcsim.agents.window import FrameWindow, windowed_space
 from wcsim.config import CameraConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
@@ -175,3 +176,21 @@ def camera_rays(camera: CameraConfig) -> np.ndarray:
     forward = math.cos(pitch) + down * math.sin(pitch)
     up = math.sin(pitch) - down * math.cos(pitch)
     return np.stack([forward, -right, up], axis=-1).reshape(-1, 3)
+
+
+class WindowedStreet(gym.Wrapper):
+    """The toy street with a window of images, as the real environment has it."""
+
+    def __init__(self, frames: int, camera: CameraConfig | None = None, max_steps: int = 400) -> None:
+        super().__init__(ToyStreet(camera, max_steps))
+        self.window = FrameWindow(frames)
+        self.observation_space = windowed_space(self.env.observation_space, frames)
+
+    def reset(self, **options):
+        observation, info = self.env.reset(**options)
+        self.window.reset()
+        return self.window.add(observation), info
+
+    def step(self, action):
+        observation, *rest = self.env.step(action)
+        return self.window.add(observation), *rest

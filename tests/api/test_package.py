@@ -23,15 +23,22 @@ def python(code: str) -> str:
 
 
 def test_public_names_are_those_that_are_meant():
-    public = {name for name in vars(wcsim) if not name.startswith("_")}
-    assert set(wcsim.__all__) <= public | {"__version__"}
+    assert wcsim.__all__ == ["ENV_ID", "StreetVecEnv", "WheelchairEnv", "__version__", "parallel_env"]
+    assert all(hasattr(wcsim, name) for name in wcsim.__all__)
     assert wcsim.ENV_ID == "wcsim/Street-v1"
+    with pytest.raises(AttributeError, match="no attribute 'Street'"):
+        _ = wcsim.Street
 
 
 def test_importing_the_package_loads_no_simulator_and_no_torch():
-    heavy = ("torch", "libsumo", "pybullet", "numba")
+    heavy = ("torch", "stable_baselines3", "pettingzoo", "libsumo", "pybullet", "numba", "zmq")
     loaded = python(f"import sys, wcsim; print([m for m in {heavy} if m in sys.modules])")
     assert loaded == "[]"
+
+
+def test_only_the_vectorised_environment_loads_torch():
+    code = "import sys, wcsim; wcsim.WheelchairEnv, wcsim.parallel_env; print('torch' in sys.modules)"
+    assert python(code) == "False"
 
 
 def test_a_world_process_never_loads_torch():

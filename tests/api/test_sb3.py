@@ -129,3 +129,19 @@ def test_a_network_and_a_reward_of_ones_own_train_and_are_tested_from_the_comman
     assert not Path("without.json").exists()
     assert main([*test, "--network", "own_network:OwnNet", "--json", "with.json"]) == 0
     assert json.loads(Path("with.json").read_text())["rows"][0]["policy"] == "run"
+
+
+def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_other(corner, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small = [word for text in (*SMALL, "learn.total_steps=60", "learn.phase1_steps=30") for word in ("--set", text)]
+    for network, window in (("patch", 1), ("fig6", 4)):
+        assert main(["train", "--town", str(corner), "--network", network, "--out", network, *small]) == 0
+        config = json.loads((tmp_path / network / "config.json").read_text())
+        policy = json.loads((tmp_path / network / "policies" / "final" / "policy.json").read_text())
+        assert (config["env"]["window"], policy["window"]) == (window, window)
+    words = ["--town", str(corner), "--allow-train-town", "--episodes", "1", "--max-steps", "10", "--json", "test.json"]
+    assert main(["test", "patch", "fig6", *words]) == 0
+    rows = json.loads(Path("test.json").read_text())["rows"]
+    assert [row["policy"] for row in rows] == ["patch", "fig6", "follow", "random", "zero", "stop", "dwa"]
+    resumed = ["train", "--town", str(corner), "--network", "fig6", "--out", "fig6", *small, "--resume"]
+    assert main(resumed) == 0

@@ -112,7 +112,7 @@ def test_what_was_drawn_reaches_the_client_through_an_environment_and_a_message(
         drawn = info["drawn"]
         assert drawn == draw(config.vary, 1, 4, 0, 0)
         assert env.step(0)[-1]["drawn"] == drawn
-        reply = decode_reply(encode(Frame(client=env._now)))
+        reply = decode_reply(encode(Frame(epoch=0, tick=1, life=0, client=env._chair.now)))
         assert isinstance(reply, Frame) and reply.client.drawn == drawn
     finally:
         env.close()

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import torch
 from stable_baselines3.common.type_aliases import GymEnv
 
+from wcsim.agents import registry
 from wcsim.agents.phases import PhasePlan
 from wcsim.agents.policy import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.seqdqn import SeqDQN, SeqSettings
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError
 
 
@@ -28,6 +29,18 @@ class FadingRate:
     def __call__(self, left: float) -> float:
         """The rate when the share `left` of all steps is still to be done."""
         return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
+
+
+def with_window(config: RunConfig) -> RunConfig:
+    """The configuration with the window that its network prefers, where `env.window` is not set.
+
+    Raises:
+        PolicyError: There is no such network.
+        ConfigError: It prefers a window that `env.observation` cannot have.
+    """
+    if config.env.window is not None:
+        return config
+    return with_overrides(config, (f"env.window={registry.preferred_window(config.learn.network)}",))
 
 
 def net_spec(config: RunConfig) -> NetSpec:

@@ -68,7 +68,8 @@ class CorridorWatch:
 
 
 def depth_metres(image: U8 | F32, range_m: float) -> F32:
-    """The depth image (1, H, W) of either form of observation in metres."""
+    """The newest depth image of either form of observation (window, H, W), in metres, (1, H, W)."""
+    image = image[-1:]
     if image.dtype == np.uint8:
         return decode_depth(np.asarray(image, np.uint8), range_m)
     return np.asarray(image * np.float32(range_m), np.float32)

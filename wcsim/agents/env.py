@@ -3,12 +3,13 @@
 The world behind it lives in this process when none does yet, otherwise in a process of its own; trajectories are the
 same to the bit. A finished chair is respawned by the world within the tick that ended it, so `reset()` without a seed
 only hands out the frame that is already there; `reset(seed=s)` makes the whole world anew.
+
+With `join` the environment makes no world: it takes its seat in a running one, which other clients share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +17,22 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.config import RunConfig, load_run_config
-from wcsim.errors import ConfigError, ProtocolError
-from wcsim.server.link import WorldLink, WorldOrder
+from wcsim.agents.chair import Chair
+from wcsim.agents.face import RENDER_FPS, RENDER_MODES, SEED_LIMIT, drawn_seed, make_face
+from wcsim.config import RunConfig
+from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
+from wcsim.server.link import Waits, WorldLink
 from wcsim.server.open_link import open_link
-from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import Judgement, judge, observation_of
-from wcsim.supervisor.observation import Observation, imu_size, observation_space
-from wcsim.supervisor.recorded import find_user
+from wcsim.server.orders import JoinOrder
+from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.reward_terms import RewardTerm
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
-from wcsim.types import ClientSnapshot, Joystick, RewardTerms, SeatSpec
-
-SEED_LIMIT = 1 << 31
+from wcsim.types import ClientSnapshot
 
 
 class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     """Drive one wheelchair through a town; see the module's text."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's own attribute)
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
     def __init__(
         self,
@@ -48,8 +46,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         render_mode: str | None = None,
         run: Path | None = None,
         hook: str = "",
+        join: JoinOrder | None = None,
     ) -> None:
-        """Describe the environment; the world is made by the first reset.
+        """Describe the environment; the world is made, or joined, by the first reset.
 
         Args:
             town: A town's name or folder.
@@ -61,117 +60,108 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             render_mode: None or "rgb_array" (the camera then draws colours too, for people to look at).
             run: A run folder for the outputs of the town's own SUMO scenario; without one they go with the world.
             hook: The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md.
+            join: Take this seat in a running world instead. Town, seed, run and hook are the server's then, cameras
+                and actions of the configuration must be the server's, and user and episode length are those of
+                `join.spec`.
 
         Raises:
             ConfigError: The configuration cannot be used.
         """
-        self.config = config if config is not None else load_run_config(preset, tuple(overrides))
-        find_user(self.config.env.profile)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
-        self.town = town
-        self._run, self._hook = run, hook
-        self.render_mode = render_mode
-        if render_mode == "rgb_array":
-            self.config = with_colours(self.config)
-        camera, env = self.config.cameras[0], self.config.env
-        self._actions = action_set(self.config.env.actions)
-        self._terms = tuple(reward_terms)
+        self._face = make_face(town, config, preset, overrides, render_mode, run, hook)
+        self._join = join
         self._first_seed = seed
         self._link: WorldLink | None = None
-        self._now: ClientSnapshot | None = None
+        self._chair = Chair(self._face.config, reward_terms)
+        self.town, self.config, self.render_mode = town, self._face.config, render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
-        self.observation_space = observation_space(  # type: ignore[assignment]
-            self.config.env.observation, camera.width_px, camera.height_px, imu_size(env.observe_gyro, env.observe_yaw)
-        )
-        self.action_space = gymnasium.spaces.Discrete(len(self._actions))
+        self.observation_space = self._face.observation_space()  # type: ignore[assignment]
+        self.action_space = self._face.action_space()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; with a seed, in a world made anew. Raises TownError when the town cannot be used."""
+        """Begin an episode; with a seed, in a world made anew.
+
+        In a joined world the first reset hands out the frame that the seat has, whatever the seed, for the world is
+        the server's. A later one with a seed asks for the world to be begun again, which only the master may.
+
+        Raises:
+            TownError: The town cannot be used.
+            NotMasterError: Others share the world, and this client is not its master.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
         super().reset(seed=seed)
-        if self._link is None:
-            self._now = self._open(seed if seed is not None else self._first_seed)
-        elif seed is not None:
-            self._now = self._link.rebuild(seed % SEED_LIMIT)
-        elif self._now is not None and self._now.first is not None:
-            self._now = self._now.first
-        else:
-            self._now = self._link.respawn()
-        for term in self._terms:
-            term.reset()
-        return observation_of(self._now, self.config), self._info(self._now, None, 0.0)
+        return self._chair.begin(self._first_frame(seed))
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`."""
-        if self._link is None or self._now is None or self._now.first is not None:
-            raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
-        choice = int(action)
-        if not 0 <= choice < len(self._actions):
-            raise ProtocolError(f"action {choice} is not in the action set; expected 0 to {len(self._actions) - 1}")
-        asked = self._now.user
-        point = self._actions.points[choice]
-        before = self._now
-        self._now = self._link.act(before.tick, Joystick(float(point[0]), float(point[1])))
-        judged = judge(self._now, choice, asked, self._actions.points, self.config)
-        terms = self._with_own_terms(judged, before)
-        distance = self._actions.distance(choice, (asked.x, asked.y))
-        info = self._info(self._now, terms, distance)
-        return judged.observation, float(terms.total), judged.terminated, judged.truncated, info
+        """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
+
+        Truncated too when a shared world began again: with the last observation once more, reward 0 and
+        `info["reason"] == "world_restarted"`; the next reset hands out the new epoch's first frame.
+
+        Raises:
+            ProtocolError: There is no such action, or no episode is on.
+            EvictedError: A server gave this client up; the next reset joins again.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
+        link = self._link
+        if link is None:
+            raise ProtocolError("step() came before reset(); call reset() first")
+        try:
+            self._chair.send(link, int(action))
+            return self._chair.receive(link)
+        except WorldRestartedError:
+            return self._chair.cut()
+        except EvictedError:
+            self.close()
+            raise
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """The first camera's picture (H, W, 3) uint8, in render mode "rgb_array"."""
-        if self.render_mode != "rgb_array" or self._now is None:
-            return None
-        return self._now.sensors.cameras[0].rgb
+        """The first camera's picture (H, W, 3) uint8, in render mode "rgb_array"; a joined world must draw colours."""
+        return self._chair.picture if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Leave the world; a second call does nothing."""
         if self._link is not None:
             self._link.close()
             self._link = None
-            self._now = None
+            self._chair.now = None
+
+    @property
+    def waits(self) -> Waits:
+        """Where the time in the link went so far."""
+        return Waits() if self._link is None else self._link.waits
+
+    def beat(self, progress: int) -> None:
+        """Show a server that a long computation goes on, by a counter that rises."""
+        if self._link is not None:
+            self._link.beat(progress)
+
+    def _first_frame(self, seed: int | None) -> ClientSnapshot:
+        """The first frame of the next episode."""
+        link, now = self._link, self._chair.now
+        if link is None:
+            return self._open(seed if seed is not None else self._first_seed)
+        if seed is not None:
+            return link.rebuild(seed % SEED_LIMIT)
+        if now is None:  # a new epoch has begun
+            return link.join()
+        if now.first is not None:
+            return now.first
+        try:
+            return link.respawn()
+        except WorldRestartedError:
+            return link.join()
 
     def _open(self, seed: int | None) -> ClientSnapshot:
-        drawn = np.random.SeedSequence().generate_state(1)[0] if seed is None else seed
-        env = self.config.env
-        order = WorldOrder(
-            town=self.town,
-            config=self.config,
-            seat=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
-            seed=int(drawn) % SEED_LIMIT,
-            run="" if self._run is None else str(self._run),
-            hook=self._hook,
-        )
-        self._link = open_link(order)
-        return self._link.join()
+        if self._join is None:
+            self._link = open_link(self._face.order(drawn_seed() if seed is None else seed))
+        else:
+            from wcsim.server.socket_link import open_seat  # ZeroMQ is loaded only for a world of another process
 
-    def _with_own_terms(self, judged: Judgement, before: ClientSnapshot) -> RewardTerms:
-        if not self._terms or self._now is None:
-            return judged.reward
-        return replace(judged.reward, extra=sum(term.reward(before, self._now) for term in self._terms))
-
-    def _info(self, snapshot: ClientSnapshot, terms: RewardTerms | None, distance: float) -> dict[str, Any]:
-        plant = snapshot.plant
-        return {
-            "state": plant,
-            "imu": snapshot.sensors.imu,
-            "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
-            "joystick_distance": distance,
-            "reward_terms": terms,
-            "truth": snapshot.truth,
-            "drawn": snapshot.drawn,
-            "warning": snapshot.truth.danger if snapshot.truth else None,
-            "intervening": distance > self.config.reward.max_follow_distance + DISTANCE_TOLERANCE,
-            "events": snapshot.events,
-            "contacts": snapshot.contacts,
-            "progress_m": snapshot.events.progress_m,
-            "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),
-        }
-
-
-def with_colours(config: RunConfig) -> RunConfig:
-    """The same configuration with colours drawn by its first camera."""
-    first = config.cameras[0].model_copy(update={"rgb": True})
-    return config.model_copy(update={"cameras": (first, *config.cameras[1:])})
+            self._link = open_seat(self._join)
+        try:
+            return self._link.join()
+        except BaseException:
+            self.close()
+            raise

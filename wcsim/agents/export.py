@@ -13,11 +13,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from wcsim.agents import files, registry
-from wcsim.agents.networks import image_size, vector_size
+from wcsim.agents.networks import image_size, vector_size, window_size
 from wcsim.agents.policy import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
 from wcsim.agents.protocol import Observation
 from wcsim.agents.seqdqn import SeqDQN
+from wcsim.agents.window import newest
 from wcsim.config import CameraConfig, PolicyFile
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -28,7 +29,7 @@ JOYSTICK_SIZE = 2
 
 
 class NetPolicy:
-    """A trained network that acts greedily."""
+    """A trained network that acts greedily; of a longer window than its own it sees the newest images."""
 
     def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
         self.net = net
@@ -47,9 +48,13 @@ class NetPolicy:
         return int(self.values(observation).argmax())
 
     def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """Values of all actions (A,), in units of the scaled reward."""
+        """Values of all actions (A,), in units of the scaled reward.
+
+        Raises PolicyError when the observation holds fewer images than the network was trained on.
+        """
+        seen = newest(observation, self.file.window)
         with torch.inference_mode():
-            batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in observation.items()}
+            batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
             return np.asarray(self.net(batch)[0].numpy(), dtype=np.float32)
 
 
@@ -104,6 +109,7 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
         "net": spec_to_json(spec),
         "image_hw_px": list(image_size(model.observation_space)),
         "vector_size": vector_size(model.observation_space),
+        "window": window_size(model.observation_space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
         "manifest_sha256": manifest_sha256,
@@ -126,7 +132,7 @@ def _spec(file: PolicyFile, network: str | None) -> NetSpec:
 
 def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
     height, width = file.image_hw_px
-    image = spaces.Box(0, 255, (1, height, width), np.uint8)
+    image = spaces.Box(0, 255, (file.window, height, width), np.uint8)
     space = spaces.Dict(
         seg=image,
         depth=image,

@@ -1,4 +1,7 @@
-"""How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back."""
+"""How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
+
+The image part of a window is its frames one after the other, the newest last; a frame is all images of one moment.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +27,17 @@ class ObservationLayout:
     vectors: Shapes
 
     @property
+    def window(self) -> int:
+        """Frames in one observation: the images' common first dimension, 1 when they have none."""
+        firsts = {shape[0] if len(shape) == 3 else 1 for _, shape in self.images}
+        return firsts.pop() if len(firsts) == 1 else 1
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of all images at one moment."""
+        return self.image_bytes // self.window
+
+    @property
     def image_bytes(self) -> int:
         """Bytes of all images of one observation."""
         return sum(int(np.prod(shape)) for _, shape in self.images)
@@ -35,15 +49,23 @@ class ObservationLayout:
 
     def image_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> U8:
         """Images of a batch side by side, (N, image_bytes)."""
-        return _rows(batch, self.images, np.dtype(np.uint8))
+        count, frames = len(next(iter(batch.values()))), self.window
+        if not self.images:
+            return np.zeros((count, 0), dtype=np.uint8)
+        parts = [np.asarray(batch[key], dtype=np.uint8).reshape(count, frames, -1) for key, _ in self.images]
+        return np.concatenate(parts, axis=2).reshape(count, -1)
 
     def vector_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> F32:
         """Vectors of a batch side by side, (N, vector_size)."""
-        return _rows(batch, self.vectors, np.dtype(np.float32))
+        count = len(next(iter(batch.values())))
+        if not self.vectors:
+            return np.zeros((count, 0), dtype=np.float32)
+        parts = [np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors]
+        return np.concatenate(parts, axis=1)
 
     def split(self, images: U8, vectors: F32) -> dict[str, npt.NDArray[Any]]:
         """The batch of observations that these rows were made of; the parts are views."""
-        return {**_parts(images, self.images), **_parts(vectors, self.vectors)}
+        return {**_parts(images, self.images, self.window), **_parts(vectors, self.vectors, 1)}
 
 
 def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
@@ -61,18 +83,12 @@ def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
     return ObservationLayout(images=tuple(images), vectors=tuple(vectors))
 
 
-def _rows(batch: Mapping[str, npt.NDArray[Any]], shapes: Shapes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    count = len(next(iter(batch.values())))
-    if not shapes:
-        return np.zeros((count, 0), dtype=dtype)
-    return np.concatenate([np.asarray(batch[key], dtype=dtype).reshape(count, -1) for key, _ in shapes], axis=1)
-
-
-def _parts(rows: npt.NDArray[Any], shapes: Shapes) -> dict[str, npt.NDArray[Any]]:
+def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:
     out: dict[str, npt.NDArray[Any]] = {}
+    by_frame = rows.reshape(len(rows), frames, rows.shape[1] // frames)
     start = 0
     for key, shape in shapes:
-        stop = start + int(np.prod(shape))
-        out[key] = rows[:, start:stop].reshape(len(rows), *shape)
+        stop = start + int(np.prod(shape)) // frames
+        out[key] = by_frame[:, :, start:stop].reshape(len(rows), *shape)
         start = stop
     return out

@@ -59,10 +59,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
         table = group_table(classes)
-        shape = (len(table) + 1, height, width)
+        shape = registry.input_shape(network, window_size(observation_space), (len(table) + 1, height, width))
         body = registry.build(network, shape, numbers)
         super().__init__(observation_space, features_dim=_features_dim(network, body, shape, numbers))
         self.body = body
+        self.windowed = registry.is_windowed(network)
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()  # the last one is for depth
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
 
@@ -71,11 +72,15 @@ class ObservationEncoder(BaseFeaturesExtractor):
         return torch.as_tensor(self.body(self.image(observations), vector(observations)))
 
     def image(self, observations: Tensors) -> torch.Tensor:
-        """Class planes and log-depth, (B, G + 1, H, W) in 0..1; channels last in memory train twice as fast."""
-        ids = observations[CLASS_KEY][:, 0].to(torch.int32)
-        planes = nn.functional.embedding(ids, torch.as_tensor(self._planes))  # (B, H, W, G + 1)
-        planes[..., -1] = observations[DEPTH_KEY][:, 0] / 255.0
-        return planes.permute(0, 3, 1, 2)
+        """Class planes and log-depth, (B, G + 1, H, W) in 0..1; (B, T, G + 1, H, W) for a network that is windowed.
+
+        Channels last in memory train twice as fast.
+        """
+        ids = observations[CLASS_KEY].to(torch.int32)
+        planes = nn.functional.embedding(ids, torch.as_tensor(self._planes))  # (B, T, H, W, G + 1)
+        planes[..., -1] = observations[DEPTH_KEY] / 255.0
+        planes = planes.movedim(-1, 2)
+        return planes if self.windowed else planes[:, 0]
 
 
 def vector(observations: Tensors) -> torch.Tensor:
@@ -93,11 +98,17 @@ def image_size(space: spaces.Space[object]) -> tuple[int, int]:
     space = _known(space)
     for key in (CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
-        if box.dtype != np.uint8 or len(box.shape) != 3 or box.shape[0] != 1:
+        if box.dtype != np.uint8 or len(box.shape) != 3 or box.shape[0] < 1:
             raise PolicyError(
-                f"observation {key!r} is {box.dtype} {box.shape}; expected uint8 (1, H, W): set env.observation=compact"
+                f"observation {key!r} is {box.dtype} {box.shape}; expected uint8 (window, H, W): "
+                "set env.observation=compact"
             )
     return int(_box(space, CLASS_KEY).shape[1]), int(_box(space, CLASS_KEY).shape[2])
+
+
+def window_size(space: spaces.Space[object]) -> int:
+    """How many images the compact observation holds (`env.window`)."""
+    return int(_box(_known(space), CLASS_KEY).shape[0])
 
 
 def _known(space: spaces.Space[object]) -> spaces.Dict:
@@ -113,7 +124,7 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
     return box
 
 
-def _features_dim(name: str, body: nn.Module, shape: tuple[int, int, int], vector_size: int) -> int:
+def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_size: int) -> int:
     """Number of features, from one call with zeros; the same call finds a network that breaks the contract."""
     try:
         with torch.no_grad():

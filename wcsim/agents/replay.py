@@ -1,5 +1,7 @@
 """Replay memory for image observations: each frame is kept once, the next observation is the next row.
 
+Of a window of frames, too, a row keeps the newest alone (`agents/window_store.py`).
+
 A chain of rows ends where an episode ends (crash or time limit) or where the next step did not continue this one (the
 environment was reset from outside). The observation after the end of a chain is kept beside the ring, so that a
 truncated episode bootstraps from its true last observation. n-step returns never cross an end of a chain; at the newest
@@ -23,8 +25,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim import seeding
 from wcsim.agents.advice import AdviceBatch, AdviceRing
-from wcsim.agents.frames_store import frame_store
 from wcsim.agents.layout import layout_of
+from wcsim.agents.window_store import WindowStore
 from wcsim.types import F32, U8, Bool
 
 I64 = npt.NDArray[np.int64]
@@ -73,7 +75,7 @@ class FrameReplay(ReplayBuffer):
         self.precrash_share, self.precrash_window = precrash_share, precrash_window
         self.layout = layout_of(observation_space)
         self.rng = seeding.generator(seed, "agent", "replay")
-        self.frames = frame_store(rows, n_envs, self.layout.image_bytes)
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes)
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
@@ -89,6 +91,7 @@ class FrameReplay(ReplayBuffer):
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
         self.ended[:] = False
+        self.windows.reset()
         self.after_end: dict[tuple[int, int], tuple[U8, F32]] = {}  # by (absolute index, seat)
         self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
@@ -109,10 +112,9 @@ class FrameReplay(ReplayBuffer):
         self._cut_where_broken(images, vectors)
         row = self.pos
         self._forget(self.total - self.buffer_size)
-        for seat in range(self.n_envs):
-            self.frames.write(row, seat, images[seat])
         previous = (row - 1) % self.buffer_size
         fresh = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
+        self.windows.write(self.total, images, fresh)
         self.episode_step[row] = np.where(fresh, 0, self.episode_step[previous] + 1)
         if self.advice is not None:
             self.advice.write(self.total, fresh, infos)
@@ -158,7 +160,7 @@ class FrameReplay(ReplayBuffer):
         """The transitions that start at these rows."""
         chains = self.chains(starts, seats)
         rows = starts % self.buffer_size
-        now = self.layout.split(self.frames.read(rows, seats), self.vectors[rows, seats])
+        now = self.layout.split(self.windows.read(starts, seats), self.vectors[rows, seats])
         after = self._after(chains, seats)
         return DictReplayBufferSamples(
             observations={key: self.to_torch(value, copy=False) for key, value in now.items()},
@@ -184,7 +186,7 @@ class FrameReplay(ReplayBuffer):
             return None
         index, seats = drawn
         rows = index % self.buffer_size
-        seen = self.layout.split(self.frames.read(rows, seats), self.vectors[rows, seats])
+        seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
         return AdviceBatch(
             observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
             safe=self.to_torch(self._safe_ahead(self.advice, index, seats, ahead), copy=False),
@@ -225,7 +227,7 @@ class FrameReplay(ReplayBuffer):
 
     def _after(self, chains: Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
         rows = (chains.last + 1) % self.buffer_size
-        images, vectors = self.frames.read(rows, seats), self.vectors[rows, seats]
+        images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):
             images[k], vectors[k] = self.after_end[int(chains.last[k]), int(seats[k])]
         return self.layout.split(images, vectors)

@@ -19,12 +19,12 @@ SLICE = 512  # steps read at once
 def replay_arrays(replay: FrameReplay) -> Arrays:
     """Everything in the memory, oldest step first; images are compressed."""
     first, size = replay.total - replay.size(), replay.size()
-    rows = (first + np.arange(size)) % replay.buffer_size
+    index = first + np.arange(size)
+    rows = index % replay.buffer_size
     blobs: list[bytes] = []
     for seat in range(replay.n_envs):
         for k in range(0, size, SLICE):
-            part = rows[k : k + SLICE]
-            blobs += frames_store.pack(replay.frames.read(part, np.full(len(part), seat)))
+            blobs += frames_store.pack(replay.windows.read_newest(index[k : k + SLICE], seat))
     ends = sorted(replay.after_end)
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
     if replay.advice is not None:
@@ -35,10 +35,19 @@ def replay_arrays(replay: FrameReplay) -> Arrays:
     arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
     empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
     empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
+    arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["end_images"] = np.stack([replay.after_end[key][0] for key in ends]) if ends else empty_image
     arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+
+
+def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
+    """Where the window of a step does not follow from the steps that are kept: (absolute index, seat)."""
+    first = replay.total - replay.size()
+    cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
+    return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
 
 
 def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
@@ -49,15 +58,21 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     total, size = (int(value) for value in arrays["total"])
     if size > replay.buffer_size or arrays["vectors"].shape[1:] != replay.vectors.shape[1:]:
         raise ValueError(f"replay holds {arrays['vectors'].shape} vectors; expected at most {replay.vectors.shape}")
+    if arrays["end_images"].shape[1] != replay.layout.image_bytes:
+        raise ValueError(f"replay holds {arrays['end_images'].shape[1]} bytes a step, not {replay.layout.image_bytes}")
     replay.reset()
-    rows = (total - size + np.arange(size)) % replay.buffer_size
+    index = total - size + np.arange(size)
+    rows = index % replay.buffer_size
     for name in PER_STEP:
         getattr(replay, name)[rows] = arrays[name]
     if replay.advice is not None:
-        replay.advice.restore(arrays, total - size + np.arange(size))
-    _restore_frames(replay, arrays, rows)
-    for (index, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.after_end[int(index), int(seat)] = (image, vector)
+        replay.advice.restore(arrays, index)
+    _restore_frames(replay, arrays, index)
+    if "whole_at" in arrays:
+        for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
+            replay.windows.whole[int(step), int(seat)] = window
+    for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
+        replay.after_end[int(step), int(seat)] = (image, vector)
     for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
         for seat in np.flatnonzero(replay.terminated[rows[k]]):
             replay.crashes.append((total - size + int(k), int(seat)))
@@ -66,15 +81,15 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(replay: FrameReplay, arrays: Arrays, rows: npt.NDArray[np.int64]) -> None:
+def _restore_frames(replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64]) -> None:
     ends = np.cumsum(arrays["blob_bytes"])
     data = arrays["frames"].tobytes()
     blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]
-    per_seat = len(blobs) // replay.n_envs
-    for seat in range(replay.n_envs):
-        at = 0
-        for blob in blobs[seat * per_seat : (seat + 1) * per_seat]:
-            frames = frames_store.unpack([blob], replay.layout.image_bytes)
-            for k, frame in enumerate(frames):
-                replay.frames.write(int(rows[at + k]), seat, frame)
-            at += len(frames)
+    each = len(blobs) // replay.n_envs  # one seat after the other
+    at = 0
+    for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
+        frames = np.stack([frames_store.unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
+            fresh = replay.episode_step[step % replay.buffer_size] == 0
+            replay.windows.write_newest(int(step), frame, fresh)
+        at += len(frames)

@@ -136,16 +136,26 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open an existing run. Raises PolicyError when the folder is not a run or a file in it is damaged."""
-    data, config = _read_json(path, MANIFEST), _read_json(path, CONFIG)
+    data, config = read_json(path, MANIFEST), read_json(path, CONFIG)
+    if "clients" in data:
+        names = ", ".join(str(path / str(name)) for name in data["clients"])
+        raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
+    manifest = manifest_of(data, path)
+    try:
+        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+    return RunFolder(path=path, config=resolved, manifest=manifest)
+
+
+def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
+    """The manifest that a run's file holds. Raises PolicyError when it is none."""
     try:
         fields = {**data, "command": tuple(data["command"]), "rewards": tuple(data["rewards"])}
         fields["overrides"] = _overrides(data.get("overrides", ()))
-        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
-        return RunFolder(path=path, config=resolved, manifest=Manifest(**fields))
+        return Manifest(**fields)
     except (TypeError, KeyError) as error:
         raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
 
 
 def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
@@ -199,7 +209,9 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
     if run is not None:
         return with_overrides(run.config, overrides)
     file, config = read_policy_file(path), load_run_config(preset)
-    env = config.env.model_copy(update={"actions": file.net.actions, "classes": file.net.classes})
+    env = config.env.model_copy(
+        update={"actions": file.net.actions, "classes": file.net.classes, "window": file.window}
+    )
     return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
 
 
@@ -228,7 +240,8 @@ def _version(package: str) -> str:
         return ""
 
 
-def _read_json(path: Path, name: str) -> dict[str, Any]:
+def read_json(path: Path, name: str) -> dict[str, Any]:
+    """A JSON object among a run's files. Raises PolicyError when it is none."""
     file = path / name
     try:
         data = json.loads(file.read_text(encoding="utf-8"))

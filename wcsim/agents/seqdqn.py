@@ -3,8 +3,8 @@
 On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
 gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
 advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
-from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. Sequences of
-length 1 only: the networks have no recurrent memory yet.
+from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. Recurrent
+networks read the observation's window anew each time, so steps are drawn one by one and no state is stored.
 """
 
 from __future__ import annotations

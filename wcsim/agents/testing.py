@@ -12,7 +12,7 @@ from rich.table import Table
 
 from wcsim.agents import baselines
 from wcsim.agents.evaluate import EvalRow, evaluate
-from wcsim.agents.export import JOYSTICK_SIZE, load_policy
+from wcsim.agents.export import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.protocol import Policy
 from wcsim.agents.runfolder import policy_path
 from wcsim.config import RunConfig
@@ -129,6 +129,11 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
         )
     policy.name = name
     return policy
+
+
+def window_for(policies: Sequence[Policy]) -> int:
+    """Images that an observation must hold so that each of the policies sees enough; the others see the newest."""
+    return max((policy.file.window for policy in policies if isinstance(policy, NetPolicy)), default=1)
 
 
 def _cell(value: float | int | None, text: str) -> str:

@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim import seeding
-from wcsim.agents.build import build_model, checked_device
+from wcsim.agents.build import build_model, checked_device, with_window
 from wcsim.agents.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.export import save_policy
@@ -23,7 +23,7 @@ from wcsim.agents.phases import PhaseSwitch
 from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, make_manifest, open_run, with_kept_plant
 from wcsim.agents.seqdqn import SeqDQN
 from wcsim.config import RunConfig
-from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.errors import InterruptedRunError, LinkError, PolicyError
 from wcsim.plant_file import plant_text
 from wcsim.towns.scenario_overrides import Override
 
@@ -47,6 +47,8 @@ def train(
     resume: bool = False,
     hook: str = "",
     overrides: Sequence[Override] = (),
+    progress_every: int = PROGRESS_EVERY,
+    callbacks: Sequence[BaseCallback] = (),
 ) -> Path:
     """Learn both phases and leave a run folder.
 
@@ -55,7 +57,7 @@ def train(
         make_env: Makes the environment; it is reset with `seed` first.
         out: The run folder, new or empty, or an interrupted run with `resume`.
         seed: Of networks, exploration, replay and the environment. Equal seeds on equal machines give equal weights.
-        progress: Called every 50 steps.
+        progress: Called every `progress_every` steps.
         town: Name of the training town, for the manifest.
         town_sha256: Hash of its streets.
         rewards: Names of the user's own reward terms, for the manifest.
@@ -63,12 +65,15 @@ def train(
         hook: Name of the user's own step hook, for the manifest.
         overrides: What the run overrides of the town's own SUMO options, for the manifest.
         resume: Go on from the newest sound checkpoint; the environment begins a new episode.
+        progress_every: Steps between two calls of `progress`, at least a rollout's.
+        callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
 
     Raises:
         InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
+        LinkError: The environment's world is gone; a checkpoint is saved.
         PolicyError: The folder is not empty, or cannot be resumed.
         ConfigError: The device cannot be used.
     """
@@ -78,7 +83,9 @@ def train(
     with _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
-            return _Session(run, build_model(config, env, seed), request, progress, resume).learn()
+            session = _Session(run, build_model(config, env, seed), request, progress, resume, progress_every)
+            session.callbacks.extend(callbacks)
+            return session.learn()
         finally:
             env.close()
 
@@ -87,7 +94,13 @@ class _Session:
     """One sitting of a run: a fresh start or a resume, until done or stopped."""
 
     def __init__(
-        self, run: RunFolder, model: SeqDQN, request: StopRequest, progress: Progress | None, resume: bool
+        self,
+        run: RunFolder,
+        model: SeqDQN,
+        request: StopRequest,
+        progress: Progress | None,
+        resume: bool,
+        progress_every: int,
     ) -> None:
         self.run, self.model, self.progress, self.request = run, model, progress, request
         self.learn_config = run.config.learn
@@ -106,7 +119,7 @@ class _Session:
             self.switch,
             JamWatch(lambda step, vehicles: self.run.event("jam", step=step, teleported=vehicles)),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
-            Every(PROGRESS_EVERY, self._report),
+            Every(progress_every, self._report),
             StopWhenAsked(request),
         ]
 
@@ -125,6 +138,10 @@ class _Session:
                 f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
                 "and can be continued with --resume"
             ) from None
+        except LinkError:  # the world is gone, or the seat: what was learned before is worth keeping
+            if self.model.num_timesteps > 0:
+                self._checkpoint()
+            raise
         if not self.switch.done and self.learn_config.phase1_steps > 0:
             self._switched()
         self._checkpoint()
@@ -191,7 +208,7 @@ def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFo
     other = [key for key in kept if getattr(run.manifest, key) != getattr(wanted, key)]
     if plant_text(config.chair.plant) != plant_text(run.config.chair.plant):
         other.append("plant")
-    if run.config != with_kept_plant(config, out) or other:
+    if with_window(run.config) != with_window(with_kept_plant(config, out)) or other:
         raise PolicyError(f"{out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return run
 

@@ -7,7 +7,7 @@ where the bridge showed them to the wheelchair, stepped aside where they did.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
 from xml.sax.saxutils import quoteattr
@@ -39,14 +39,21 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     if not chosen:
         epochs = sorted({record.epoch for record in records})
         raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected one of {epochs or 'none: it is empty'}")
+    if any(record.actor_ids and not record.bodies for record in chosen):
+        raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors; record it again")
+    return write_steps(header, chosen, out)
+
+
+def write_steps(header: TraceHeader, records: Iterable[TickRecord], out: Path) -> int:
+    """Write ticks of one epoch as an FCD file; returns their number."""
+    steps = 0
     with out.open("w", encoding="utf-8") as file:
         file.write(_HEAD)
-        for record in chosen:
-            if record.actor_ids and not record.bodies:
-                raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors; record it again")
+        for record in records:
             _write_step(file, header, record)
+            steps += 1
         file.write("</fcd-export>\n")
-    return len(chosen)
+    return steps
 
 
 def _write_step(file: TextIO, header: TraceHeader, record: TickRecord) -> None:
@@ -75,7 +82,7 @@ def _actor_lines(header: TraceHeader, record: TickRecord) -> Iterator[tuple[str,
 
 
 def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
-    for seat, row in enumerate(record.plants):
+    for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
         x, y, z, w = row[3:7]
         yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         middle_W_m = row[:3] + USUAL_OUTLINE.middle_x_m * frames.forward(yaw_rad, 0.0)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim import seeding
-from wcsim.types import F64, ActorState
+from wcsim.types import F64, ActorState, ClassId, Ground
 
+ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
+LEVEL_M = 2.5  # who is so much above or below a chair is on another level
 CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of the usual wheelchair's footprint
 LET_GO = -1.0
 
@@ -52,6 +55,26 @@ class Blocked:
     actor_id: str
     for_s: float
     could_pass: bool  # there is room beside the chair, or another lane
+
+
+def in_street(chair: ActorState, ground: Ground) -> ChairInStreet:
+    """A wheelchair as the street sees it."""
+    x, y, z = chair.p_W_m.tolist()
+    return ChairInStreet(
+        p_W_m=chair.p_W_m[:2],
+        v_W_mps=chair.v_W_mps[:2],
+        on_road=ground.class_here(x, y) in ROADWAY,
+        yaw_rad=chair.yaw_rad,
+        z_m=z,
+        half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
+    )
+
+
+def on_level(actors: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
+    """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
+    heights_m = [chair.z_m for chair in chairs]
+    kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < LEVEL_M for z_m in heights_m))
+    return actors if len(kept) == len(actors) else kept
 
 
 def is_person(actor: ActorState) -> bool:

@@ -16,7 +16,7 @@ from wcsim.config import RunConfig
 from wcsim.errors import SumoError
 from wcsim.towns.scenario import Scenario
 from wcsim.towns.town import Town
-from wcsim.types import F64, ActorState, SeatSpec
+from wcsim.types import F64, ActorState, SeatSpec, Snapshot
 
 TRACE = "trace"
 BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
@@ -98,13 +98,18 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
         places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
         if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
             check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
-        shown = {actor.id: actor for actor in after.actors if not actor.piece}
-        writer.append(record_of(after, commands, [_rounded(shown.get(actor.id, actor)) for actor in everyone]))
-        meter.add(everyone, tuple(shown), world.mishaps())
+        writer.append(record_of(after, commands, as_recorded(after, everyone)))
+        meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
         meter.add_chairs([(c.events.crashed, c.first is not None) for c in after.clients])
         if progress is not None:
             progress(tick + 1, ticks)
     return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
+
+
+def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
+    """Everybody in town: near a wheelchair as they are shown to it, elsewhere as SUMO has them; rounded."""
+    shown = {actor.id: actor for actor in snapshot.actors if not actor.piece}
+    return [_rounded(shown.get(actor.id, actor)) for actor in everyone]
 
 
 def check_mirrored(

@@ -13,7 +13,7 @@ from wcsim import seeding
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
-from wcsim.physics.camera import CameraRig
+from wcsim.physics.camera import CameraRig, SeatBuffers
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.engine import Engine
 from wcsim.physics.noise import child
@@ -82,6 +82,7 @@ class Seat:
         self.fitting: Fitting | None = None
         self._seed = 0
         self._episode = -1
+        self._spawned = False
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
@@ -89,12 +90,18 @@ class Seat:
     @property
     def spawned(self) -> bool:
         """Whether this seat's chair stands in the street."""
-        return self._episode >= 0
+        return self._spawned
 
-    def build(self, engine: Engine, seed: int) -> None:
-        """Put a new wheelchair into a new engine; the old one has gone with its engine."""
+    @property
+    def begun(self) -> int:
+        """How many episodes of this seat have begun in this epoch, those before it was taken among them."""
+        return self._episode + 1
+
+    def build(self, engine: Engine, seed: int, begun: int = 0) -> None:
+        """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
         self._seed = seed
-        self._episode = -1
+        self._episode = begun - 1
+        self._spawned = False
         self._imu_key = seeding.key(seed, "imu", self.index)
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
 
@@ -104,6 +111,7 @@ class Seat:
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
         self._episode += 1
+        self._spawned = True
         self._step = 0
         self._progress_m = 0.0
         self._place = start
@@ -157,9 +165,10 @@ class Seat:
         actors: Sequence[ActorState],
         chairs: Sequence[ChairPose],
         signals: Sequence[SignalState],
+        buffers: SeatBuffers | None = None,
     ) -> SensorFrame:
-        """Cameras and IMU of this tick."""
-        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, signals=signals)
+        """Cameras and IMU of this tick; the images are made in `buffers` when they are given."""
+        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals)
         return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
 
     def events(self, jam_teleports: int, first: bool) -> Events:

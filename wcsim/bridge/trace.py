@@ -1,8 +1,8 @@
-"""One hash and one record format for golden scenes, journals and replay.
+"""One hash for golden scenes, journals and replay, and the trace: where everything was, tick by tick.
 
-A trace is a file of records, each `length, CRC-32, payload`; the first payload is the header (JSON), every other one
-is a tick: a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. A torn
-last record is left out on reading.
+A trace is a file of records (`bridge/records.py`); the first payload is the header (JSON), every other one is a tick:
+a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. A torn last record
+is left out on reading.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,10 +17,10 @@ from types import TracebackType
 
 import numpy as np
 
+from wcsim.bridge.records import framed, whole_records
 from wcsim.errors import WcsimError
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
-_FRAME = struct.Struct("<II")
 MAGIC = "wcsim-trace-1"
 
 
@@ -61,6 +60,7 @@ class TickRecord:
     state_hash: str
     time_s: float = 0.0  # SUMO's own time
     bodies: tuple[ActorBody, ...] = ()  # one for each actor, in their order; empty in traces of before there were any
+    seats: tuple[int, ...] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
 
 
 def plant_row(plant: PlantState) -> F64:
@@ -97,6 +97,7 @@ def record_of(
     `actors` are those to record, such as all of the town; the snapshot's own, near the chairs, when they are missing.
     """
     actors = snapshot.actors if actors is None else actors
+    seats = tuple(client.seat for client in snapshot.clients)
     return TickRecord(
         epoch=snapshot.epoch,
         tick=snapshot.tick,
@@ -107,6 +108,7 @@ def record_of(
         state_hash=snapshot.state_hash,
         time_s=snapshot.time_s,
         bodies=tuple(ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors),
+        seats=() if seats == tuple(range(len(seats))) else seats,
     )
 
 
@@ -129,6 +131,7 @@ class TraceWriter:
                 "hash": record.state_hash,
                 "time_s": record.time_s,
                 "bodies": [_as_list(body) for body in record.bodies if self._told.get(body.id) != body],
+                **({"at": record.seats} if record.seats else {}),
             }
         )
         self._told.update((body.id, body) for body in record.bodies)
@@ -146,13 +149,13 @@ class TraceWriter:
         self.close()
 
     def _put(self, payload: bytes) -> None:
-        packed = zlib.compress(payload, 6)
-        self._file.write(_FRAME.pack(len(packed), zlib.crc32(packed)) + packed)
+        self._file.write(framed(payload))
 
 
 def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
     """Read a trace. Raises WcsimError when the file is not one; a torn last record is left out."""
-    payloads = _payloads(path.read_bytes())
+    with path.open("rb") as file:
+        payloads = [record.payload for record in whole_records(file)]
     try:
         head = json.loads(payloads[0])
         if head.pop("magic") != MAGIC:
@@ -162,18 +165,6 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
         return TraceHeader(**head), tuple(_tick(payload, told) for payload in payloads[1:])
     except (IndexError, KeyError, TypeError, ValueError):
         raise WcsimError(f"{path}: is not a trace of this version; expected a file written by wcsim") from None
-
-
-def _payloads(data: bytes) -> list[bytes]:
-    found, at = [], 0
-    while at + _FRAME.size <= len(data):
-        size, crc = _FRAME.unpack_from(data, at)
-        packed = data[at + _FRAME.size : at + _FRAME.size + size]
-        if len(packed) < size or zlib.crc32(packed) != crc:
-            break
-        found.append(zlib.decompress(packed))
-        at += _FRAME.size + size
-    return found
 
 
 def _as_list(body: ActorBody) -> tuple[str, str, tuple[float, float, float], int]:
@@ -198,4 +189,5 @@ def _tick(payload: bytes, told: dict[str, ActorBody]) -> TickRecord:
         state_hash=head["hash"],
         time_s=float(head.get("time_s", 0.0)),
         bodies=tuple(told[name] for name in head["actors"]) if told else (),
+        seats=tuple(head.get("at", ())),
     )

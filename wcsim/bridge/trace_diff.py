@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.trace import TickRecord, read_trace
+from wcsim.bridge.trace import TickRecord, TraceHeader, read_trace
+
+SAME = ("seed", "tick_s", "seats", "origin_m", "origin_z_m")
+"""What `first_difference` compares of the headers: equal runs may have other names, and other versions."""
 
 
 def difference(trace: Path, golden: Path) -> str:
@@ -38,3 +41,48 @@ def _tick_difference(new: TickRecord, old: TickRecord, exact: bool, tolerance_m:
     if gap_m > (0.0 if exact else tolerance_m):
         return f"a chair is {gap_m:.3g} m away from the golden trace"
     return "the state hash differs" if exact else ""
+
+
+def first_difference(one: Path, other: Path) -> str:
+    """The first difference between two traces, to the last bit and in words; "" when they are equal."""
+    (head, ticks), (other_head, other_ticks) = read_trace(one), read_trace(other)
+    told = _header_difference(head, other_head)
+    if told:
+        return told
+    for a, b in zip(ticks, other_ticks, strict=False):
+        told = _first_of_tick(a, b)
+        if told:
+            return f"epoch {a.epoch}, tick {a.tick}: {told}"
+    if len(ticks) == len(other_ticks):
+        return ""
+    fewer, more = sorted((len(ticks), len(other_ticks)))
+    return f"{one if len(ticks) == fewer else other} ends after {fewer} ticks, the other one after {more}"
+
+
+def _header_difference(a: TraceHeader, b: TraceHeader) -> str:
+    for name in SAME:
+        if getattr(a, name) != getattr(b, name):
+            return f"header: {name} is {getattr(a, name)} and {getattr(b, name)}"
+    return ""
+
+
+def _first_of_tick(a: TickRecord, b: TickRecord) -> str:
+    if (a.epoch, a.tick) != (b.epoch, b.tick):
+        return f"the other one has epoch {b.epoch}, tick {b.tick}"
+    if len(a.commands) != len(b.commands) or a.seats != b.seats:
+        return f"{len(a.commands)} commands (seats {list(a.seats)}) and {len(b.commands)} (seats {list(b.seats)})"
+    for seat, one, other in zip(a.seats or range(len(a.commands)), a.commands, b.commands, strict=True):
+        if one.tobytes() != other.tobytes():
+            return f"seat {seat} is commanded {tuple(one.tolist())} and {tuple(other.tolist())}"
+    if a.actor_ids != b.actor_ids:
+        return f"actors {sorted(set(a.actor_ids) ^ set(b.actor_ids))[:4]} are in one trace only"
+    for what, names, rows, others in (
+        ("actor", a.actor_ids, a.actors, b.actors),
+        ("seat", a.seats or range(len(a.plants)), a.plants, b.plants),
+    ):
+        for name, one, other in zip(names, rows, others, strict=True):
+            if one.tobytes() != other.tobytes():
+                gap_m = float(np.abs(one[:3] - other[:3]).max())
+                how = f"is {gap_m:.3g} m away from" if gap_m else "moves otherwise than in"
+                return f"{what} {name} {how} the other one"
+    return f"state {a.state_hash} and {b.state_hash}" if a.state_hash != b.state_hash else ""

@@ -19,64 +19,62 @@ from wcsim.bridge import mirror
 from wcsim.bridge.articulated import Articulation
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.guard import MirrorGuard
-from wcsim.bridge.orders import Attention, ChairInStreet
+from wcsim.bridge.orders import Attention, ChairInStreet, in_street, on_level
 from wcsim.bridge.seat import Seat
+from wcsim.bridge.seating import Seating
 from wcsim.bridge.stage import RunPlace, open_scenario, settings_of
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
-from wcsim.errors import ProtocolError
+from wcsim.errors import ProtocolError, WcsimError
 from wcsim.physics.bodies import BodyPool
-from wcsim.physics.camera import CameraRig
+from wcsim.physics.camera import CameraRig, ImageSink
 from wcsim.physics.engine import Engine
-from wcsim.physics.mounting import refuse_cameras_inside
-from wcsim.physics.plant import plant_spec
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.streets import FLAT, joined_mesh
-from wcsim.towns.netcheck import require_pavement, validate_net
-from wcsim.towns.routes import Router
+from wcsim.towns.netcheck import validate_net
 from wcsim.towns.street import load_street
 from wcsim.towns.town import Town
-from wcsim.types import F64, ActorState, ClassId, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
+from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
 
-ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
-LEVEL_M = 2.5  # who is so much above or below a chair is on another level
 TILE_REACH_M = 30.0  # the street so far around a chair is in the engine, and so far beyond its cameras' range in sight
 TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
 
 
 class World:
-    """A town with traffic and any number of wheelchairs in it."""
+    """A town with traffic and places for any number of wheelchairs, which come and go between ticks.
+
+    Wherever `out` is given, the images are made in its buffers; in the cameras' own otherwise.
+    """
 
     def __init__(
         self,
         town: Town,
         config: RunConfig,
-        specs: tuple[SeatSpec, ...],
+        specs: tuple[SeatSpec | None, ...],
         seed: int,
         place: RunPlace = RunPlace(),  # noqa: B008 - frozen
+        *,
+        epoch: int = 0,
     ) -> None:
-        """Load the town and warm its traffic up; `place` says where the outputs of its SUMO scenario go.
+        """Load the town and warm its traffic up.
 
-        Raises TownError for a net that cannot be used, ConfigError for a camera inside the chair's body,
-        WorldInUseError while another world lives in this process.
+        There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
+        go, `epoch` is the number of the first epoch. Raises TownError for a net that cannot be used, ConfigError for a
+        camera inside the chair's body, WorldInUseError while another world lives in this process.
         """
         refuse_second_world()
         validate_net(town.net)
         self.town = town
         self.config = config
         self.street = load_street(town)
-        if specs:
-            refuse_cameras_inside(config.cameras, plant_spec(config.chair).frame.boxes)
-            require_pavement(self.street, town)
-        router = Router(self.street.walk) if specs else None
-        self.seats = tuple(Seat(i, spec, config, self.street, router) for i, spec in enumerate(specs) if router)
+        self._seating = Seating(specs, config, self.street, town)
         self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
-        self.epoch = -1
+        self.epoch = epoch - 1
         self._drawn: dict[TileKey, GeometryStore] = {}
         self._engine: Engine | None = None
         self.snapshot: Snapshot
@@ -91,25 +89,50 @@ class World:
             self.close()
             raise
 
-    def tick(self, commands: Sequence[Command]) -> Snapshot:
-        """Carry the world from tick n to n + 1, with one command of tick n for every seat, in seat order."""
+    @property
+    def seats(self) -> tuple[Seat, ...]:
+        """The seats that are taken, in the order of their numbers."""
+        return self._seating.present
+
+    def tick(self, commands: Sequence[Command], out: ImageSink | None = None) -> Snapshot:
+        """Carry the world from tick n to n + 1, with one command of tick n for every taken seat, in seat order."""
         self._react(commands)
         self._step()
         self._mirror()
         self._drive(commands)
-        return self._sense()
+        return self._sense(out)
 
-    def rebuild(self, seed: int) -> Snapshot:
-        """A new epoch: everything from its beginning, as a new world with this seed would be."""
+    def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
+        """A new epoch: everything from its beginning, as a new world with this seed and these chairs would be."""
         self._sumo.rebuild(seeding.derive(seed, "sumo"))
-        self._begin(seed)
+        self._begin(seed, out)
         return self.snapshot
 
-    def respawn(self, seat: int) -> ClientSnapshot:
-        """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody."""
-        (client,) = self._open_episodes((self.seats[seat],))
-        self.snapshot = self._published(tuple(client if c.seat == seat else c for c in self.snapshot.clients))
-        return client
+    def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
+        """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody.
+
+        Raises ProtocolError when the seat is free or not there.
+        """
+        return self._joined(self._seating.at(seat), out)
+
+    def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
+        """Put a new chair into the street for a free seat, now; its episodes go on from those the seat has had.
+
+        Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
+        """
+        new = self._seating.admit(self._open_engine, seat, spec)
+        try:
+            return self._joined(new, out)
+        except WcsimError:
+            self._seating.revoke(seat)
+            raise
+
+    def dismiss(self, seat: int) -> None:
+        """Take a seat's chair out of the street, now. Raises ProtocolError when the seat is free or not there."""
+        self._seating.dismiss(seat)
+        self._rig.reset(seat)  # its last images may be in somebody's buffers
+        self._read_street()
+        self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and people in the whole town now."""
@@ -118,9 +141,10 @@ class World:
     def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
         """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
-        self.seats[seat].chair.place(p_W_m, yaw_rad)
+        chair = self._seating.at(seat).chair
+        chair.place(p_W_m, yaw_rad)
         self._reach_street()
-        self.seats[seat].chair.place(p_W_m, yaw_rad)  # tilted as the ground is that was not there before
+        chair.place(p_W_m, yaw_rad)  # tilted as the ground is that was not there before
         self._read_street()
 
     def everyone(self) -> tuple[ActorState, ...]:
@@ -149,7 +173,8 @@ class World:
     def _react(self, commands: Sequence[Command]) -> None:
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._chairs, pilot = tuple(self._in_street(seat) for seat in self.seats), self._sumo.pilot
+            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid) for seat in self.seats)
+            pilot = self._sumo.pilot
             here = self._level(self._actors)
             orders = self._street.react(here, self._chairs, pilot)
             for order in (*orders, *self._deflection.holds(here, self._chairs)):
@@ -182,19 +207,20 @@ class World:
         with self.stopwatch.measure("mirror"):
             self._guard.check(self._actors)
 
-    def _sense(self) -> Snapshot:
+    def _sense(self, out: ImageSink | None) -> Snapshot:
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
-        clients = tuple(self._client(seat) for seat in self.seats)
-        ended = tuple(self.seats[c.seat] for c in clients if c.events.crashed or c.events.truncated)
-        first = {client.seat: client for client in self._open_episodes(ended)}
+        clients = tuple(self._client(seat, out) for seat in self.seats)
+        over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
+        ended = tuple(seat for seat in self.seats if seat.index in over)
+        first = {client.seat: client for client in self._open_episodes(ended, out)}
         self.snapshot = self._published(tuple(replace(c, first=first.get(c.seat)) for c in clients))
         return self.snapshot
 
     # --- what they need ---
 
-    def _begin(self, seed: int) -> None:
+    def _begin(self, seed: int, out: ImageSink | None = None) -> None:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
@@ -213,9 +239,8 @@ class World:
         self._guard = MirrorGuard(self._bodies)
         self._articulation = Articulation()
         self._rig.begin(seed)
-        for seat in self.seats:
-            seat.build(self._engine, seed)
-        self.snapshot = self._published(self._open_episodes(self.seats))
+        self._seating.build(self._engine, seed)
+        self.snapshot = self._published(self._open_episodes(self.seats, out))
 
     def _check(self, commands: Sequence[Command]) -> None:
         """Refuse commands for another tick before anything has moved. Raises ProtocolError."""
@@ -223,7 +248,14 @@ class World:
         if got != [(seat.index, self._tick) for seat in self.seats]:
             raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
 
-    def _open_episodes(self, seats: Sequence[Seat]) -> tuple[ClientSnapshot, ...]:
+    def _joined(self, seat: Seat, out: ImageSink | None) -> ClientSnapshot:
+        """Begin a seat's next episode and show it in the snapshot of now."""
+        (client,) = self._open_episodes((seat,), out)
+        others = [c for c in self.snapshot.clients if c.seat != seat.index]
+        self.snapshot = self._published(tuple(sorted((*others, client), key=lambda c: c.seat)))
+        return client
+
+    def _open_episodes(self, seats: Sequence[Seat], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
         """Begin the next episode of these seats: all are placed before any of them looks around."""
         for seat in seats:
             seat.spawn(self._taken)
@@ -236,21 +268,22 @@ class World:
         for seat in seats:
             seat.stand()
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
-        return tuple(self._seen(seat, first=True) for seat in seats)
+        return tuple(self._seen(seat, out, first=True) for seat in seats)
 
-    def _client(self, seat: Seat) -> ClientSnapshot:
+    def _client(self, seat: Seat, out: ImageSink | None) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
         with self.stopwatch.measure("user"):
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
-        client = self._seen(seat, first=False)
+        client = self._seen(seat, out, first=False)
         if client.events.arrived or client.events.gave_up:
             seat.next_destination()
         return client
 
-    def _seen(self, seat: Seat, first: bool) -> ClientSnapshot:
+    def _seen(self, seat: Seat, out: ImageSink | None, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
             poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
-            sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals)
+            buffers = None if out is None else out.buffers(seat.index, first)
+            sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals, buffers)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat)) if seat.spec.truth else None
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
@@ -307,25 +340,8 @@ class World:
         return tuple(actor for actor in near if actor.id not in away) if away else near
 
     def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
-        if not self._hilly:
-            return actors
-        heights_m = [chair.z_m for chair in self._chairs]
-        kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < LEVEL_M for z_m in heights_m))
-        return actors if len(kept) == len(actors) else kept
-
-    def _in_street(self, seat: Seat) -> ChairInStreet:
-        chair = seat.as_actor()
-        x, y, z = chair.p_W_m.tolist()
-        ground = self.street.grid.class_here(x, y)
-        return ChairInStreet(
-            p_W_m=chair.p_W_m[:2],
-            v_W_mps=chair.v_W_mps[:2],
-            on_road=ground in ROADWAY,
-            yaw_rad=chair.yaw_rad,
-            z_m=z,
-            half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
-        )
+        """Those on the level of a chair."""
+        return on_level(actors, self._chairs) if self._hilly else actors
 
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:
         bare = Snapshot(

@@ -5,11 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from wcsim.cli import bench_bridge, bench_camera, bench_chair, bench_reaction, bench_tick, bench_users
+from wcsim.cli import (
+    bench_barrier,
+    bench_bridge,
+    bench_camera,
+    bench_chair,
+    bench_parallel,
+    bench_reaction,
+    bench_soak,
+    bench_tick,
+    bench_users,
+)
+from wcsim.cli.bench_barrier import BarrierOptions
 from wcsim.cli.bench_bridge import BridgeOptions
 from wcsim.cli.bench_camera import CameraOptions
 from wcsim.cli.bench_chair import ChairOptions
+from wcsim.cli.bench_parallel import ParallelOptions
 from wcsim.cli.bench_reaction import ReactionOptions
+from wcsim.cli.bench_soak import SoakOptions
 from wcsim.cli.bench_tick import TickOptions
 from wcsim.cli.bench_users import UsersOptions
 from wcsim.cli.common import parse, subcommand
@@ -26,6 +39,9 @@ def run(words: list[str]) -> int:
         "users": (UsersOptions, bench_users.run),
         "reaction": (ReactionOptions, bench_reaction.run),
         "bridge": (BridgeOptions, bench_bridge.run),
+        "barrier": (BarrierOptions, bench_barrier.run),
+        "parallel": (ParallelOptions, bench_parallel.run),
+        "soak": (SoakOptions, bench_soak.run),
     }
     name = subcommand(words, "bench", {name: options for name, (options, _) in known.items()})
     if not name:

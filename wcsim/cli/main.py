@@ -29,10 +29,12 @@ class Subcommand:
 SUBCOMMANDS = (
     Subcommand("demo", "wcsim.cli.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"),
     Subcommand("train", "wcsim.cli.train", "train a network in a town"),
+    Subcommand("serve", "wcsim.cli.serve", "run a world that clients join and leave"),
+    Subcommand("join", "wcsim.cli.join", "train a network in a world that somebody serves"),
     Subcommand("test", "wcsim.cli.test", "test trained networks and baselines in towns they have never seen"),
     Subcommand("town", "wcsim.cli.town", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
-    Subcommand("replay", "wcsim.cli.replay", "a recorded run as SUMO's floating car data, with the wheelchairs in it"),
+    Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),
     Subcommand("snapshot", "wcsim.cli.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.video", "a video from a chair's camera beside a map"),
     Subcommand("bench", "wcsim.cli.bench", "measure chair, users, street, cameras and speed"),

@@ -1,50 +1,184 @@
-"""`wcsim replay`: what a run recorded, for other programs."""
+"""`wcsim replay`: what a run recorded, for other programs; made again and compared; two runs side by side."""
 
 from __future__ import annotations
 
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 import tyro
 
-from wcsim.cli.common import OutFile, check_output, parse, write_json, write_whole
-from wcsim.errors import ConfigError
+from wcsim.cli.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
+from wcsim.errors import ConfigError, WcsimError
 
-TRACE = "trace"
+TRACE: Final = "trace"
+JOURNAL: Final = "journal"
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Kind = Literal["trace", "journal"]
+SHOW_EVERY = 1000  # ticks
 
 
 @dataclass
 class Options:
-    """Show a recorded run in other programs: write its traffic and wheelchairs as SUMO's floating car data."""
+    """Work with recorded runs: write one for other programs, make it again and compare, or compare two."""
 
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """A run folder of `wcsim town run`, or a trace."""
-    fcd: Annotated[Path, tyro.conf.arg(metavar="FILE.xml")]
-    """The file to write; SUMO's tools and sumo-gui read it."""
-    epoch: int = 0
-    """Which epoch of the world, when it was made anew during the run."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN]")] = ()
+    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), or one of these files."""
+    fcd: Annotated[Path | None, tyro.conf.arg(metavar="FILE.xml")] = None
+    """Write traffic and wheelchairs as SUMO's floating car data, which SUMO's tools and sumo-gui read."""
+    verify: Flag = False
+    """Make the world of a journal again and compare it with the journal tick by tick."""
+    first_difference: Flag = False
+    """Say where two traces, or two journals, begin to differ."""
+    epoch: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Which epoch of the world; default 0 for --fcd, all of them for --verify."""
+    first: Annotated[int | None, tyro.conf.arg(name="from", metavar="TICK")] = None
+    """The first tick of each epoch that --verify compares."""
+    last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
+    """The last one."""
     json: OutFile = None
     """Write the result to this file."""
 
 
-def run(words: list[str]) -> int:
-    """Write the file."""
-    options = parse(Options, words, "replay")
-    check_output("--fcd", options.fcd)
-    trace = options.run / TRACE if options.run.is_dir() else options.run
-    if not trace.is_file():
-        raise ConfigError(f"{options.run}: has no trace; expected a folder that `wcsim town run` made, or a trace")
-    from wcsim.bridge.fcd import write_fcd  # the simulators are loaded here, not for --help
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """A file that a run left."""
 
+    path: Path
+    kind: Kind
+
+
+def run(words: list[str]) -> int:
+    """Do what was asked for; 1 when something differs."""
+    options = parse(Options, words, "replay")
+    _check(options)
+    if options.first_difference:
+        return _first_difference(options)
+    return _verify(options) if options.verify else _fcd(options)
+
+
+def _check(options: Options) -> None:
+    wanted = [
+        name
+        for name, given in (
+            ("--fcd", options.fcd is not None),
+            ("--verify", options.verify),
+            ("--first-difference", options.first_difference),
+        )
+        if given
+    ]
+    if len(wanted) != 1:
+        got = " and ".join(wanted) or "none"
+        raise ConfigError(f"replay got {got}; expected exactly one of --fcd FILE.xml, --verify, --first-difference")
+    runs = 2 if options.first_difference else 1
+    if len(options.runs) != runs:
+        raise ConfigError(f"{wanted[0]} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
+    if not options.verify and (options.first is not None or options.last is not None):
+        raise ConfigError(f"--from and --to say what --verify compares; expected no such option with {wanted[0]}")
+    if options.first_difference and options.epoch is not None:
+        raise ConfigError("--epoch says what --verify or --fcd works on; expected no such option")
+    for option, number in (("--epoch", options.epoch), ("--from", options.first), ("--to", options.last)):
+        in_bounds(option, number or 0, 0, float("inf"))
+    if options.last is not None:
+        in_bounds("--from", options.first or 0, 0, options.last)
+    check_output("--fcd", options.fcd)
+
+
+def _find(run: Path, preferred: Kind, expected: str) -> Recording:
+    """The recording of a run, of the preferred kind when there are both. Raises ConfigError."""
+    order: tuple[Kind, Kind] = ("trace", "journal") if preferred == TRACE else ("journal", "trace")
+    if run.is_dir():
+        found = [Recording(path=run / kind, kind=kind) for kind in order if (run / kind).is_file()]
+        if found:
+            return found[0]
+        raise ConfigError(f"{run}: has no trace and no journal; expected {expected}")
+    if not run.is_file():
+        raise ConfigError(f"{run}: is not there; expected {expected}")
+    return Recording(path=run, kind="journal" if _is_journal(run) else "trace")
+
+
+def _is_journal(path: Path) -> bool:
+    from wcsim.server.journal import read_header
+
+    try:
+        read_header(path)
+    except WcsimError:
+        return False
+    return True
+
+
+def _fcd(options: Options) -> int:
+    what = "a folder that `wcsim town run` or a server made, a trace, or a journal"
+    found = _find(options.runs[0], TRACE, what)
+    fcd = options.fcd or Path()
     steps = 0
 
     def fill(part: Path) -> None:
         nonlocal steps
-        steps = write_fcd(trace, part, options.epoch)
+        if found.kind == TRACE:
+            from wcsim.bridge.fcd import write_fcd  # the simulators are loaded here, not for --help
 
-    write_whole(options.fcd, fill)
-    print(f"wrote {options.fcd}: {steps} time steps")
+            steps = write_fcd(found.path, part, options.epoch or 0)
+        else:
+            from wcsim.server.recompute import recompute_fcd
+
+            steps = recompute_fcd(found.path, part, options.epoch or 0)
+
+    write_whole(fcd, fill)
+    print(f"wrote {fcd}: {steps} time steps")
     if options.json is not None:
-        write_json(options.json, {"run": str(options.run), "fcd": str(options.fcd), "steps": steps})
+        write_json(options.json, {"run": str(options.runs[0]), "fcd": str(fcd), "steps": steps})
     return 0
+
+
+def _verify(options: Options) -> int:
+    found = _find(options.runs[0], JOURNAL, "a run folder of a server, or a journal")
+    if found.kind != JOURNAL:
+        raise ConfigError(f"{found.path}: is no journal, and only a journal can be verified; expected one of a server")
+    from wcsim.server.recompute import verify
+
+    _note_versions(found.path)
+    begun_s = time.perf_counter()
+
+    def show(ticks: int) -> None:
+        if ticks % SHOW_EVERY == 0:
+            print(f"{ticks} ticks", file=sys.stderr)
+
+    result = verify(found.path, options.epoch, options.first or 0, options.last, show)
+    rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
+    if not result.ticks and (options.epoch, options.first, options.last) != (None, None, None):
+        raise ConfigError(f"{found.path}: has no tick there; expected --epoch, --from and --to that leave some")
+    first = None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
+    told = "all equal" if first is None else f"{result.mismatches} differ, first {first}"
+    print(f"{found.path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
+    if options.json is not None:
+        write_json(options.json, {"ticks": result.ticks, "mismatches": result.mismatches, "first_mismatch": first})
+    return 1 if result.mismatches else 0
+
+
+def _note_versions(journal: Path) -> None:
+    """Say it when equal hashes cannot be expected."""
+    from wcsim.bridge.fingerprint import fingerprint
+    from wcsim.server.journal import read_header
+
+    made_by, here = read_header(journal).fingerprint, fingerprint()
+    if made_by != here:
+        print(f"the journal was made by other versions, hashes may differ: {made_by}; here: {here}", file=sys.stderr)
+
+
+def _first_difference(options: Options) -> int:
+    what = "a run folder, a trace, or a journal"
+    one, other = (_find(run, JOURNAL, what) for run in options.runs)
+    if one.kind != other.kind:
+        raise ConfigError(f"{one.path} is a {one.kind} and {other.path} a {other.kind}; expected two of a kind")
+    if one.kind == TRACE:
+        from wcsim.bridge.trace_diff import first_difference as difference
+    else:
+        from wcsim.server.journal_diff import journal_difference as difference
+    told = difference(one.path, other.path)
+    print(told or f"{one.path} and {other.path} are equal")
+    if options.json is not None:
+        write_json(options.json, {"equal": not told, "first_difference": told})
+    return 1 if told else 0

@@ -13,7 +13,7 @@ from rich.console import Console
 from wcsim import seeding
 from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.overrides import print_overrides
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import TownError
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario import scenario_overrides
@@ -86,13 +86,14 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     """The results, one for each town and profile."""
     from wcsim.agents.baselines import NAMES
     from wcsim.agents.env import WheelchairEnv
-    from wcsim.agents.testing import open_policy, run_test
+    from wcsim.agents.testing import open_policy, run_test, window_for
     from wcsim.bridge.stage import settings_of
 
     towns, profiles = check(options)
     config = _config(options)
     names = list(dict.fromkeys([*options.policies, *NAMES]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
+    config = with_overrides(config, (f"env.window={window_for(policies)}",))
     console = Console(stderr=True)
 
     def make_env(town: str, profile: str) -> WheelchairEnv:

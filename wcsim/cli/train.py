@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from wcsim import seeding
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.overrides import print_overrides
+from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
-from wcsim.supervisor.profiles import HELD_OUT
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
 
 
@@ -43,6 +38,16 @@ class Options:
     """Your own reward term as module:Class, added to the paper's; may be given several times."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps in all, as --set learn.total_steps=N; a first phase of over half of them shrinks in proportion."""
+    clients: Annotated[str | None, tyro.conf.arg(metavar="A,B,...")] = None
+    """Networks that learn in one world at once, each in a process of its own; by name or as module:Class."""
+    config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
+    """TOML file laid over all for one of the clients; may be given several times."""
+    lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
+    """Seconds without a sign of progress after which a client is given up and started again."""
+    recovery: Literal["new_epoch", "replay"] = "new_epoch"
+    """After the world of several clients died: begin a new one, or make the same one again, step by step."""
     seed: int = 0
     """Seed of everything: equal seeds give equal weights."""
     out: OutFolder = None
@@ -58,15 +63,13 @@ class Options:
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
     options = parse(Options, words, "train")
+    if options.clients is not None:
+        return _train_clients(options, words)
     overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
-    config = load_run_config(options.preset, overrides, options.config)
-    if config.env.profile in HELD_OUT:
-        raise ConfigError(
-            f"profile {config.env.profile} is held out of training, so that tests can ask how a network does with a "
-            "user it has never met; expected another env.profile"
-        )
+    config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
+    require_trained_user(config)
     town = checked_town(options.town, options.allow_test_town)
-    out = options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
+    out = _out(options, town)
     command = ("wcsim", "train", *words)
     folder = train_in(
         town,
@@ -77,11 +80,43 @@ def run(words: list[str]) -> int:
         resume=options.resume,
         command=command,
         hook=options.hook,
+        note=steps_note(config, options.steps),
     )
     print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
     if options.json is not None:
         write_json(options.json, {"run": str(folder), "town": town.name, "seed": options.seed})
     return 0
+
+
+def _out(options: Options, town: Town) -> Path:
+    return options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
+
+
+def _train_clients(options: Options, words: list[str]) -> int:
+    """Several networks in one world."""
+    from wcsim.cli.train_clients import Group, resolved, train_clients
+
+    if options.network:
+        raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
+    group = Group(
+        networks=options.clients or "",
+        preset=options.preset,
+        file=options.config,
+        overrides=options.set,
+        steps=options.steps,
+        config_for=options.config_for,
+        rewards=options.reward,
+        hook=options.hook,
+        seed=options.seed,
+        resume=options.resume,
+        lease_s=options.lease,
+        recovery=options.recovery,
+        command=("wcsim", "train", *words),
+        json=options.json,
+    )
+    clients = resolved(group)
+    town = checked_town(options.town, options.allow_test_town)
+    return train_clients(replace(group, out=_out(options, town)), clients, town)
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
@@ -106,37 +141,35 @@ def train_in(
     resume: bool = False,
     command: tuple[str, ...] = (),
     hook: str = "",
+    note: str = "",
 ) -> Path:
     """Train with a progress bar; returns the run folder."""
-    from wcsim.agents.callbacks import TrainProgress  # torch is loaded here, not for --help
+    from wcsim.agents.build import with_window  # torch is loaded here, not for --help
+    from wcsim.agents.callbacks import TrainProgress
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.plugins import find_reward_term
     from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
-    from wcsim.bridge.stage import settings_of
     from wcsim.supervisor.recorded import find_user
 
     check_folder("--out", out)
     find_network(config.learn.network)
+    config = with_window(config)
     find_user(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
-    overrides = scenario_overrides(town, settings_of(config, seeding.derive(seed, "sumo")))
-    aided = config.learn.aid == "oracle"
-    learning = config.model_copy(
-        update={"env": config.env.model_copy(update={"max_steps": config.learn.episode_steps, "truth": aided})}
-    )
-    announce = _once(lambda: print_overrides(Console(highlight=False), town.name, overrides))
-    with _Bar(config.learn.total_steps) as bar, _gone_if_nothing_came_of_it(out):
+    overrides = overrides_of(town, config, seed)
+    learned = learning(config)
+    notes = (note,) if note else ()
+    announce = _once(lambda: print_overrides(Console(highlight=False), town.name, overrides, notes))
+    with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(out):
 
         def show(now: TrainProgress) -> None:
             announce()
-            kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-            says = f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
-            bar.show(now.step, f"phase {now.phase}", says)
+            bar.show(now)
 
         return train(
-            learning,
-            lambda: WheelchairEnv(town.address, config=learning, reward_terms=terms, run=out, hook=hook),
+            learned,
+            lambda: WheelchairEnv(town.address, config=learned, reward_terms=terms, run=out, hook=hook),
             out,
             seed,
             show,
@@ -154,47 +187,3 @@ def _once(call: Callable[[], None]) -> Callable[[], None]:
     """The same, but only the first time."""
     left = [call]
     return lambda: left.pop()() if left else None
-
-
-@contextmanager
-def _gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
-    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved."""
-    fresh = not run.exists()
-    try:
-        yield
-    except BaseException:
-        metrics = run / "metrics.csv"
-        episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
-        saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
-        if fresh and episodes < 1 and not saved:
-            shutil.rmtree(run, ignore_errors=True)
-        raise
-
-
-class _Bar:
-    """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
-
-    def __init__(self, total: int) -> None:
-        self._console = Console(stderr=True, highlight=False)
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
-        silent = not self._console.is_terminal
-        self._bar = Progress(*columns, TimeRemainingColumn(), console=self._console, disable=silent)
-        self._task = self._bar.add_task("loading the town", total=total, says="")
-        self._total, self._tenths = total, 0
-
-    def show(self, step: int, phase: str, says: str) -> None:
-        """Say how far it has come."""
-        self._bar.update(self._task, completed=step, description=phase, says=says)
-        tenths = 10 * step // self._total
-        if not self._console.is_terminal and tenths > self._tenths:
-            self._tenths = tenths
-            self._console.print(f"{phase}: {says}", soft_wrap=True)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self._bar.stop()

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import TracebackType
+from typing import Protocol
 
 import numpy as np
 
@@ -41,6 +42,17 @@ class SeatBuffers:
     """Where the images of one seat go, one entry a camera in the rig's order."""
 
     images: tuple[Images, ...]
+
+
+class ImageSink(Protocol):
+    """Where the images of all seats go, such as memory that other processes see."""
+
+    def buffers(self, seat: int, first: bool) -> SeatBuffers:
+        """The buffers for the next images of a seat.
+
+        With `first` they are for the first frame of an episode, which may be taken in the same tick as the last frame
+        of the one before, and must leave that one as it is.
+        """
 
 
 @dataclass(slots=True)

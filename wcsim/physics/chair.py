@@ -143,6 +143,15 @@ class Wheelchair:
         self._wake(False)
         self._parked = True
 
+    def remove(self) -> None:
+        """Leave the engine for good; nothing but `parked` may be asked afterwards."""
+        self._engine.remove_body(self._body.id)
+        self._parked = True
+
+    def forget(self, actor_id: str) -> None:
+        """Who of the other wheelchairs has left for good."""
+        self._log.forget(actor_id)
+
     def command(self, joystick: Joystick) -> None:
         """Take what the driver wants from now on. Raises PhysicsError when it is not finite."""
         if not (math.isfinite(joystick.x) and math.isfinite(joystick.y)):

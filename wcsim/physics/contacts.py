@@ -68,6 +68,10 @@ class ContactLog:
         self._cause.clear()
         return tuple(sorted(found, key=lambda item: (item.kind, item.actor_id, item.part)))
 
+    def forget(self, actor_id: str) -> None:
+        """Forget an actor that has left for good; another one of its name may come."""
+        self._cause_before = {key: kept for key, kept in self._cause_before.items() if key[1] != actor_id}
+
     def clear(self) -> None:
         """Forget everything, earlier ticks too."""
         self.close()

@@ -179,7 +179,7 @@ class Engine:
             self._rolling.add(body_id)
 
     def remove_body(self, body_id: int) -> None:
-        """Take a body out and forget it; its id may be that of the next one. For the exchange of a wheelchair only."""
+        """Take a body out and forget it; its id may be that of the next one. For wheelchairs only."""
         pybullet.removeBody(body_id, physicsClientId=self.client)
         self._tags.pop(body_id, None)
         self._rolling.discard(body_id)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from wcsim.bridge.sumo import world_in_this_process
-from wcsim.server.link import LocalLink, WorldLink, WorldOrder
+from wcsim.server.link import WorldLink, WorldOrder
+from wcsim.server.local import LocalLink
 
 
 def open_link(order: WorldOrder) -> WorldLink:

@@ -1,127 +1,161 @@
-"""A link to a world in a child process of its own; used when a world already lives in this process."""
+"""A world in a child process of its own with one seat; used when a world already lives in this process."""
 
 from __future__ import annotations
 
+import os
+import secrets
 import subprocess
 import sys
 import tempfile
 import time
 import weakref
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-import zmq
+import msgspec
 
-from wcsim.errors import LinkClosedError, LinkTimeoutError, ProtocolError
+from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
 from wcsim.server import messages as m
+from wcsim.server.client_core import Patience
 from wcsim.server.link import WorldOrder
-from wcsim.types import ClientSnapshot, Joystick
+from wcsim.server.local import local_rules
+from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
+from wcsim.server.ring_folder import make_ring_folder, remove_ring_folder
+from wcsim.server.socket_link import SocketSeat
+from wcsim.types import SeatSpec
 
 OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
-ANSWER_TIMEOUT_S = 120.0
-POLL_MS = 200
+END_TIMEOUT_S = 5.0
+_LOOK_S = 0.2
 
 
-class ProcessLink:
-    """A world with one seat in a child process."""
+class WorldChild:
+    """A world process that belongs to this one, ready for its clients."""
 
-    def __init__(self, order: WorldOrder) -> None:
-        """Start the process and open the world; raises what opening it in this process would raise."""
+    def __init__(self, order: WorldOrder, expected: int = 1) -> None:
+        """Start the process and wait for its world; raises what opening it in this process would raise.
+
+        Args:
+            order: The world.
+            expected: Clients that the first tick waits for.
+        """
         folder = tempfile.TemporaryDirectory(prefix="wcsim-")
-        endpoint = f"ipc://{Path(folder.name) / 'world'}"
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.PAIR)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_MESSAGE_BYTES)
-        self._socket.bind(endpoint)
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "wcsim.server.world_process", endpoint], stdin=subprocess.DEVNULL
-        )
-        # Also when nobody closes the link: ZeroMQ would else wait for ever at the end of a process whose world died.
-        self._end = weakref.finalize(self, _end, self._socket, self._context, self._child, folder)
-        request = m.Open(
-            protocol=m.PROTOCOL,
+        self.endpoint = f"ipc://{Path(folder.name) / 'world'}"
+        ring = make_ring_folder()
+        self._pipe, theirs = os.pipe()
+        os.set_blocking(self._pipe, False)
+        server = ServerOrder(
             town=order.town,
             config_json=order.config.model_dump_json(),
-            seat=order.seat,
             seed=order.seed,
+            rules=local_rules(order.seats, expected),
+            endpoint=self.endpoint,
+            ring=str(ring),
             run=order.run and str(Path(order.run).absolute()),
+            journal=False,
             hook=order.hook,
+            status_fd=theirs,
+            quiet=True,
         )
+        path = Path(folder.name) / "order.json"
+        path.write_bytes(to_line(server))
+        command = [sys.executable, "-m", "wcsim.server.world_process", str(path)]
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs,))
+        os.close(theirs)
+        self.close = weakref.finalize(self, _end, self.process, self._pipe, folder, ring)
         try:
-            self._first = self._ask(request, OPEN_TIMEOUT_S)
+            self._await_world()
         except BaseException:
             self.close()
             raise
 
-    def join(self) -> ClientSnapshot:
-        """See `WorldLink.join`."""
-        return self._ask(m.Join(), ANSWER_TIMEOUT_S)
+    def require_alive(self) -> None:
+        """Raise LinkClosedError when the process has ended."""
+        code = self.process.poll()
+        if code is not None:
+            raise LinkClosedError(f"the world process ended with code {code}; its messages above say why")
 
-    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
-        """See `WorldLink.act`."""
-        return self._ask(m.Act(tick=tick, x=joystick.x, y=joystick.y), ANSWER_TIMEOUT_S)
-
-    def respawn(self) -> ClientSnapshot:
-        """See `WorldLink.respawn`."""
-        return self._ask(m.Respawn(), ANSWER_TIMEOUT_S)
-
-    def rebuild(self, seed: int) -> ClientSnapshot:
-        """See `WorldLink.rebuild`."""
-        return self._ask(m.Rebuild(seed=seed), OPEN_TIMEOUT_S)
-
-    def close(self) -> None:
-        """Ask the process to end, wait for it, and end it when it does not; a second call does nothing."""
-        self._end()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _ask(self, request: m.Request, timeout_s: float) -> ClientSnapshot:
-        if not self._end.alive:
-            raise LinkClosedError("this link is closed; make a new one")
-        self._wait(zmq.POLLOUT, timeout_s)
-        self._socket.send(m.encode(request))
-        self._wait(zmq.POLLIN, timeout_s)
-        reply = m.decode_reply(self._socket.recv())
-        if isinstance(reply, m.Failure):
-            m.raise_failure(reply)
-        if not isinstance(reply, m.Frame):
-            raise ProtocolError(f"the world answered {type(reply).__name__}; expected a frame")
-        return reply.client
-
-    def _wait(self, event: int, timeout_s: float) -> None:
-        """Until the socket can send or receive; watches the child, because a ZeroMQ peer that dies is silent."""
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            if self._socket.poll(POLL_MS, event):
+    def _await_world(self) -> None:
+        deadline_s = time.monotonic() + OPEN_TIMEOUT_S
+        rest = b""
+        while time.monotonic() < deadline_s:
+            ended = self.process.poll() is not None
+            *lines, rest = (rest + self._heard()).split(b"\n")
+            if any(_ready(line) for line in lines):
                 return
-            if self._child.poll() is not None and not self._socket.poll(0, event):
-                raise LinkClosedError(
-                    f"the world process ended with code {self._child.returncode}; its messages above say why"
-                )
-        self.close()  # a late answer must not be taken for the answer to the next question
-        raise LinkTimeoutError(f"the world process did not answer within {timeout_s:g} s; open another link")
+            if ended:
+                self.require_alive()
+            time.sleep(0.01)
+        raise LinkTimeoutError(f"the world process has no world after {OPEN_TIMEOUT_S:g} s; is the machine busy?")
+
+    def _heard(self) -> bytes:
+        try:
+            return os.read(self._pipe, 1 << 16)
+        except BlockingIOError:
+            return b""
 
 
-def _end(
-    socket: zmq.Socket[bytes],
-    context: zmq.Context[zmq.Socket[bytes]],
-    child: subprocess.Popen[bytes],
-    folder: tempfile.TemporaryDirectory[str],
-) -> None:
+class ChildSeat(SocketSeat):
+    """A seat of a world process that belongs to this one; notices when that has ended."""
+
+    def __init__(self, child: WorldChild, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "sole") -> None:
+        self._child = child
+        super().__init__(
+            JoinOrder(
+                endpoint=child.endpoint,
+                name=name,
+                claim=secrets.token_hex(),
+                spec=spec,
+                seat=seat,
+                patience=Patience(reconnect_s=OPEN_TIMEOUT_S),
+            )
+        )
+
+    def _pump(self) -> None:
+        if not self._socket.poll(0):
+            self._child.require_alive()
+        super()._pump()
+
+    def _end(self) -> None:
+        if self._child.process.poll() is None:
+            super()._end()
+        else:  # nobody is there to say goodbye
+            self._let_go()
+
+
+class ProcessLink(ChildSeat):
+    """The only seat of a world of its own in a child process."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        """Start the world; raises what opening it in this process would raise."""
+        child = WorldChild(order)
+        try:
+            super().__init__(child, order.seat)
+        except BaseException:
+            child.close()
+            raise
+
+    def _end(self) -> None:
+        try:
+            super()._end()
+        finally:
+            self._child.close()
+
+
+def _ready(line: bytes) -> bool:
+    """Whether a status line tells of a world; raises the error that one tells of."""
     try:
-        socket.send(m.encode(m.Leave()), zmq.NOBLOCK)
-        child.wait(timeout=5.0)
-    except (zmq.ZMQError, subprocess.TimeoutExpired):
-        child.kill()
-        child.wait()
-    socket.close()
-    context.term()
+        return of_line(WorldStatus, line).stage != "loading"
+    except ConfigError:
+        raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
+
+
+def _end(process: subprocess.Popen[bytes], pipe: int, folder: tempfile.TemporaryDirectory[str], ring: Path) -> None:
+    process.terminate()
+    try:
+        process.wait(END_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    os.close(pipe)
     folder.cleanup()
+    remove_ring_folder(ring)

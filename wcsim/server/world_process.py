@@ -1,77 +1,126 @@
-"""A world in a process of its own: `python -m wcsim.server.world_process ENDPOINT`, started by `ProcessLink`.
+"""A world in a process of its own: `python -m wcsim.server.world_process ORDER_FILE`, a `ServerOrder` as JSON.
 
-One request, one reply, over a ZeroMQ pair on an ipc socket in a folder that only its owner can enter. The process
-ends when it is told to, or when its parent has gone.
+It ends when SIGTERM asks it to, or when whoever started it has gone. Exit code 0: ended as asked; 2: the order cannot
+be used, or the disk is full; 3: a simulator failed.
 """
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
 
-import zmq
+from wcsim.errors import ConfigError, DiskFullError, HookError, TownError, WcsimError
+from wcsim.server.doors import Doors
+from wcsim.server.journal_records import Ended, JournalRecord
+from wcsim.server.lifeline import Lifelines
+from wcsim.server.opening import Opened, open_server
+from wcsim.server.orders import ServerOrder, read_order
+from wcsim.server.parent import die_with_parent
+from wcsim.server.reporter import Reporter
+from wcsim.server.ring import RingSink, pictures_of
+from wcsim.server.server_loop import Hosted, ServerLoop
 
-from wcsim.config import RunConfig
-from wcsim.errors import ProtocolError, WcsimError
-from wcsim.server import messages as m
-from wcsim.server.link import LocalLink, WorldOrder
-
-POLL_MS = 1000
+_ORDER_FAULTS = (ConfigError, TownError, HookError, DiskFullError)
+_PARENT_GONE = signal.SIGUSR1
 
 
-def main() -> int:
-    """Serve one client until it leaves."""
-    parent = os.getppid()
-    # Ctrl-C at a terminal reaches the whole group; what it means is for the client to say, who still needs the world.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with zmq.Context() as context, context.socket(zmq.PAIR) as socket:
-        socket.setsockopt(zmq.LINGER, 1000)
-        socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_MESSAGE_BYTES)
-        socket.connect(sys.argv[1])
-        link: LocalLink | None = None
-        try:
-            while os.getppid() == parent:
-                if not socket.poll(POLL_MS):
-                    continue
-                request = m.decode_request(socket.recv())
-                if isinstance(request, m.Leave):
-                    socket.send(m.encode(m.Bye()))
-                    break
-                try:
-                    link, reply = _answer(link, request)
-                except WcsimError as error:
-                    reply = m.failure_of(error)
-                socket.send(m.encode(reply))
-        finally:
-            if link is not None:
-                link.close()
+def main(words: list[str]) -> int:
+    """Host the world of an order file; returns the exit code."""
+    if len(words) != 1:
+        return _failed(ConfigError(f"got {len(words)} arguments; expected an order file"))
+    try:
+        order = read_order(ServerOrder, Path(words[0]))
+    except WcsimError as error:
+        return _failed(error)
+    ends, reporter = _Ends(), Reporter(order.status_fd)
+    try:
+        with ExitStack() as held:
+            with ends.at_once():
+                reporter.loading()
+                opened, loop = _prepared(order, reporter, held)
+                gc.freeze()  # what is loaded now stays: looking through it again and again would cost single ticks
+            reason = loop.run(ends.asked)
+            if opened.journal is not None:
+                opened.journal.append(Ended(reason=reason))
+    except WcsimError as error:
+        reporter.failed(error)
+        return _failed(error, order.quiet)
     return 0
 
 
-def _answer(link: LocalLink | None, request: m.Request) -> tuple[LocalLink, m.Reply]:
-    if isinstance(request, m.Open):
-        if request.protocol != m.PROTOCOL:
-            raise ProtocolError(f"client speaks protocol {request.protocol}, world {m.PROTOCOL}; use one version")
-        link = LocalLink(
-            WorldOrder(
-                town=request.town,
-                config=RunConfig.model_validate_json(request.config_json),
-                seat=request.seat,
-                seed=request.seed,
-                run=request.run,
-                hook=request.hook,
-            )
-        )
-        return link, m.Frame(link.join())
-    if link is None:
-        raise ProtocolError(f"{type(request).__name__} came before Open; open a world first")
-    if isinstance(request, m.Act):
-        return link, m.Frame(link.act(request.tick, m.joystick_of(request)))
-    if isinstance(request, m.Rebuild):
-        return link, m.Frame(link.rebuild(request.seed))
-    return link, m.Frame(link.respawn() if isinstance(request, m.Respawn) else link.join())
+def _prepared(order: ServerOrder, reporter: Reporter, held: ExitStack) -> tuple[Opened, ServerLoop]:
+    """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
+    doors = held.enter_context(Doors(order.endpoint, order.listen, order.keys))
+    lifelines = held.enter_context(Lifelines(order.status_fd))
+    opened = open_server(order)
+    if opened.journal is not None:
+        held.enter_context(opened.journal)
+    held.callback(opened.world.close)
+    ring = RingSink(Path(order.ring), order.rules.capacity, pictures_of(order.world.config.cameras))
+    reporter.listening = doors.listening
+    keep = _forget if opened.journal is None else opened.journal.append
+    hosted = Hosted(order=order, core=opened.core, world=opened.world, keep=keep, ring=ring)
+    return opened, ServerLoop(hosted, doors, lifelines, reporter)
+
+
+def _forget(record: JournalRecord) -> None:
+    """A world without a run folder keeps no journal."""
+    del record
+
+
+class _Ends:
+    """Who asks for the end. Before there is a world it comes at once, later between two ticks."""
+
+    def __init__(self) -> None:
+        self._reason, self._now = "", True
+        self._parent = os.getppid()
+        signal.signal(signal.SIGTERM, self._told)
+        # Ctrl-C at a terminal reaches the whole group; what it means is for whoever started this process to say.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(_PARENT_GONE, self._orphaned)
+        die_with_parent(_PARENT_GONE)
+
+    def asked(self) -> str:
+        """Why the server shall end, "" as long as it shall not."""
+        return self._reason
+
+    @contextlib.contextmanager
+    def at_once(self) -> Iterator[None]:
+        """While this lasts the end is a SystemExit."""
+        self._now = True
+        try:
+            yield
+        finally:
+            self._now = False
+
+    def _told(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self._end("asked to end")
+
+    def _orphaned(self, number: int, frame: FrameType | None) -> None:
+        """The kernel sends this also when only the thread that started this process has ended."""
+        del number, frame
+        if os.getppid() != self._parent:
+            self._end("whoever started it is gone")
+
+    def _end(self, reason: str) -> None:
+        self._reason = self._reason or reason
+        if self._now:
+            raise SystemExit(0)
+
+
+def _failed(error: WcsimError, quiet: bool = False) -> int:
+    if not quiet:
+        sys.stderr.write(f"wcsim: {type(error).__name__}: {error}\n")
+    return 2 if isinstance(error, _ORDER_FAULTS) else 3
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))

@@ -7,12 +7,16 @@ from torch import nn
 
 MAP_HEIGHT = 8  # stride-2 layers are added until the feature map is no higher than this
 FEATURES = 128
+PATCH_PX, PATCH_CHANNELS = 4, 24
 
 
 class StridedNet(nn.Module):
-    """A stem, stride-2 convolutions down to a map of about 8x10, 16 channels of it, one linear layer."""
+    """A stem, stride-2 convolutions down to a map of about 8x10, 16 channels of it, one linear layer.
 
-    def __init__(self, stem: nn.Conv2d, image_shape: tuple[int, int, int], vector_size: int) -> None:
+    The stem makes a map (B, channels, H, W) of images of the given shape.
+    """
+
+    def __init__(self, stem: nn.Module, image_shape: tuple[int, ...], vector_size: int) -> None:
         super().__init__()
         layers: list[nn.Module] = [stem, nn.ReLU()]
         with torch.no_grad():
@@ -42,4 +46,4 @@ class PatchNet(StridedNet):
     """First cuts the image into patches of 4 x 4 pixels: a third of the time of `small` for small images."""
 
     def __init__(self, image_shape: tuple[int, int, int], vector_size: int) -> None:
-        super().__init__(nn.Conv2d(image_shape[0], 24, 4, stride=4), image_shape, vector_size)
+        super().__init__(nn.Conv2d(image_shape[0], PATCH_CHANNELS, PATCH_PX, stride=PATCH_PX), image_shape, vector_size)

@@ -1,0 +1,50 @@
+"""The examples of docs/faces.md, as they stand there but for the town, the size and the length."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.server.servers import Server, stand_in_order
+from wcsim.config import load_run_config
+from wcsim.server.events import Rules
+
+PAGE = (Path(__file__).parents[2] / "docs" / "faces.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"^## (.+?)\n.*?^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
+
+
+def run(code: str) -> None:
+    one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}  # several would only wait for each other
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_face_has_an_example():
+    assert [name for name, _ in EXAMPLES] == [
+        "Gymnasium", "PettingZoo", "Stable-Baselines3", "A seat of a running world"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "code"), EXAMPLES[:3], ids=[name for name, _ in EXAMPLES[:3]])
+def test_an_example_runs(name, code, corner):
+    assert code.count('"helsinki"') == 1
+    code = code.replace('"helsinki"', f"{str(corner)!r}, {NO_WARMUP}").replace("10_000", "108")
+    run(code)
+
+
+def test_the_example_of_a_shared_world_runs(tmp_path):
+    config = load_run_config("quick")
+    rules = Rules(capacity=1, config=config.world_digest())
+    order = stand_in_order(tmp_path, rules=rules, config_json=config.model_dump_json())
+    with Server(order, tmp_path) as server:
+        server.status()
+        code = EXAMPLES[3][1]
+        assert "ipc:///tmp/street/world" in code
+        run(code.replace("ipc:///tmp/street/world", order.endpoint))

@@ -1,0 +1,109 @@
+"""`wcsim replay`: a recorded run made again in a process of its own, compared, and written for SUMO's tools."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_bad_input import refused
+from tests.journals import eventful_run, nudged, rewritten
+from wcsim.bridge.records import framed
+from wcsim.server.journal import Ticked, read_header, read_journal
+from wcsim.server.journal_records import header_bytes
+
+
+@pytest.fixture(scope="module")
+def journaled(corner, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "one"
+    eventful_run(corner, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def changed(journaled, tmp_path_factory) -> Path:
+    """The same run with another command in tick 50 of epoch 0."""
+    folder = tmp_path_factory.mktemp("runs") / "other"
+    records = read_journal(journaled / "journal").records
+    at = next(i for i, record in enumerate(records) if isinstance(record, Ticked) and record.tick == 50)
+    rewritten(journaled / "journal", folder / "journal", {at: nudged(records[at])})
+    return folder
+
+
+def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
+    words = ["replay", str(journaled), "--verify", "--json", str(tmp_path / "told.json")]
+    done = subprocess.run([sys.executable, "-m", "wcsim", *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "150 ticks compared, all equal (" in done.stdout
+    assert "ticks/s)" in done.stdout
+    assert done.stderr == ""
+    assert json.loads((tmp_path / "told.json").read_text()) == {"ticks": 150, "mismatches": 0, "first_mismatch": None}
+
+
+def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
+    result = wcsim("replay", changed, "--verify", "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
+    told = json.loads(Path("told.json").read_text())
+    assert result.code == 1, result
+    assert told["ticks"] == 50
+    assert 1 <= told["mismatches"] <= 11
+    assert told["first_mismatch"] == {"epoch": 0, "tick": 50}
+    assert wcsim("replay", changed / "journal", "--verify", "--epoch", 0, "--to", 49).code == 0
+
+
+def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
+    header = read_header(journaled / "journal")
+    data = (journaled / "journal").read_bytes()
+    old, new = (framed(header_bytes(item)) for item in (header, replace(header, fingerprint="numpy-0")))
+    assert data.startswith(old)
+    Path("journal").write_bytes(new + data[len(old) :])
+    result = wcsim("replay", "journal", "--verify", "--to", 1, "--epoch", 1)
+    assert result.code == 0
+    assert "other versions, hashes may differ: numpy-0" in result.err
+
+
+def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
+    result = wcsim("replay", journaled, changed, "--first-difference", "--json", "told.json")
+    assert result.code == 1
+    assert result.out.startswith("Ticked (epoch 0, tick 50): seat 0 is commanded (")
+    told = json.loads(Path("told.json").read_text())
+    assert told == {"equal": False, "first_difference": result.out.strip()}
+    assert wcsim("replay", journaled, journaled / "journal", "--first-difference", "--json", "told.json").code == 0
+    assert json.loads(Path("told.json").read_text()) == {"equal": True, "first_difference": ""}
+    trace = journaled / "beside.trace"
+    assert wcsim("replay", trace, trace, "--first-difference").code == 0
+
+
+def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder, journaled):
+    shutil.copy(journaled / "beside.trace", "trace")
+    assert wcsim("replay", "trace", "--fcd", "a.xml").out == "wrote a.xml: 90 time steps\n"
+    result = wcsim("replay", journaled, "--fcd", "b.xml", "--json", "told.json")
+    assert result.code == 0, result
+    assert Path("a.xml").read_bytes() == Path("b.xml").read_bytes()
+    assert json.loads(Path("told.json").read_text())["steps"] == 90
+    assert wcsim("replay", journaled, "--fcd", "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
+
+
+def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
+    Path("empty").mkdir()
+    Path("notes").write_text("hello")
+    shutil.copy(journaled / "beside.trace", "trace")
+    before = sorted(Path().iterdir())
+    for words, told in (
+        (("empty", "--verify"), ("empty: has no trace and no journal", "run folder")),
+        (("empty", "--fcd", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
+        (("nowhere", "--verify"), ("nowhere: is not there", "journal")),
+        (("trace", "--verify"), ("trace: is no journal",)),
+        (("notes", "--verify"), ("notes: is no journal",)),
+        (("notes", "--fcd", "x.xml"), ("not a trace",)),
+        (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
+        ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),
+        ((journaled, "--fcd", "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
+        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick there",)),
+    ):
+        refused(wcsim("replay", *words), *told)
+    assert sorted(Path().iterdir()) == before

@@ -1,0 +1,1 @@
+"""An explicit-state checker that runs the real server and client cores."""

@@ -1,0 +1,214 @@
+"""The real cores as numbered states: what a core does in a state is computed once, times are left out.
+
+All times are 0 after every event. Time passes by events of its own, in which the clock jumps for those concerned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+from tests.server.model.scope import Scope, Violation
+from wcsim.server import messages as m
+from wcsim.server.client_core import Ask, ClientCore, Failed, Outcome, Patience
+from wcsim.server.core import ServerCore
+from wcsim.server.cycle import Kept
+from wcsim.server.events import Clock, Effect, Event, Rules, Stage
+from wcsim.types import SeatSpec
+
+PATIENCE = Patience(resend_s=2.0, reconnect_s=900.0, tick_s=9000.0)
+LATER_S = 200.0  # beyond every lease of `rules`
+SPEC = SeatSpec()
+
+
+def rules(scope: Scope) -> Rules:
+    """Leases that the clock's jumps tell apart."""
+    return Rules(
+        capacity=scope.capacity,
+        expected=scope.expected,
+        gather_s=20.0,
+        lease_s=100.0,
+        tick_lease_s=10.0,
+        rejoin_s=50.0,
+        notice_s=1.0,
+    )
+
+
+def session_name(client: int, number: int) -> bytes:
+    """The session that a client draws as its `number`-th."""
+    return bytes([client, number]).ljust(m.SESSION_BYTES, b"s")
+
+
+class Servers:
+    """All states that a server core was in."""
+
+    def __init__(self, scope: Scope) -> None:
+        self.rules, self._make = rules(scope), scope.server
+        self.cores: list[ServerCore] = []
+        self._ids: dict[Hashable, int] = {}
+        self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
+
+    def new(self, epoch: int = 0, tick: int = 0, kept: tuple[Kept, ...] = ()) -> int:
+        """A server that has just begun."""
+        return self._number(self._make(self.rules, epoch, tick, kept))
+
+    def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
+        """What follows from an event, at once."""
+        return self._memo((state, event), state, lambda core: core.handle(event, 0.0))
+
+    def overdue(self, state: int, seat: int) -> tuple[int, tuple[Effect, ...]]:
+        """The lease of one seat ends; all others are heard of in time."""
+
+        def pass_time(core: ServerCore) -> list[Effect]:
+            for mate in core.cycle.roll.members:
+                mate.heard_s = mate.asked_s = 0.0 if mate.seat == seat else LATER_S
+            _told(core, LATER_S)
+            core.cycle._full_s = 0.0 if _is_master(core, seat) else LATER_S
+            return core.handle(Clock(), LATER_S)
+
+        return self._memo((state, "overdue", seat), state, pass_time)
+
+    def tick_lease(self, state: int) -> tuple[int, tuple[Effect, ...]]:
+        """The master does not ask for the tick."""
+
+        def pass_time(core: ServerCore) -> list[Effect]:
+            _told(core, 11.0)
+            return core.handle(Clock(), 11.0)
+
+        return self._memo((state, "lease"), state, pass_time)
+
+    def notice(self, state: int) -> tuple[int, tuple[Effect, ...]]:
+        """Time for a word to those who wait."""
+
+        def pass_time(core: ServerCore) -> list[Effect]:
+            core.cycle._told_s = -10.0
+            return core.handle(Clock(), 0.0)
+
+        return self._memo((state, "notice"), state, pass_time)
+
+    def gathered(self, state: int) -> tuple[int, tuple[Effect, ...]]:
+        """The time for gathering is over."""
+
+        def pass_time(core: ServerCore) -> list[Effect]:
+            core.cycle._told_s = 30.0
+            return core.handle(Clock(), 30.0)
+
+        return self._memo((state, "gather"), state, pass_time)
+
+    def _memo(
+        self, key: Hashable, state: int, act: Callable[[ServerCore], list[Effect]]
+    ) -> tuple[int, tuple[Effect, ...]]:
+        found = self._done.get(key)
+        if found is None:
+            core = self.cores[state].copied()
+            before = (core.cycle.master, core.cycle.term)
+            effects = tuple(effect for effect in act(core) if not _is_note(effect))
+            _one_master(before, core)
+            found = self._done[key] = (self._number(core), effects)
+        return found
+
+    def _number(self, core: ServerCore) -> int:
+        cycle = core.cycle
+        _timeless(core)
+        key = (
+            cycle.stage,
+            cycle.epoch,
+            cycle.tick,
+            cycle.term,
+            cycle.master,
+            cycle.gathering,
+            cycle._gather_s is None,
+            tuple((x.seat, x.session, x.peer, x.claim, x.resumed) for x in cycle.roll.members),
+            tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
+            tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
+            tuple(sorted(cycle.roll.going)),
+            tuple(sorted(set(cycle.roll.retired))),
+        )
+        number = self._ids.setdefault(key, len(self.cores))
+        if number == len(self.cores):
+            _master_is_member(core)
+            self.cores.append(core)
+        return number
+
+
+def _told(core: ServerCore, now_s: float) -> None:
+    core.cycle._told_s = now_s
+
+
+def _is_master(core: ServerCore, seat: int) -> bool:
+    holder = core.cycle.roll.at(seat)
+    return holder is not None and not holder.vacant and holder.session == core.cycle.master
+
+
+def _is_note(effect: Effect) -> bool:
+    return isinstance(getattr(effect, "message", None), m.Waiting)
+
+
+def _timeless(core: ServerCore) -> None:
+    cycle = core.cycle
+    cycle._full_s = cycle._told_s = cycle._ready_s = cycle._since_s = 0.0
+    cycle._gather_s = None if cycle._gather_s is None else 0.0
+    for mate in cycle.roll.members:
+        mate.heard_s = mate.asked_s = 0.0
+
+
+def _one_master(before: tuple[bytes, int], core: ServerCore) -> None:
+    master, term = before
+    now = core.cycle
+    if now.term < term or (now.master not in (b"", master) and now.term == term):
+        raise Violation(f"two masters in term {now.term}")
+
+
+def _master_is_member(core: ServerCore) -> None:
+    cycle = core.cycle
+    here = [mate.session for mate in cycle.roll.members if not mate.vacant]
+    if cycle.stage is not Stage.STOPPED and (cycle.master not in here if here else cycle.master != b""):
+        raise Violation(f"the master {cycle.master!r} is none of the members {here}")
+
+
+class Clients:
+    """All states that the core of one client was in."""
+
+    def __init__(self, scope: Scope, client: int) -> None:
+        self._make, self.client = scope.client, client
+        seat = m.ANY_SEAT if scope.any_seat else client % scope.capacity
+        self._ask = Ask(claim=bytes([client]), name=f"c{client}", spec=SPEC, seat=seat)
+        self.cores: list[ClientCore] = []
+        self._ids: dict[Hashable, int] = {}
+        self._done: dict[Hashable, tuple[int, tuple[Outcome, ...], int]] = {}
+
+    def new(self) -> int:
+        """A client that is off."""
+        return self._number(self._make(self._ask, PATIENCE, lambda: b""))
+
+    def do(
+        self, state: int, drawn: int, key: Hashable, act: Callable[[ClientCore], list[Outcome]]
+    ) -> tuple[int, tuple[Outcome, ...], int]:
+        """What follows when a client does something or hears a message; with the sessions drawn so far."""
+        found = self._done.get((state, drawn, key))
+        if found is None:
+            core, draws = self.cores[state].copied(), [drawn]
+
+            def draw() -> bytes:
+                draws[0] += 1
+                return session_name(self.client, draws[0])
+
+            core._new_session = draw
+            outcomes = tuple(act(core))
+            found = self._done[(state, drawn, key)] = (self._number(core), outcomes, draws[0])
+        return found
+
+    def _number(self, core: ClientCore) -> int:
+        core._heard_s = core._sent_s = core._asked_s = 0.0
+        core.late = ()
+        core._restarted = "yes" if core._restarted else ""
+        place = (core.phase, core.session, core.seat, core.epoch, core.tick, core.life, core.term)
+        key = (*place, core.pending, core._restarted, core._ahead)
+        number = self._ids.setdefault(key, len(self.cores))
+        if number == len(self.cores):
+            self.cores.append(core)
+        return number
+
+
+def failure_of(outcomes: tuple[Outcome, ...]) -> str:
+    """The name of the error among what a client's driver gets, if there is one."""
+    return next((type(x.error).__name__ for x in outcomes if isinstance(x, Failed)), "")

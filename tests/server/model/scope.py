@@ -1,0 +1,53 @@
+"""How far a check goes, and which cores it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from wcsim.server.client_core import ClientCore
+from wcsim.server.core import ServerCore
+
+
+class Violation(Exception):
+    """What the protocol promises does not hold; `trace` tells how it came to that."""
+
+    trace: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """How often each fault, and each thing that a client may do but need not, can happen in one history."""
+
+    crash: int = 0  # of a client's process
+    hang: int = 0
+    wake: int = 0  # a hung one goes on
+    suspect: int = 0  # a live session is given up
+    slow: int = 0  # a live master loses its right to tick
+    duplicate: int = 0  # any request arrives again behind those of now
+    lose: int = 0  # one message, either way
+    cut: int = 0  # all messages on their way from and to a client
+    world: int = 0  # the server dies, a new epoch begins
+    recover: int = 0  # the server dies and comes back exactly where it was
+    respawn: int = 0
+    leave: int = 0
+    rebuild: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scope:
+    """What is explored."""
+
+    budget: Budget
+    clients: int = 2
+    capacity: int = 2
+    last_tick: int = 2
+    starts: int = 2  # joins of each client, by the same process or by the next one
+    expected: int = 2  # who comes later than the rest waits for a tick
+    remote: bool = False  # a dead client is noticed by its lease alone
+    any_seat: bool = False  # clients ask for any seat
+    split_step: bool = False  # messages arrive while the world is on its way
+    server: type[ServerCore] = ServerCore
+    client: type[ClientCore] = ClientCore
+
+
+BUDGETS = tuple(field.name for field in fields(Budget))

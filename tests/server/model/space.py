@@ -1,0 +1,323 @@
+"""States of a whole world with its clients, and what can happen in each of them.
+
+Channels are in order and lose nothing but by a fault. A label with "!" is a fault: progress never needs one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, replace
+
+from tests.server.model.cores import Clients, Servers
+from tests.server.model.scope import BUDGETS, Scope, Violation
+from tests.server.model.shadow import Shadow, stick_of
+from tests.server.model.view import NOTHING_SEEN, View, hear
+from wcsim.server import messages as m
+from wcsim.server.client_core import ClientCore, Outcome, Phase, Say
+from wcsim.server.events import (
+    Admit,
+    Dismiss,
+    Effect,
+    Lost,
+    Peer,
+    RebuildWorld,
+    Received,
+    RespawnSeats,
+    Send,
+    SendFrame,
+    Stage,
+    Step,
+    Stepped,
+)
+from wcsim.types import Joystick
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One client's process and its two channels; messages to a process that is no more are nobody's."""
+
+    core: int
+    mode: str = "dead"  # or live, hung
+    process: int = 0  # how many there have been
+    drawn: int = 0  # sessions
+    starts: int = 0  # left
+    up: tuple[tuple[Peer, m.Request], ...] = ()
+    down: tuple[m.Reply, ...] = ()
+    view: View = NOTHING_SEEN
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Everything at one moment."""
+
+    server: int
+    shadow: Shadow
+    slots: tuple[Slot, ...]
+    left: tuple[int, ...]  # of each budget
+
+
+Move = tuple[str, World]
+ClockMove = Callable[[int, int], tuple[int, tuple[Effect, ...]]]
+ClientMove = Callable[[ClientCore], list[Outcome]]
+
+
+class Space:
+    """All that can happen within a scope."""
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope = scope
+        self.servers = Servers(scope)
+        self.clients = tuple(Clients(scope, i) for i in range(scope.clients))
+        self.sticks = {f"c{i}": (i + 1) / 16 for i in range(scope.clients)}
+
+    def first(self) -> World:
+        """Nobody is there yet."""
+        slots = tuple(Slot(clients.new(), starts=self.scope.starts) for clients in self.clients)
+        left = tuple(int(getattr(self.scope.budget, name)) for name in BUDGETS)
+        return World(self.servers.new(), Shadow(), slots, left)
+
+    def moves(self, at: World) -> Iterator[Move]:
+        """Everything that can happen next. Raises Violation."""
+        yield from self._server_moves(at)
+        for i, slot in enumerate(at.slots):
+            if slot.up:
+                yield from self._arrivals(at, i, slot)
+            if slot.mode == "live":
+                yield from self._client_moves(at, i, slot)
+            elif slot.mode == "dead" and slot.starts:
+                yield self._begin(at, i, slot)
+            yield from self._faults(at, i, slot)
+
+    def done(self, at: World) -> bool:
+        """Whether every client that lives has reached the last tick, or waits for one after it."""
+        roll, top = self.servers.cores[at.server].cycle.roll, at.shadow.tick >= self.scope.last_tick
+        for i, slot in enumerate(at.slots):
+            core = self.clients[i].cores[slot.core]
+            if slot.mode == "hung" or (slot.mode == "dead" and not slot.starts):
+                continue
+            if slot.mode == "live" and core.phase is Phase.OFF and not slot.starts:
+                continue
+            there = slot.mode == "live" and (core.epoch, core.tick) == (at.shadow.epoch, self.scope.last_tick)
+            if not (there and core.phase is Phase.THINK) and not (top and roll.waiting(core.session) is not None):
+                return False
+        return True
+
+    # --- the server and time ---
+
+    def _server_moves(self, at: World) -> Iterator[Move]:
+        cycle = self.servers.cores[at.server].cycle
+        if cycle.stage is Stage.STEPPING:
+            yield "stepped", self._stepped(at)
+            if not self.scope.split_step:
+                return
+        alive = self._alive(at)
+        for mate in cycle.roll.members:
+            fault = mate.session in alive or (mate.vacant and self._may_return(at, mate.seat))
+            yield from self._paid(at, f"overdue seat {mate.seat}", "suspect", fault, self.servers.overdue, mate.seat)
+            if mate.session and (fault or not self.scope.remote) and not self._hung(at, mate.session):
+                yield from self._lost(at, mate.session, fault)
+        for waiting in cycle.roll.pending:
+            if waiting.session not in alive and not self.scope.remote and not self._hung(at, waiting.session):
+                yield from self._lost(at, waiting.session, fault=False)
+        if cycle.stage is Stage.READY:
+            slow = cycle.master in alive
+            yield from self._paid(at, "tick lease", "slow", slow, lambda server, _: self.servers.tick_lease(server), 0)
+            if not any(isinstance(x, m.Tick) for slot in at.slots for _, x in slot.up):
+                yield from self._paid(at, "notice", "slow", False, lambda server, _: self.servers.notice(server), 0)
+        if cycle.stage is Stage.EMPTY and cycle.roll.pending:
+            yield from self._paid(at, "gathered", "slow", False, lambda server, _: self.servers.gathered(server), 0)
+        yield from self._deaths(at)
+
+    def _paid(self, at: World, label: str, budget: str, fault: bool, act: ClockMove, seat: int) -> Iterator[Move]:
+        """A move of the server's clock; as a fault, when there is some of the budget left."""
+        paid = self._pay(at, budget) if fault else at
+        if paid is not None:
+            server, effects = act(at.server, seat)
+            if server != at.server or effects:
+                yield ("!" if fault else "") + label, self._carry_out(replace(paid, server=server), effects)
+
+    def _lost(self, at: World, session: bytes, fault: bool) -> Iterator[Move]:
+        paid = self._pay(at, "suspect") if fault else at
+        if paid is not None:
+            server, effects = self.servers.handle(at.server, Lost(session))
+            yield ("!" if fault else "") + f"lost {session[:2].hex()}", self._carry_out(
+                replace(paid, server=server), effects
+            )
+
+    def _stepped(self, at: World) -> World:
+        server, effects = self.servers.handle(at.server, Stepped(at.shadow.tick + 1))
+        return self._carry_out(replace(at, server=server, shadow=at.shadow.stepped()), effects)
+
+    def _deaths(self, at: World) -> Iterator[Move]:
+        slots = tuple(replace(slot, up=(), down=()) for slot in at.slots)
+        paid = self._pay(at, "world")
+        if paid is not None:
+            shadow = Shadow(epoch=at.shadow.epoch + 1, made=at.shadow.made)
+            yield "!world", replace(paid, server=self.servers.new(shadow.epoch), shadow=shadow, slots=slots)
+        paid = self._pay(at, "recover")
+        if paid is not None:
+            server = self.servers.new(at.shadow.epoch, at.shadow.tick, at.shadow.kept())
+            yield "!recover", replace(paid, server=server, slots=slots)
+
+    def _carry_out(self, at: World, effects: tuple[Effect, ...]) -> World:
+        todo = list(effects)
+        while todo:
+            effect = todo.pop(0)
+            match effect:
+                case Send():
+                    at = self._post(at, effect.peer, effect.message)
+                case SendFrame():
+                    at = self._show(at, effect)
+                case Admit():
+                    at = self._admit(at, effect)
+                case Dismiss():
+                    at = replace(at, shadow=at.shadow.dismiss(effect.seat))
+                case RespawnSeats():
+                    at = replace(at, shadow=at.shadow.respawn(effect.seats))
+                case RebuildWorld():
+                    at = replace(at, shadow=at.shadow.rebuild(effect.epoch))
+                case Step():
+                    at.shadow.check(effect.tick, effect.commands, self.sticks)
+        return at
+
+    def _admit(self, at: World, admit: Admit) -> World:
+        member = self.servers.cores[at.server].cycle.roll.at(admit.seat)
+        claim = b"" if member is None else member.claim
+        return replace(at, shadow=at.shadow.admit(admit.seat, admit.name, claim))
+
+    def _show(self, at: World, show: SendFrame) -> World:
+        chair = at.shadow.at(show.seat)
+        seen, is_so = (show.epoch, show.tick), (at.shadow.epoch, at.shadow.tick)
+        if chair is None or (*seen, show.life) != (*is_so, chair.life):
+            raise Violation(f"a frame of {seen}, life {show.life}; seat {show.seat} is {chair} at {is_so}")
+        return self._post(at, show.peer, m.Frame(*seen, show.life, None, chair.number))
+
+    def _post(self, at: World, peer: Peer, message: m.Reply) -> World:
+        i, process = peer
+        slot = at.slots[i]
+        again = isinstance(message, m.BarrierFull) and message in slot.down
+        if slot.process != process or slot.mode == "dead" or again:
+            return at
+        return _with(at, i, replace(slot, down=(*slot.down, message)))
+
+    # --- clients ---
+
+    def _arrivals(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
+        (peer, message), rest = slot.up[0], slot.up[1:]
+        if self.servers.cores[at.server].cycle.stage is not Stage.STEPPING or self.scope.split_step:
+            server, effects = self.servers.handle(at.server, Received(peer, message))
+            self._fenced(at.server, server, message)
+            after = _with(replace(at, server=server), i, replace(slot, up=rest))
+            yield f"{i} said {_short(message)}", self._carry_out(after, effects)
+        paid = self._pay(at, "duplicate")
+        if paid is not None:
+            yield f"!dup {i} {_short(message)}", _with(paid, i, replace(slot, up=(*slot.up, slot.up[0])))
+        paid = self._pay(at, "lose")
+        if paid is not None:
+            yield f"!lose {i} {_short(message)}", _with(paid, i, replace(slot, up=rest))
+
+    def _fenced(self, before: int, after: int, message: m.Request) -> None:
+        """Who is not a member changes neither members nor the cycle."""
+        old, new = self.servers.cores[before].cycle, self.servers.cores[after].cycle
+        if isinstance(message, m.Join) or old.roll.member(message.session) is not None:
+            return
+        same = [(c.stage, c.epoch, c.tick, c.term, c.master, c.roll.members) for c in (old, new)]
+        if same[0] != same[1]:
+            raise Violation(f"a fenced session acts: {_short(message)}")
+
+    def _begin(self, at: World, i: int, slot: Slot) -> Move:
+        fresh = replace(slot, core=self.clients[i].new(), mode="live", process=slot.process + 1)
+        return f"{i} starts", self._join(at, i, replace(fresh, down=(), view=NOTHING_SEEN))
+
+    def _join(self, at: World, i: int, slot: Slot) -> World:
+        return self._act(at, i, replace(slot, starts=slot.starts - 1), "join", lambda core: core.join(0.0))
+
+    def _client_moves(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
+        core = self.clients[i].cores[slot.core]
+        if slot.down:
+            heard, rest = slot.down[0], replace(slot, down=slot.down[1:])
+            yield f"{i} hears {_short(heard)}", self._act(at, i, rest, heard, lambda c: c.handle(heard, 0.0))
+            paid = self._pay(at, "lose")
+            if paid is not None:
+                yield f"!{i} misses {_short(heard)}", _with(paid, i, rest)
+        elif core.waiting and not slot.up:
+            after = self._act(at, i, slot, "again", lambda c: c.clock(3.0))
+            if after != at:
+                yield f"{i} asks again", after
+        if core.phase is Phase.OFF and slot.starts:
+            yield f"{i} joins", self._join(at, i, slot)
+        if core.phase is Phase.THINK:
+            yield from self._driver_moves(at, i, slot, core.epoch, core.tick)
+
+    def _driver_moves(self, at: World, i: int, slot: Slot, epoch: int, tick: int) -> Iterator[Move]:
+        if tick < self.scope.last_tick or epoch < at.shadow.epoch:
+            stick = Joystick(self.sticks[f"c{i}"], stick_of(epoch, tick))
+            yield f"{i} acts {tick}", self._act(at, i, slot, "act", lambda c: c.act(tick, stick, 0.0))
+            paid = self._pay(at, "respawn")
+            if paid is not None:
+                yield f"{i} respawns", self._act(paid, i, slot, "respawn", lambda c: c.respawn(0.0))
+        paid = self._pay(at, "rebuild")
+        if paid is not None:
+            yield f"!{i} rebuilds", self._act(paid, i, slot, "rebuild", lambda c: c.rebuild(7, 0.0))
+        paid = self._pay(at, "leave")
+        if paid is not None:
+            yield f"!{i} leaves", self._act(paid, i, slot, "leave", lambda c: c.leave())
+
+    def _faults(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
+        if slot.mode == "dead":
+            return
+        for budget, mode in (("crash", "dead"), ("hang", "hung"), ("wake", "live")):
+            paid = self._pay(at, budget)
+            if paid is not None and slot.mode != mode and (budget != "wake" or slot.mode == "hung"):
+                down = () if mode == "dead" else slot.down
+                yield f"!{budget} {i}", _with(paid, i, replace(slot, mode=mode, down=down))
+        paid = self._pay(at, "cut")
+        if paid is not None and (slot.up or slot.down):
+            yield f"!cut {i}", _with(paid, i, replace(slot, up=(), down=()))
+
+    def _act(self, at: World, i: int, slot: Slot, key: Hashable, act: ClientMove) -> World:
+        before = self.clients[i].cores[slot.core]
+        core, outcomes, drawn = self.clients[i].do(slot.core, slot.drawn, key, act)
+        after = self.clients[i].cores[core]
+        view = hear(slot.view, before, after, outcomes)
+        peer = bytes([i, slot.process])
+        up = slot.up + tuple((peer, x.message) for x in outcomes if isinstance(x, Say))
+        gone = after.phase is Phase.GONE
+        slot = replace(slot, core=core, drawn=drawn, up=up, view=NOTHING_SEEN if gone else view)
+        return _with(at, i, replace(slot, mode="dead", down=()) if gone else slot)
+
+    # --- who lives ---
+
+    def _alive(self, at: World) -> set[bytes]:
+        cores = [self.clients[i].cores[slot.core] for i, slot in enumerate(at.slots) if slot.mode == "live"]
+        return {core.session for core in cores if core.phase is not Phase.OFF}
+
+    def _hung(self, at: World, session: bytes) -> bool:
+        slot = at.slots[session[0]]
+        return slot.mode == "hung" and self.clients[session[0]].cores[slot.core].session == session
+
+    def _may_return(self, at: World, seat: int) -> bool:
+        chair = at.shadow.at(seat)
+        slot = None if chair is None else at.slots[int(chair.owner[1:])]
+        return slot is not None and slot.mode == "live" and self._waits(slot, int(chair.owner[1:]) if chair else 0)
+
+    def _waits(self, slot: Slot, i: int) -> bool:
+        return self.clients[i].cores[slot.core].phase is not Phase.OFF
+
+    def _pay(self, at: World, budget: str) -> World | None:
+        k = BUDGETS.index(budget)
+        if not at.left[k]:
+            return None
+        return replace(at, left=(*at.left[:k], at.left[k] - 1, *at.left[k + 1 :]))
+
+
+def _with(at: World, i: int, slot: Slot) -> World:
+    return replace(at, slots=(*at.slots[:i], slot, *at.slots[i + 1 :]))
+
+
+def _short(message: m.Request | m.Reply) -> str:
+    names = ("epoch", "tick", "life", "term", "error")
+    told = [str(getattr(message, name)) for name in names if hasattr(message, name)]
+    session = getattr(message, "session", b"")[:2].hex()
+    return f"{type(message).__name__}({','.join([*told, session])})"
+

@@ -1,0 +1,160 @@
+"""World processes for tests, as a launcher would start them; most have a stand-in for a world."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tests.worlds import quick_config
+from wcsim.errors import ConfigError
+from wcsim.server.client_core import Patience
+from wcsim.server.events import Rules
+from wcsim.server.link import SeatLink
+from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
+from wcsim.types import ClientSnapshot, Joystick
+
+AHEAD = Joystick(0.1, 0.8)
+STAND_IN = "wcsim.server.stand_in:StandInWorld"
+WAIT_S = 60.0
+QUICK = Patience(resend_s=0.3, reconnect_s=30.0, tick_s=30.0)
+
+
+def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> ServerOrder:
+    """A server with a stand-in for a world, all in `folder`."""
+    rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=5.0, notice_s=0.2))
+    order = ServerOrder(
+        town="nowhere",
+        config_json=quick_config().model_dump_json(),
+        seed=3,
+        rules=rules,
+        endpoint=f"ipc://{folder}/s/world",
+        ring=str(folder / "ring"),
+        stand_in=STAND_IN,
+    )
+    return replace(order, **changes)
+
+
+class Server:
+    """A world process; `start` may be called again when it has ended."""
+
+    def __init__(self, order: ServerOrder, folder: Path, before: Callable[[], None] | None = None) -> None:
+        self.order, self._file, self._before = order, folder / "order.json", before
+        self.process: subprocess.Popen[bytes]
+        self._pipe = -1
+        self._rest = b""
+        self.failures: list[bytes] = []
+        self.start()
+
+    def start(self) -> None:
+        self._rest = b""
+        if self._pipe >= 0:
+            os.close(self._pipe)
+        self._pipe, theirs = os.pipe()
+        self._file.write_bytes(to_line(replace(self.order, status_fd=theirs)))
+        command = [sys.executable, "-m", "wcsim.server.world_process", str(self._file)]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(theirs,), preexec_fn=self._before
+        )
+        os.close(theirs)
+
+    def status(self, fits: Callable[[WorldStatus], bool] = lambda status: status.stage != "loading") -> WorldStatus:
+        """The first status from now on that fits."""
+        end_s = time.monotonic() + WAIT_S
+        while time.monotonic() < end_s:
+            if select.select([self._pipe], [], [], 0.1)[0]:
+                data = os.read(self._pipe, 1 << 16)
+                *lines, self._rest = (self._rest + data).split(b"\n")
+                for line in lines:
+                    try:
+                        status = of_line(WorldStatus, line)
+                    except ConfigError:
+                        self.failures.append(line)
+                        continue
+                    if fits(status):
+                        return status
+                if not data:
+                    break
+        raise AssertionError(f"the server said nothing that fits; its end: {self.process.poll()}")
+
+    def wait(self) -> int:
+        return self.process.wait(WAIT_S)
+
+    def errors(self) -> str:
+        """What it wrote to stderr, once it has ended."""
+        assert self.process.stderr is not None
+        return self.process.stderr.read().decode()
+
+    def kill(self) -> None:
+        """As a crash would."""
+        self.process.kill()
+        self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+
+    def let_go(self) -> None:
+        """As when whoever started it dies."""
+        os.close(self._pipe)
+        self._pipe = -1
+
+    def close(self) -> None:
+        self.kill()
+        if self._pipe >= 0:
+            os.close(self._pipe)
+            self._pipe = -1
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def seat(self, name: str, **changes: Any) -> JoinOrder:
+        """How a client joins."""
+        order = JoinOrder(endpoint=self.order.endpoint, name=name, claim=name, patience=QUICK)
+        return replace(order, **changes)
+
+
+def joined(links: Sequence[SeatLink]) -> list[ClientSnapshot]:
+    """All links join at the same time."""
+    return together(links, lambda link: link.join())
+
+
+def driven(links: Sequence[SeatLink], ticks: int) -> list[ClientSnapshot]:
+    """All links drive so many ticks at the same time."""
+
+    def drive(link: SeatLink) -> ClientSnapshot:
+        seen = link.join()
+        for _ in range(ticks):
+            seen = link.act(seen.tick, AHEAD)
+        return seen
+
+    return together(links, drive)
+
+
+def together(links: Sequence[SeatLink], do: Callable[[SeatLink], ClientSnapshot]) -> list[ClientSnapshot]:
+    """The same with every link, each in a thread of its own: all wait for each other."""
+    with ThreadPoolExecutor(len(links)) as pool:
+        return list(pool.map(do, links))
+
+
+@contextmanager
+def stub_client(join: JoinOrder, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A client process that drives on and on."""
+    order, sights = folder / f"{join.name}.json", folder / f"{join.name}.sights"
+    order.write_bytes(to_line(join))
+    command = [sys.executable, "-m", "wcsim.server.stub_client", str(order), "--sights", str(sights), *options]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()

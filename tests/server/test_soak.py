@@ -1,0 +1,92 @@
+"""Soaks: the proof with real processes, and the arithmetic that it rests on."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.worlds import quick_config
+from wcsim.cli.bench_soak import faults_of, result
+from wcsim.server.chaos import Chaos, Fault
+from wcsim.server.orders import WorldStatus
+from wcsim.server.soak import SoakFacts, SoakOrder, recovery_s, rejoin_s, soak
+from wcsim.server.states import ClientState, LaunchState
+from wcsim.server.stub_client import Sight
+
+
+def sights(*entries: tuple[float, int, int]) -> list[Sight]:
+    return [Sight(*entry) for entry in entries]
+
+
+def test_a_tick_that_was_under_way_is_no_recovery():
+    fault = Fault(time_s=10.0, what="kill", who="a")
+    seen = {
+        "a": sights((9.9, 0, 50)),
+        "b": sights((9.9, 0, 50), (10.01, 0, 51), (12.5, 0, 52)),
+    }
+    assert recovery_s(fault, seen) == 2.5
+    assert rejoin_s(fault, seen) is None
+
+
+def test_a_new_epoch_is_a_recovery_and_its_first_frame_a_rejoin():
+    fault = Fault(time_s=10.0, what="kill", who="world")
+    seen = {"a": sights((9.9, 0, 50), (14.0, 1, 0)), "b": sights((9.9, 0, 50), (13.0, 1, 0))}
+    assert recovery_s(fault, seen) == 3.0
+    assert rejoin_s(fault, seen) is None
+    assert rejoin_s(Fault(time_s=10.0, what="kill", who="a"), seen) == 4.0
+    assert recovery_s(Fault(time_s=10.0, what="kill", who="a"), {"a": sights((9.0, 0, 1)), "b": []}) is None
+
+
+def state(tick: int, epoch: int = 0) -> LaunchState:
+    names = ("a", "b", "c")
+    return LaunchState(
+        elapsed_s=1.0,
+        world_standing="running",
+        world_pid=1,
+        world_restarts=0,
+        world=WorldStatus(stage="collect", epoch=epoch, tick=tick, ticks=tick, members=names, master="a"),
+        clients=tuple(ClientState(name=name, seat=i, standing="running", pid=i + 2) for i, name in enumerate(names)),
+    )
+
+
+def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypatch):
+    sent, now = [], [0.0]
+    monkeypatch.setattr("wcsim.server.chaos._send", lambda pid, number: sent.append((pid, number)))
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    chaos = Chaos(7, until_s=300.0)
+    for step in range(1400):
+        now[0] = 0.25 * step
+        stuck = 100.0 < now[0] < 120.0
+        chaos.act(state(tick=400 if stuck else 4 * step))
+    times = [fault.time_s for fault in chaos.faults]
+    assert len(times) > 60 and max(times) <= 300.5
+    assert sum(102.0 < t < 120.0 for t in times) <= 1
+    assert {(fault.what, fault.who == "world") for fault in chaos.faults} >= {
+        ("kill", False), ("stop", False), ("pause", False), ("kill", True)
+    }  # fmt: skip
+    assert any(fault.master for fault in chaos.faults)
+    paused = sum(fault.what == "pause" or (fault.what == "stop" and fault.who != "world") for fault in chaos.faults)
+    assert sum(number == signal.SIGCONT for _, number in sent) == paused
+
+
+def soaked(corner: Path, folder: Path, seconds: float, seed: int) -> SoakFacts:
+    return soak(SoakOrder(town=str(corner), config=quick_config(), seconds=seconds, folder=folder, seed=seed))
+
+
+def test_half_a_minute_of_faults_loses_nothing(corner: Path, tmp_path: Path):
+    facts = soaked(corner, tmp_path / "run", 30.0, seed=1)
+    assert facts.outcome.code == 0, facts.outcome.message
+    assert len(facts.faults) >= 4 and facts.audit.ticks > 100
+    exact = ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered")
+    assert {key: result(facts)[key] for key in exact} == dict.fromkeys(exact, 0)
+
+
+@pytest.mark.proof
+def test_five_minutes_of_faults_lose_nothing_and_everybody_recovers_in_time(corner: Path, tmp_path: Path):
+    facts = soaked(corner, tmp_path / "run", 300.0, seed=2)
+    assert facts.outcome.code == 0, facts.outcome.message
+    assert len(facts.faults) >= 30
+    assert not faults_of(facts), result(facts)

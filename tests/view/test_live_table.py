@@ -1,0 +1,114 @@
+"""What the table of a running world says, and when it names who is slow."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from wcsim.server.orders import ClientStatus, Held, WorldStatus
+from wcsim.server.states import ClientState, LaunchState
+from wcsim.view.live_table import LiveTable, head_of, line_of, table_of, waits_of
+
+NAMES = ("fig6", "stack", "gru")
+
+
+def world(**changed):
+    usual = {"stage": "collect", "epoch": 1, "tick": 70, "ticks": 40, "ticks_per_s": 9.5, "members": NAMES}
+    return WorldStatus(**{**usual, "master": "stack", "rss_mb": 310.2, "step_ms": 20.0, **changed})
+
+
+def client(name, seat, **changed):
+    status = ClientStatus(name=name, step=40 + seat, total_steps=100, phase=2, episodes=3, crashes=1, kpi1=0.25)
+    return ClientState(**{"name": name, "seat": seat, "standing": "running", "pid": 7, "status": status, **changed})
+
+
+def state(elapsed_s=12.0, standing="running", seen=None, clients=None, **changed):
+    return LaunchState(
+        elapsed_s=elapsed_s,
+        world_standing=standing,
+        world_pid=1,
+        world_restarts=changed.pop("restarts", 0),
+        world=world() if seen is None else seen,
+        clients=tuple(client(name, seat) for seat, name in enumerate(NAMES)) if clients is None else clients,
+        **changed,
+    )
+
+
+def shown(what, terminal=True):
+    out = io.StringIO()
+    Console(file=out, width=120, force_terminal=terminal, color_system=None).print(what)
+    return [line.strip() for line in out.getvalue().splitlines()]
+
+
+def row(lines, name):
+    return next(line for line in lines if line.startswith(name)).split()
+
+
+def test_a_row_a_client_and_a_line_for_the_world():
+    late = world(late=("gru",), late_s=3.21)
+    clients = (
+        client("fig6", 0, restarts=2),
+        client("stack", 1),
+        client("gru", 2),
+        client("new", 3, standing="starting", status=None),
+        client("dead", 4, standing="down", reason="killed by SIGKILL"),
+    )
+    lines = shown(table_of(state(seen=late, clients=clients)))
+    for text in ("epoch 1, tick 70", "9.5 ticks/s", "collect", "waits for gru (3.2 s)", "310 MB"):
+        assert text in lines[0]
+    assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "waits", "2"]
+    assert row(lines, "stack")[:2] == ["stack", "*"]
+    assert row(lines, "gru")[-2] == "thinks"
+    assert row(lines, "new") == ["new", "3", "-", "-", "-", "-", "-", "starting", "0"]
+    assert "down: killed by SIGKILL" in next(line for line in lines if line.startswith("dead"))
+
+
+def test_a_client_that_has_no_seat_yet_joins():
+    lines = shown(table_of(state(seen=world(members=("fig6", "stack")))))
+    assert row(lines, "gru")[-2] == "joining"
+
+
+def test_the_world_that_is_not_there():
+    assert head_of(state(standing="starting", seen=WorldStatus(stage="loading"))) == "the world is loading"
+    assert head_of(state(standing="down", restarts=2)) == "the world is down (started again 2 times)"
+    assert "ending" in head_of(state(stopping=True))
+
+
+def test_who_is_waited_for_now():
+    assert waits_of(world()) == ""
+    assert waits_of(world(late=("gru",), late_s=0.1)) == ""
+    assert waits_of(world(late=("gru", "fig6"), late_s=2.0)) == "waits for gru, fig6 (2.0 s)"
+    assert waits_of(world(late=NAMES, late_s=2.0)) == ""  # nobody has acted, so nobody waits
+
+
+def test_who_is_slow_in_the_mean():
+    def held(*seconds):
+        return tuple(Held(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
+
+    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "waits mostly for gru (70% of 10.0 s)"
+    assert waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
+    assert waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
+    assert waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waits for fig6")
+    assert waits_of(world(held=(Held(name="sole", seconds=9.0),))) == ""
+
+
+def test_a_line_every_ten_seconds_where_there_is_no_terminal():
+    out = io.StringIO()
+    with LiveTable(Console(file=out, width=80)) as table:
+        for elapsed_s in range(26):
+            table.show(state(elapsed_s=float(elapsed_s)))
+    lines = out.getvalue().splitlines()
+    assert [line.split()[0] for line in lines] == ["10", "20"]
+    assert lines[0] == line_of(state(elapsed_s=10.0))
+    assert "fig6 40/100, KPI 1 0.250; stack 41/100" in lines[0]
+
+
+def test_a_terminal_shows_the_newest_state():
+    out = io.StringIO()
+    console = Console(file=out, width=120, force_terminal=True, color_system=None)
+    with LiveTable(console) as table:
+        table.show(state(seen=world(tick=70)))
+        table.show(state(seen=world(tick=71)))
+    assert "tick 70" in out.getvalue()
+    assert "tick 71" in out.getvalue()

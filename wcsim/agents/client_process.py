@@ -1,0 +1,65 @@
+"""A client that learns, in a process of its own: `python -m wcsim.agents.client_process ORDER_FILE [options]`.
+
+Its environment is a seat in a running world, its run folder a normal one. It ends with a code of `ClientExit`. It does
+not outlive its launcher: it saves its work first, but within a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import select
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from wcsim.errors import WcsimError
+from wcsim.server.orders import ClientOrder, read_order
+from wcsim.server.parent import die_with_parent, outlive_parent_by
+from wcsim.server.states import ClientExit
+
+SAVING_S = 60.0  # longest life after that of the launcher
+
+
+def main(words: Sequence[str]) -> int:
+    """Run a client; returns a code of `ClientExit`."""
+    parser = argparse.ArgumentParser(prog="wcsim.agents.client_process", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("order", type=Path)
+    parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--status-fd", type=int, default=-1)
+    options = parser.parse_args(words)
+    die_with_parent()
+    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE)
+    if _nobody_reads(options.status_fd):  # the launcher died before it could be watched
+        return ClientExit.SERVER_GONE
+    return _learned(options.order, options.resume, options.status_fd)
+
+
+def _learned(file: Path, resume: bool, status_fd: int) -> int:
+    try:
+        order = read_order(ClientOrder, file)
+        from wcsim.agents.client import exit_of, learn  # torch takes its time, and the launcher is watched by now
+    except WcsimError as error:
+        sys.stderr.write(f"wcsim: {error}\n")
+        return ClientExit.USER_ERROR
+    try:
+        learn(order, resume, status_fd)
+    except WcsimError as error:
+        sys.stderr.write(f"wcsim: {error}\n")
+        return exit_of(error)
+    except KeyboardInterrupt:
+        sys.stderr.write("wcsim: interrupted\n")
+        return ClientExit.STOPPED
+    return ClientExit.DONE
+
+
+def _nobody_reads(pipe: int) -> bool:
+    """Whether the other end of a pipe is closed; False where there is none."""
+    if pipe < 0:
+        return False
+    poll = select.poll()
+    poll.register(pipe, 0)
+    return any(events & select.POLLERR for _, events in poll.poll(0))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,154 @@
+"""`wcsim serve`: a world by hand, for clients that join and leave as they like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.overrides import print_overrides
+from wcsim.cli.run_config import overrides_of
+from wcsim.config import RunConfig, load_run_config
+from wcsim.errors import ConfigError
+from wcsim.server.curve import is_loopback, make_keys
+from wcsim.server.events import Rules
+from wcsim.server.journal import JOURNAL
+from wcsim.server.launcher import Launcher
+from wcsim.server.orders import Recovery, ServerOrder
+from wcsim.server.states import LaunchState
+from wcsim.server.workplace import endpoint_in, workplace
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.town import Town, find_town
+from wcsim.view.live_table import LiveTable
+
+MOST_SEATS = 64
+GATHER_S = 600.0
+
+
+@dataclass
+class Options:
+    """Run a world until Ctrl-C; clients take its seats with `wcsim join`, on this machine or on others."""
+
+    town: str = "helsinki"
+    """Town of the world."""
+    seats: int = 4
+    """Wheelchairs that there is room for."""
+    expected: int = 1
+    """Clients without whom the first tick is not begun."""
+    preset: str = "quick"
+    """Settings to begin with: quick or paper."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file laid over the preset."""
+    set: Repeated = ()
+    """section.key=value, laid over both; may be given several times."""
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""
+    """Also let clients in from other machines; beyond 127.0.0.1 this needs keys."""
+    keys: OutFolder = None
+    """Folder of keys: who may join over the network, and who the server is."""
+    make_keys: Annotated[str, tyro.conf.arg(metavar="NAME,...")] = ""
+    """Make the keys of these clients, and of the server, in the folder --keys first; those that are there stay."""
+    run: OutFolder = None
+    """Keep a journal, logs and the outputs of the town's scenario here; a world that was there before goes on."""
+    recovery: Recovery = "new_epoch"
+    """What to do with a journal: begin a new epoch, or make the same world again, step by step."""
+    lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
+    """Seconds without a sign of progress after which a client is given up."""
+    seed: int = 0
+    """Seed of the world."""
+
+
+def run(words: list[str]) -> int:
+    """Serve until somebody asks for the end."""
+    options = parse(Options, words, "serve")
+    in_bounds("--seats", options.seats, 1, MOST_SEATS)
+    in_bounds("--expected", options.expected, 1, options.seats)
+    in_bounds("--lease", options.lease, 1.0, 86_400.0)
+    _check_doors(options)
+    config = load_run_config(options.preset, options.set, options.config)
+    if options.run is not None:
+        check_folder("--run", options.run)
+        _require_ours(options.run)
+    town = find_town(options.town)
+    validate_net(town.net)
+    with workplace() as place:
+        return _served(options, town, config, place)
+
+
+def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int:
+    folder = place if options.run is None else options.run
+    overrides = overrides_of(town, config, options.seed)
+    out, told = Console(highlight=False), [True]
+    with LiveTable() as table:
+
+        def show(state: LaunchState) -> None:
+            if told and state.world_standing == "running":
+                told.clear()
+                print_overrides(out, town.name, overrides)
+                listening = "" if state.world is None else state.world.listening
+                out.print(how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
+            table.show(state)
+
+        outcome = Launcher(_order(options, town, config, place), (), folder, place, show=show).run()
+    if outcome.code:
+        raise ConfigError(outcome.message)
+    return 0
+
+
+def how_to_join(endpoint: str, listening: str, options: Options) -> str:
+    """What a client has to say."""
+    lines = [f"the world runs until Ctrl-C; join with: wcsim join {endpoint} --network small --steps 1000"]
+    if listening:
+        keys = f" --keys {options.keys}" if options.keys is not None else ""
+        lines.append(f"over the network: wcsim join {listening}{keys} --network small --steps 1000")
+    return "\n".join(lines)
+
+
+def _check_doors(options: Options) -> None:
+    """Make the keys that are asked for, and refuse an address that others could reach without any."""
+    if options.make_keys:
+        if options.keys is None:
+            raise ConfigError("--make-keys: expected --keys FOLDER too, where to make them")
+        check_folder("--keys", options.keys)
+        make_keys(options.keys, some_words("--make-keys", options.make_keys))
+    if options.keys is not None and not options.listen:
+        raise ConfigError("--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT")
+    if options.listen and not is_loopback(options.listen) and options.keys is None:
+        raise ConfigError(
+            f"--listen {options.listen} can be reached from other machines; expected --keys FOLDER "
+            "(--make-keys NAME,... makes them), or an address such as tcp://127.0.0.1:5555"
+        )
+
+
+def _require_ours(folder: Path) -> None:
+    """Refuse a folder with other things in it."""
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / JOURNAL).is_file())):
+        raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or that of a world")
+
+
+def _order(options: Options, town: Town, config: RunConfig, place: Path) -> ServerOrder:
+    return ServerOrder(
+        town=town.address,
+        config_json=config.model_dump_json(),
+        seed=options.seed,
+        rules=Rules(
+            capacity=options.seats,
+            config=config.world_digest(),
+            expected=options.expected,
+            gather_s=GATHER_S,
+            lease_s=options.lease,
+        ),
+        endpoint=endpoint_in(place),
+        ring=str(place / "ring"),
+        name=town.name,
+        run="" if options.run is None else str(options.run.absolute()),
+        hook=options.hook,
+        listen=options.listen,
+        keys="" if options.keys is None else str(options.keys.absolute()),
+        recovery=options.recovery,
+    )

@@ -1,0 +1,287 @@
+"""`wcsim train --clients A,B,...`: several networks learn at once in one world, each in a process of its own."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+
+from wcsim import seeding
+from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, open_clients_folder
+from wcsim.agents.network_names import NETWORK_NAMES
+from wcsim.agents.runfolder import Status, make_manifest
+from wcsim.cli.clients_report import TickRate, print_report, report_of
+from wcsim.cli.common import check_folder, in_bounds, some_words, write_json
+from wcsim.cli.overrides import print_overrides
+from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.config import RunConfig, load_run_config, with_file
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, WcsimError
+from wcsim.server.client_core import Patience
+from wcsim.server.events import Rules
+from wcsim.server.launcher import Launcher
+from wcsim.server.orders import ClientOrder, JoinOrder, Recovery, ServerOrder, to_line
+from wcsim.server.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.workplace import endpoint_in, workplace
+from wcsim.supervisor.recorded import find_user
+from wcsim.towns.scenario_overrides import Override
+from wcsim.towns.town import Town, streets_hash
+from wcsim.types import SeatSpec
+from wcsim.view.live_table import LiveTable
+
+MOST_CLIENTS = 64
+GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
+RECONNECT_S = 330.0  # longer than a world may take to load again
+ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
+CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.client_process")
+_NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
+_TAKEN = ("world", "logs", "ledgers", "journal")  # names in a run folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """What is asked for."""
+
+    networks: str  # joined by commas
+    preset: str
+    file: Path | None = None
+    overrides: tuple[str, ...] = ()
+    steps: int | None = None
+    config_for: tuple[str, ...] = ()  # NAME=FILE
+    rewards: tuple[str, ...] = ()
+    hook: str = ""
+    seed: int = 0
+    out: Path = field(default_factory=Path)
+    resume: bool = False
+    lease_s: float = 120.0
+    recovery: Recovery = "new_epoch"
+    command: tuple[str, ...] = ()
+    json: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Client:
+    """One of them, resolved."""
+
+    name: str
+    seat: int
+    config: RunConfig
+
+
+def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
+    """Train them all; returns the exit code: 1 when a client was given up.
+
+    Raises:
+        InterruptedRunError: The user stopped it.
+        WcsimError: Something that was asked for cannot be used.
+    """
+    in_bounds("--lease", group.lease_s, 1.0, 86_400.0)
+    check_folder("--out", group.out)
+    overrides = overrides_of(town, clients[0].config, group.seed)
+    with _opened(group, town, clients, overrides) as folder, workplace() as place:
+        left = tuple(client for client in clients if not folder.done(client.name))
+        plans = [_plan(group, town, folder, place, client, overrides) for client in left]
+        order = _world_order(group, town, folder, place, clients, len(left))
+        rate = TickRate()
+        with LiveTable() as table:
+
+            def show(state: LaunchState) -> None:
+                if rate.add(state):
+                    note = steps_note(clients[0].config, group.steps)
+                    print_overrides(table.console, town.name, overrides, (note,) if note else ())
+                table.show(state)
+
+            rules = LaunchRules(client_lease_s=max(30.0, group.lease_s))
+            outcome = Launcher(order, plans, folder.path, place, rules, show).run() if left else ALL_DONE
+        return _told(group, folder, outcome, rate)
+
+
+def resolved(group: Group) -> tuple[Client, ...]:
+    """The clients with their names, seats and configurations.
+
+    Raises:
+        ConfigError: A name or an option cannot be used, or they do not fit into one world.
+    """
+    networks = some_words("--clients", group.networks)
+    if len(networks) > MOST_CLIENTS:
+        raise ConfigError(f"--clients: {len(networks)} of them; expected {MOST_CLIENTS} at most")
+    names = client_names(networks)
+    files = _files(group.config_for, names)
+    clients = []
+    for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
+        config = load_run_config(group.preset, (*group.overrides, f'learn.network="{network}"'), group.file)
+        config = with_file(config, files[name]) if name in files else config
+        config = with_steps(config, group.steps)
+        require_trained_user(config)
+        find_user(config.env.profile)
+        clients.append(Client(name=name, seat=seat, config=learning(config)))
+    worlds = {client.config.world_digest(): client.name for client in clients}
+    if len(worlds) > 1:
+        raise ConfigError(
+            f"clients {' and '.join(worlds.values())} ask for different worlds; expected one world, chair, camera, "
+            "IMU and reward for all: only [learn] and what [env] shows may differ (--config-for)"
+        )
+    return tuple(clients)
+
+
+def client_names(networks: Sequence[str]) -> tuple[str, ...]:
+    """A name for each client: its network's, numbered where it comes again.
+
+    >>> client_names(("fig6", "own_file:OwnNet", "fig6"))
+    ('fig6', 'OwnNet', 'fig6-2')
+
+    Raises:
+        ConfigError: A network cannot be named so.
+    """
+    used, names = set(_TAKEN), []
+    for network in networks:
+        if not _NETWORK.fullmatch(network):
+            raise ConfigError(f"--clients: {network[:80]!r} is neither the name of a network nor module:Class")
+        if ":" not in network and network not in NETWORK_NAMES:
+            known = ", ".join(NETWORK_NAMES)
+            raise ConfigError(f"--clients: unknown network {network!r}; expected {known}, or module:Class")
+        base = network.rpartition(":")[2].replace(".", "_")
+        name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
+        used.add(name)
+        names.append(name)
+    return tuple(names)
+
+
+def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
+    files = {}
+    for text in config_for:
+        name, equals, path = text.partition("=")
+        if not equals or name not in names:
+            raise ConfigError(f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}")
+        files[name] = Path(path)
+    return files
+
+
+@contextmanager
+def _opened(
+    group: Group, town: Town, clients: Sequence[Client], overrides: tuple[Override, ...]
+) -> Iterator[ClientsFolder]:
+    """The run folder, new or gone on with; a new one that nothing came of is removed when the run fails."""
+    wanted = make_manifest(
+        clients[0].config,
+        group.seed,
+        town.name,
+        streets_hash(town),
+        group.rewards,
+        group.command,
+        group.hook,
+        overrides,
+    )
+    names = tuple(client.name for client in clients)
+    if group.resume:
+        folder = open_clients_folder(group.out)
+        kept = ("seed", "town_sha256", "rewards", "hook", "config_sha256")
+        other = [key for key in kept if getattr(folder.manifest, key) != getattr(wanted, key)]
+        if other or folder.clients != names:
+            what = ", ".join(other) or f"clients ({', '.join(folder.clients)})"
+            raise PolicyError(f"{group.out} was made with another {what}; resume with its own")
+        yield folder.with_status("running", folder.manifest.steps)
+        return
+    folder = create_clients_folder(group.out, clients[0].config, wanted, names)
+    try:
+        yield folder
+    except WcsimError:
+        if folder.fruitless():
+            shutil.rmtree(folder.path, ignore_errors=True)
+        raise
+
+
+def _world_order(
+    group: Group, town: Town, folder: ClientsFolder, place: Path, clients: Sequence[Client], expected: int
+) -> ServerOrder:
+    rules = Rules(
+        capacity=len(clients),
+        config=clients[0].config.world_digest(),
+        expected=expected,
+        gather_s=GATHER_S,
+        lease_s=group.lease_s,
+    )
+    return ServerOrder(
+        town=town.address,
+        config_json=clients[0].config.model_dump_json(),
+        seed=group.seed,
+        rules=rules,
+        endpoint=endpoint_in(place),
+        ring=str(place / "ring"),
+        name=folder.path.name,
+        run=str(folder.path.absolute()),
+        hook=group.hook,
+        recovery=group.recovery,
+    )
+
+
+def _plan(
+    group: Group, town: Town, folder: ClientsFolder, place: Path, client: Client, overrides: tuple[Override, ...]
+) -> ClientPlan:
+    """Write a client's order, and say how its process is started."""
+    config, env = client.config, client.config.env
+    out = (folder.path / client.name).absolute()
+    order = ClientOrder(
+        join=JoinOrder(
+            endpoint=endpoint_in(place),
+            name=client.name,
+            claim=secrets.token_hex(16),
+            spec=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
+            seat=client.seat,
+            config=config.world_digest(),
+            ledger=str(folder.ledger(client.name).absolute()),
+            patience=Patience(reconnect_s=RECONNECT_S),
+        ),
+        config_json=config.model_dump_json(),
+        seed=seeding.derive(group.seed, "client", client.seat),
+        out=str(out),
+        town=town.name,
+        town_sha256=streets_hash(town),
+        rewards=group.rewards,
+        command=group.command,
+        hook=group.hook,
+        overrides=overrides,
+    )
+    file = place / f"{client.name}.json"
+    file.write_bytes(to_line(order))
+    return ClientPlan(
+        name=client.name,
+        seat=client.seat,
+        argv=(*CLIENT_ARGV, str(file)),
+        log=folder.log(client.name),
+        folder=out,
+        resume=group.resume,
+    )
+
+
+def _told(group: Group, folder: ClientsFolder, outcome: LaunchOutcome, rate: TickRate) -> int:
+    """Write down how it ended and say so; returns the exit code.
+
+    Raises:
+        InterruptedRunError: It was stopped.
+        ConfigError: A client or the world could not use what was asked for.
+    """
+    if outcome.code == 2:
+        raise ConfigError(outcome.message)
+    if outcome.stopped and folder.fruitless():
+        raise InterruptedRunError("stopped before anything was learned; nothing is kept")
+    steps = sum(client.status.step for client in outcome.clients if client.status is not None)
+    status: Status = "done" if all(folder.done(name) for name in folder.clients) else "interrupted"
+    folder = folder.with_status(status, steps or folder.manifest.steps)
+    report = report_of(folder, group.seed, rate)
+    print_report(Console(highlight=False), report)
+    if group.json is not None:
+        write_json(group.json, report.as_json())
+    if outcome.stopped:
+        raise InterruptedRunError(f"stopped; {folder.path} holds the policies so far; continue with --resume")
+    if outcome.code:
+        print(f"wcsim: {outcome.message}", file=sys.stderr)
+        return outcome.code
+    print(f"run folder: {folder.path}    test one: wcsim test {folder.path / folder.clients[0]} --town monaco")
+    return 0

@@ -1,0 +1,115 @@
+"""A child process as its launcher holds it: output in a log file, status lines in a pipe, its end in a pidfd."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+_READ_BYTES = 1 << 16
+_MOST_BYTES = 1 << 20  # of a line that does not end
+
+
+class Child:
+    """A running process in a session of its own, so that Ctrl-C at the terminal reaches its launcher alone."""
+
+    def __init__(
+        self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector
+    ) -> None:
+        """Start it.
+
+        Args:
+            argv_of: The command line, given the number of the pipe's end that status lines go to.
+            log: Where its output is appended.
+            selector: Wakes when there is something to read, or the process has ended.
+        """
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self.log = log
+        self._selector = selector
+        self._pipe, theirs = os.pipe()
+        os.set_blocking(self._pipe, False)
+        try:
+            with log.open("ab") as out:
+                self.log_begin = out.tell()
+                self._process = subprocess.Popen(
+                    argv_of(theirs),
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=out,
+                    pass_fds=(theirs,),
+                    start_new_session=True,
+                )
+        except BaseException:
+            os.close(self._pipe)
+            raise
+        finally:
+            os.close(theirs)
+        self.pid = self._process.pid
+        self._pidfd = os.pidfd_open(self.pid)
+        self._rest = b""
+        self._reads = True
+        selector.register(self._pipe, selectors.EVENT_READ)
+        selector.register(self._pidfd, selectors.EVENT_READ)
+
+    def lines(self) -> list[bytes]:
+        """The whole status lines that have come since the last call; does not wait."""
+        while self._reads:
+            try:
+                data = os.read(self._pipe, _READ_BYTES)
+            except BlockingIOError:
+                break
+            if not data or len(self._rest) > _MOST_BYTES:
+                self._stop_reading()
+            self._rest += data
+        *whole, self._rest = self._rest.split(b"\n")
+        return whole
+
+    def ended(self) -> int | None:
+        """The exit code, or the negative number of the signal that ended it; None while it runs."""
+        return self._process.poll()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal; nothing happens when it has ended."""
+        self._process.send_signal(number)
+
+    def close(self) -> None:
+        """Kill it if it still runs, and let go of its pipe."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._stop_reading()
+        if self._pidfd >= 0:
+            self._selector.unregister(self._pidfd)
+            os.close(self._pidfd)
+            self._pidfd = -1
+
+    def last_words(self) -> str:
+        """What it said of itself in the end: the last `wcsim: ...` line that it wrote, or the last line of all."""
+        with self.log.open("rb") as file:
+            file.seek(max(self.log_begin, self.log.stat().st_size - _READ_BYTES))
+            lines = file.read().decode(errors="replace").splitlines()
+        told = [line for line in lines if line.startswith("wcsim: ")] or [line for line in lines if line.strip()]
+        return told[-1].removeprefix("wcsim: ") if told else ""
+
+    def _stop_reading(self) -> None:
+        if self._reads:
+            self._reads = False
+            self._selector.unregister(self._pipe)
+            os.close(self._pipe)
+
+
+def how_it_ended(code: int) -> str:
+    """An exit code in words.
+
+    >>> how_it_ended(-9), how_it_ended(3)
+    ('killed by SIGKILL', 'ended with code 3')
+    """
+    if code >= 0:
+        return f"ended with code {code}"
+    try:
+        return f"killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"killed by signal {-code}"

@@ -1,0 +1,155 @@
+"""Keys for clients on other machines: who may join a world, and that both ends are whom they claim to be.
+
+A folder of keys: `server.secret`, `server.public`, and for each client that may join `clients/NAME.public` and its own
+`clients/NAME.secret`. A client's machine needs `server.public` and its own secret. The files are those of zmq.auth.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+
+import zmq
+import zmq.auth
+from zmq.auth.thread import ThreadAuthenticator
+
+from wcsim.errors import ConfigError
+
+CLIENTS = "clients"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyPair:
+    """One party's keys, in ZeroMQ's text form."""
+
+    public: bytes
+    secret: bytes
+
+
+def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Make the server's keys and those of these clients where they are missing; returns the clients that are new.
+
+    Raises:
+        ConfigError: A name cannot be one, or the folder cannot be written.
+    """
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ConfigError(f"client name {name!r}: expected letters, digits, - and _, 64 at most")
+    try:
+        (folder / CLIENTS).mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+        if not (folder / "server.secret").exists():
+            _make_pair(folder, "server")
+        new = tuple(name for name in names if not (folder / CLIENTS / f"{name}.public").exists())
+        for name in new:
+            _make_pair(folder / CLIENTS, name)
+    except OSError as error:
+        raise ConfigError(f"{folder}: keys cannot be made ({error.strerror}); choose another folder") from None
+    return new
+
+
+def server_keys(folder: Path) -> KeyPair:
+    """The server's own keys. Raises ConfigError when they are not there, or others can read them."""
+    return _pair(folder / "server.secret")
+
+
+def client_keys(folder: Path, name: str) -> KeyPair:
+    """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
+    own = folder / CLIENTS / f"{name}.secret"
+    if _NAME.fullmatch(name) and own.exists():
+        return _pair(own)
+    secrets = sorted((folder / CLIENTS).glob("*.secret"))
+    if len(secrets) != 1:
+        raise ConfigError(f"{own}: not found, and {len(secrets)} other secrets; expected its own, or just one")
+    return _pair(secrets[0])
+
+
+def server_public(folder: Path) -> bytes:
+    """What a client knows of its server. Raises ConfigError when it is not there."""
+    return _load(folder / "server.public")[0]
+
+
+def authenticator(context: zmq.Context[zmq.Socket[bytes]], folder: Path) -> ThreadAuthenticator:
+    """Lets in, over the sockets of a context, the clients whose public keys are in the folder; to be stopped.
+
+    Raises:
+        ConfigError: There is none, or a file is no key.
+    """
+    known = frozenset(_load(path)[0] for path in sorted((folder / CLIENTS).glob("*.public")))
+    if not known:
+        raise ConfigError(f"{folder / CLIENTS}: no NAME.public of any client; expected one for each that may join")
+    guard = ThreadAuthenticator(context)
+    guard.start()
+    guard.configure_curve_callback("*", _AllowList(known))
+    return guard
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine can reach a TCP address.
+
+    >>> is_loopback("tcp://127.0.0.1:5000"), is_loopback("tcp://0.0.0.0:5000")
+    (True, False)
+
+    Raises:
+        ConfigError: It is none.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None or (match["port"] != "*" and int(match["port"]) > 65535):
+        raise ConfigError(f"address {address!r}: expected tcp://HOST:PORT, such as tcp://127.0.0.1:5555")
+    host = match["host"].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class _AllowList:
+    """What zmq.auth asks whether a client may come in."""
+
+    def __init__(self, known: frozenset[bytes]) -> None:
+        self._known = known
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Whether a client with this public key (in text form) may."""
+        del domain
+        return key in self._known
+
+
+def _make_pair(folder: Path, name: str) -> None:
+    """Write both files of a party; the secret one is its owner's alone from the first byte."""
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:
+        public, secret = zmq.auth.create_certificates(work, name)
+        Path(secret).chmod(0o600)
+        shutil.move(secret, folder / f"{name}.secret")
+        shutil.move(public, folder / f"{name}.public")
+
+
+def _pair(path: Path) -> KeyPair:
+    public, secret = _load(path)
+    if secret is None:
+        raise ConfigError(f"{path}: has no secret key; expected a file made by --make-keys")
+    status = path.stat()
+    if status.st_mode & 0o077 or status.st_uid not in (0, os.getuid()):
+        raise ConfigError(f"{path}: others can read this secret; run: chmod 600 {path}")
+    return KeyPair(public=public, secret=secret)
+
+
+def _load(path: Path) -> tuple[bytes, bytes | None]:
+    try:
+        public, secret = zmq.auth.load_certificate(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no key can be read there ({error}); make keys with --make-keys") from None
+    for key in (public, secret):
+        if key is not None and len(key) != 40:
+            raise ConfigError(f"{path}: a key of {len(key)} characters; expected 40")
+    return public, secret

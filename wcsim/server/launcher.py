@@ -1,0 +1,222 @@
+"""One world and several clients as processes: started, watched, started again when they die, ended in order.
+
+A tiny process that loads no simulator and no torch. One loop waits for pipes and ends of processes; everything has a
+deadline. The children die with it, however it ends.
+"""
+
+from __future__ import annotations
+
+import selectors
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from types import FrameType
+
+from wcsim.server.client_run import ClientRun
+from wcsim.server.orders import ServerOrder
+from wcsim.server.runlog import RunLog
+from wcsim.server.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.world_run import WORLD_ARGV, WorldRun
+
+LOOK_S = 0.1
+SHOW_S = 0.25
+SECOND_ASK_S = 45.0  # a client that still has not ended may wait for something that does not come ...
+IDLE_ASK_S = 2.0  # ... as in a world that does not tick
+
+Show = Callable[[LaunchState], None]
+
+
+class Step(Enum):
+    """How far a launch has come."""
+
+    RUN = "run"
+    CLIENTS_END = "clients end"
+    WORLD_ENDS = "world ends"
+    OVER = "over"
+
+
+class Launcher:
+    """A launch; `run` does it once."""
+
+    def __init__(
+        self,
+        world: ServerOrder,
+        clients: Sequence[ClientPlan],
+        folder: Path,
+        workplace: Path,
+        rules: LaunchRules | None = None,
+        show: Show | None = None,
+        world_argv: Sequence[str] = WORLD_ARGV,
+    ) -> None:
+        """Prepare a launch.
+
+        Args:
+            world: The world; its socket and its shared memory are in `workplace`.
+            clients: The clients; none for a world that waits for others.
+            folder: The run folder, for logs and events.jsonl.
+            workplace: A folder that only its owner can enter, for the order to the world.
+            rules: How long to wait for what.
+            show: Called a few times a second.
+            world_argv: The world's program; the path of its order is added.
+        """
+        self._rules = rules if rules is not None else LaunchRules()
+        self._show = show
+        self._selector = selectors.DefaultSelector()
+        log = RunLog(folder)
+        self._log = log
+        self._clients = [ClientRun(plan, self._rules, self._selector, log) for plan in clients]
+        self._serves = not self._clients
+        self._world = WorldRun(
+            world, workplace / "world.json", folder / "logs" / "world.log", self._rules, self._selector, log, world_argv
+        )
+        self._step = Step.RUN
+        self._since_s = 0.0  # of this step
+        self._asked_again = self._asked_world = False
+        self._signals = 0
+        self._stopped = False
+        self._shown_s = 0.0
+        self._code, self._message = 0, ""
+
+    def run(self) -> LaunchOutcome:
+        """Start everything, and return when nothing of it runs any more."""
+        begun_s = time.monotonic()
+        try:
+            with self._heard_signals():
+                self._world.start(begun_s)
+                for client in self._clients:
+                    client.start()
+                while self._step is not Step.OVER:
+                    self._selector.select(LOOK_S)
+                    now_s = time.monotonic()
+                    self._look(now_s)
+                    self._show_state(now_s, begun_s)
+        finally:
+            for client in self._clients:
+                client.close()
+            self._world.close()
+            self._selector.close()
+        return LaunchOutcome(
+            code=self._code,
+            message=self._message,
+            stopped=self._stopped,
+            clients=self._states(),
+            elapsed_s=time.monotonic() - begun_s,
+        )
+
+    def stop(self) -> None:
+        """Ask for an orderly end, as SIGTERM does."""
+        self._signals += 1
+
+    def _look(self, now_s: float) -> None:
+        self._world.look(now_s)
+        for client in self._clients:
+            client.look(now_s, self._world.status)
+        if self._signals > 1:
+            self._kill_all()
+        if self._step is Step.RUN:
+            self._run_on(now_s)
+        if self._step is Step.CLIENTS_END:
+            self._await_clients(now_s)
+        if self._step is Step.WORLD_ENDS:
+            self._await_world(now_s)
+
+    def _run_on(self, now_s: float) -> None:
+        """Go on, unless there is a reason to end."""
+        fault = next((client.fault for client in self._clients if client.fault), "")
+        if fault:
+            self._end_clients(now_s, 2, fault)
+        elif self._world.fault:
+            self._end_clients(now_s, 2 if self._world.refused else 1, self._world.fault)
+        elif self._signals:
+            self._stopped = True
+            self._end_clients(now_s, 0, "stopped")
+        elif not self._serves and all(client.settled for client in self._clients):
+            self._code, self._message = self._verdict()
+            self._go(Step.WORLD_ENDS, now_s)
+
+    def _verdict(self) -> tuple[int, str]:
+        lost = [client for client in self._clients if client.standing == "given up"]
+        told = "; ".join(f"client {client.plan.name} was given up: it {client.reason}" for client in lost)
+        return (1, f"{told}; see {lost[0].plan.log}") if lost else (0, "")
+
+    def _end_clients(self, now_s: float, code: int, message: str) -> None:
+        self._code, self._message = code, message
+        self._log.add("stop", code=code, reason=message)
+        for client in self._clients:
+            client.ask_to_end()
+        self._go(Step.CLIENTS_END, now_s)
+
+    def _await_clients(self, now_s: float) -> None:
+        if all(client.settled for client in self._clients):
+            self._go(Step.WORLD_ENDS, now_s)
+            return
+        waited_s = now_s - self._since_s
+        if waited_s > self._rules.saving_s:
+            for client in self._clients:
+                client.kill()
+        elif not self._asked_again and waited_s > (SECOND_ASK_S if self._world.ticks else IDLE_ASK_S):
+            self._asked_again = True
+            for client in self._clients:
+                client.ask_to_end()
+
+    def _await_world(self, now_s: float) -> None:
+        if not self._world.running:
+            self._go(Step.OVER, now_s)
+            return
+        status, waited_s = self._world.status, now_s - self._since_s
+        if not self._asked_world and (status is None or not status.members or waited_s > self._rules.leaving_s):
+            self._asked_world = True
+            self._world.ask_to_end()
+        elif waited_s > self._rules.ending_s:
+            self._world.kill()
+
+    def _go(self, step: Step, now_s: float) -> None:
+        self._step, self._since_s = step, now_s
+
+    def _kill_all(self) -> None:
+        for client in self._clients:
+            client.kill()
+        self._world.kill()
+
+    # --- what it shows ---
+
+    def _show_state(self, now_s: float, begun_s: float) -> None:
+        if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not Step.OVER):
+            return
+        self._shown_s = now_s
+        world = self._world
+        self._show(
+            LaunchState(
+                elapsed_s=now_s - begun_s,
+                world_standing=world.standing,
+                world_pid=world.pid,
+                world_restarts=world.restarts,
+                world=world.status,
+                clients=self._states(),
+                stopping=self._step is not Step.RUN,
+            )
+        )
+
+    def _states(self) -> tuple[ClientState, ...]:
+        return tuple(client.state for client in self._clients)
+
+    @contextmanager
+    def _heard_signals(self) -> Iterator[None]:
+        """While open, SIGINT and SIGTERM ask for an orderly end, and a second one for an end at once."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self._hear) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _hear(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self._signals += 1

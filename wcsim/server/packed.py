@@ -1,0 +1,241 @@
+"""A frame as it travels: its many small arrays in one row of numbers, its pictures as they are, or left out.
+
+Measured: an array of its own costs more to send and to read than all its numbers, and a frame has a dozen of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.errors import ProtocolError
+from wcsim.physics.renderer.base import Images
+from wcsim.types import (
+    F64,
+    CameraFrame,
+    ClientSnapshot,
+    Contact,
+    Drawn,
+    Events,
+    ImuFrame,
+    Joystick,
+    PlantState,
+    SensorFrame,
+    Truth,
+)
+
+_NUMBERS = 32
+_NO_DEPTH = np.zeros((0, 0), np.float32)
+_NO_CLASS = np.zeros((0, 0), np.uint8)
+_NO_DEPTH.setflags(write=False)
+_NO_CLASS.setflags(write=False)
+
+
+class PackedPicture(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A camera's picture; all empty when it is in shared memory."""
+
+    name: str
+    taken_tick: int
+    height: int
+    width: int
+    depth_m: bytes  # float32
+    class_id: bytes  # uint8
+    rgb: bytes  # uint8, empty without colours
+
+
+class PackedTruth(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A `Truth`."""
+
+    x: float
+    y: float
+    danger: bool
+    safe_actions: bytes  # a byte for each action
+    clearance_m: float
+    progress_m: float
+
+
+class PackedClient(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A `ClientSnapshot`; `numbers` are the float64 of plant, IMU and user, see `_numbers`."""
+
+    seat: int
+    tick: int
+    sensor_tick: int
+    numbers: bytes
+    pictures: tuple[PackedPicture, ...]
+    contacts: tuple[Contact, ...]
+    events: Events
+    truth: PackedTruth | None
+    drawn: Drawn | None
+    first: PackedClient | None
+
+
+def packed(client: ClientSnapshot, pictures: bool) -> PackedClient:
+    """A frame ready to travel, with its pictures or without."""
+    sensors, first = client.sensors, client.first
+    return PackedClient(
+        client.seat,
+        client.tick,
+        sensors.tick,
+        _numbers(client),
+        tuple([_packed_picture(camera, pictures) for camera in sensors.cameras]),
+        client.contacts,
+        client.events,
+        None if client.truth is None else _packed_truth(client.truth),
+        client.drawn,
+        None if first is None else packed(first, pictures),
+    )
+
+
+class Pictures(Protocol):
+    """Where pictures are that did not travel."""
+
+    def pictures(self, slot: int, first: bool) -> Sequence[Images]:
+        """Those of a slot, one a camera; with `first` those of an episode's first frame. Raises ProtocolError."""
+
+
+def unpacked(client: PackedClient, slot: int = -1, shared: Pictures | None = None) -> ClientSnapshot:
+    """The frame again.
+
+    Args:
+        client: What has come.
+        slot: Where in `shared` its pictures are; -1 when they are in it.
+        shared: Pictures that did not travel; without it these are empty.
+
+    Raises:
+        ProtocolError: The parts do not fit.
+    """
+    if len(client.numbers) != 8 * _NUMBERS:
+        raise ProtocolError(f"a frame with {len(client.numbers)} bytes of numbers; expected {8 * _NUMBERS}")
+    n: F64 = np.frombuffer(client.numbers, np.float64)
+    roll_rad, pitch_rad, yaw_rad, imu_roll_rad, imu_pitch_rad, imu_yaw_rad, x, y = n[24:].tolist()
+    imu = ImuFrame(
+        accel_mean_mps2=n[15:18],
+        accel_peak_mps2=n[18:21],
+        gyro_radps=n[21:24],
+        roll_rad=imu_roll_rad,
+        pitch_rad=imu_pitch_rad,
+        yaw_rad=imu_yaw_rad,
+    )
+    plant = PlantState(
+        p_WB_m=n[0:3],
+        q_WB=n[3:7],
+        v_B_mps=n[7:10],
+        w_B_radps=n[10:13],
+        wheel_radps=n[13:15],
+        roll_rad=roll_rad,
+        pitch_rad=pitch_rad,
+        yaw_rad=yaw_rad,
+    )
+    if slot < 0 or shared is None:
+        cameras = tuple([_picture(item) for item in client.pictures])
+    else:
+        cameras = _shared(client.pictures, shared.pictures(slot, client.events.step == 0))
+    return ClientSnapshot(
+        seat=client.seat,
+        tick=client.tick,
+        plant=plant,
+        sensors=SensorFrame(tick=client.sensor_tick, cameras=cameras, imu=imu),
+        user=Joystick(x, y),
+        contacts=client.contacts,
+        events=client.events,
+        truth=None if client.truth is None else _truth(client.truth),
+        drawn=client.drawn,
+        first=None if client.first is None else unpacked(client.first, slot, shared),
+    )
+
+
+def _numbers(client: ClientSnapshot) -> bytes:
+    """24 numbers of arrays, then 8 single ones, in the order in which `unpacked` takes them."""
+    plant, imu, user = client.plant, client.sensors.imu, client.user
+    row = np.concatenate(
+        (
+            plant.p_WB_m,
+            plant.q_WB,
+            plant.v_B_mps,
+            plant.w_B_radps,
+            plant.wheel_radps,
+            imu.accel_mean_mps2,
+            imu.accel_peak_mps2,
+            imu.gyro_radps,
+            (plant.roll_rad, plant.pitch_rad, plant.yaw_rad, imu.roll_rad, imu.pitch_rad, imu.yaw_rad, user.x, user.y),
+        ),
+        dtype=np.float64,
+    )
+    return row.tobytes()
+
+
+def _packed_picture(camera: CameraFrame, whole: bool) -> PackedPicture:
+    if not whole:
+        return PackedPicture(camera.name, camera.taken_tick, 0, 0, b"", b"", b"")
+    height, width = camera.depth_m.shape
+    return PackedPicture(
+        camera.name,
+        camera.taken_tick,
+        height,
+        width,
+        camera.depth_m.tobytes(),
+        camera.class_id.tobytes(),
+        b"" if camera.rgb is None else camera.rgb.tobytes(),
+    )
+
+
+def _shared(items: Sequence[PackedPicture], images: Sequence[Images]) -> tuple[CameraFrame, ...]:
+    if len(items) != len(images):
+        raise ProtocolError(f"a frame of {len(items)} cameras; the shared memory has {len(images)}")
+    return tuple(
+        [
+            CameraFrame(
+                name=item.name,
+                taken_tick=item.taken_tick,
+                depth_m=here.depth_m,
+                class_id=here.class_id,
+                rgb=here.rgb,
+            )
+            for item, here in zip(items, images, strict=True)
+        ]
+    )
+
+
+def _picture(item: PackedPicture) -> CameraFrame:
+    if not item.height and not item.width:
+        return CameraFrame(name=item.name, taken_tick=item.taken_tick, depth_m=_NO_DEPTH, class_id=_NO_CLASS)
+    shape = (item.height, item.width)
+    return CameraFrame(
+        name=item.name,
+        taken_tick=item.taken_tick,
+        depth_m=_array(item.depth_m, np.float32, shape),
+        class_id=_array(item.class_id, np.uint8, shape),
+        rgb=_array(item.rgb, np.uint8, (*shape, 3)) if item.rgb else None,
+    )
+
+
+def _array(data: bytes, dtype: type[np.generic], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    try:
+        return np.frombuffer(data, dtype).reshape(shape)
+    except ValueError:
+        raise ProtocolError(f"a picture of {len(data)} bytes; expected one of {shape} {dtype.__name__}") from None
+
+
+def _packed_truth(truth: Truth) -> PackedTruth:
+    return PackedTruth(
+        truth.intent.x,
+        truth.intent.y,
+        truth.danger,
+        truth.safe_actions.tobytes(),
+        truth.clearance_m,
+        truth.progress_m,
+    )
+
+
+def _truth(truth: PackedTruth) -> Truth:
+    return Truth(
+        intent=Joystick(truth.x, truth.y),
+        danger=truth.danger,
+        safe_actions=np.frombuffer(truth.safe_actions, np.bool_),
+        clearance_m=truth.clearance_m,
+        progress_m=truth.progress_m,
+    )

@@ -1,0 +1,128 @@
+"""A running world and its clients, on one screen: who is how far, and who is waited for."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from wcsim.server.orders import WorldStatus
+from wcsim.server.states import ClientState, LaunchState
+
+LINE_S = 10.0  # between two lines where there is no terminal
+WAITS_S = 0.5  # who is waited for is said when it takes so long ...
+SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
+ENOUGH_S = 1.0  # ... once that is worth a word
+
+
+class LiveTable:
+    """Shows a `LaunchState` again and again: a table on a terminal, elsewhere a line every ten seconds."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        """Show on a console, by default that of stderr."""
+        self.console = Console(stderr=True, highlight=False) if console is None else console
+        self._live = Live(console=self.console, auto_refresh=False, transient=True)
+        self._lined_s = 0.0
+
+    def show(self, state: LaunchState) -> None:
+        """Say how things are."""
+        if self.console.is_terminal:
+            self._live.update(table_of(state), refresh=True)
+        elif state.elapsed_s - self._lined_s >= LINE_S:
+            self._lined_s = state.elapsed_s
+            self.console.print(line_of(state), soft_wrap=True, markup=False)
+
+    def __enter__(self) -> Self:
+        if self.console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        if self.console.is_terminal:
+            self._live.stop()
+
+
+def table_of(state: LaunchState) -> RenderableType:
+    """A head line and a row for each client."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("client", "seat", "step", "phase", "episodes", "crashes", "KPI 1", "state", "restarts"):
+        table.add_column(title, justify="left" if title in ("client", "state") else "right", no_wrap=True)
+    for client in state.clients:
+        table.add_row(*_row(client, state.world))
+    return Group(Text(head_of(state), no_wrap=True, overflow="ellipsis"), table)
+
+
+def line_of(state: LaunchState) -> str:
+    """Everything in one line, for log files."""
+    clients = "; ".join(_brief(client) for client in state.clients)
+    return f"{state.elapsed_s:.0f} s: {head_of(state)}{' | ' if clients else ''}{clients}"
+
+
+def head_of(state: LaunchState) -> str:
+    """The world, and for whom it waits."""
+    world = state.world
+    if world is None or state.world_standing != "running":
+        again = f" (started again {state.world_restarts} times)" if state.world_restarts else ""
+        is_so = "loading" if state.world_standing == "starting" else state.world_standing
+        return f"the world is {is_so}{again}"
+    parts = [
+        f"epoch {world.epoch}, tick {world.tick}",
+        f"{world.ticks_per_s:.1f} ticks/s",
+        f"{world.step_ms:.1f} ms a tick",
+        "ending" if state.stopping else world.stage,
+        waits_of(world),
+        f"{world.rss_mb:.0f} MB",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def waits_of(world: WorldStatus) -> str:
+    """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
+    if world.late and world.late_s >= WAITS_S and len(world.late) < max(2, len(world.members)):
+        return f"waits for {', '.join(world.late)} ({world.late_s:.1f} s)"
+    slowest = max(world.held, key=lambda held: held.seconds, default=None)
+    all_s = sum(held.seconds for held in world.held)
+    if slowest is None or len(world.held) < 2 or all_s < ENOUGH_S or slowest.seconds < SLOW_SHARE * all_s:
+        return ""
+    return f"waits mostly for {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s)"
+
+
+def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
+    status = client.status
+    master = world is not None and bool(world.master) and world.master == client.name
+    told = ("-",) * 5
+    if status is not None:
+        kpi1 = "-" if status.kpi1 is None else f"{status.kpi1:.3f}"
+        progress = f"{status.step}/{status.total_steps}"
+        told = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1)
+    return (
+        f"{client.name}{' *' if master else ''}",
+        str(client.seat),
+        *told,
+        _standing(client, world),
+        str(client.restarts),
+    )
+
+
+def _standing(client: ClientState, world: WorldStatus | None) -> str:
+    if client.standing == "running" and world is not None:
+        if client.name not in world.members:
+            return "joining"
+        return "thinks" if client.name in world.late else "waits"
+    return f"down: {client.reason}" if client.standing == "down" else client.standing
+
+
+def _brief(client: ClientState) -> str:
+    status = client.status
+    far = "" if status is None else f" {status.step}/{status.total_steps}"
+    kpi1 = "" if status is None or status.kpi1 is None else f", KPI 1 {status.kpi1:.3f}"
+    again = f", {client.restarts} restarts" if client.restarts else ""
+    standing = "" if client.standing == "running" else f" ({client.standing})"
+    return f"{client.name}{far}{kpi1}{again}{standing}"
