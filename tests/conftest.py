@@ -15,14 +15,14 @@ ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 
 BUDGET_S = {
-    "api": 120,
-    "agents": 130,
+    "api": 190,
+    "agents": 170,
     "bench": 40,
     "bridge": 180,
-    "cli": 100,
+    "cli": 150,
     "physics": 100,
     "scenes": 130,
-    "server": 60,
+    "server": 200,
     "supervisor": 40,
     "towns": 190,
     "view": 40,
