@@ -14,6 +14,7 @@ from wcsim import errors
 from wcsim.agents.callbacks import TrainProgress
 from wcsim.agents.client import StatusPipe, exit_of
 from wcsim.agents.client_process import main
+from wcsim.agents.clients_folder import locked
 from wcsim.agents.time_shares import Stopped, TimeShares
 from wcsim.agents.train import train
 from wcsim.server.link import Waits
@@ -139,3 +140,10 @@ def test_measuring_changes_nothing(tmp_path):
     a, b = ((tmp_path / name / "policies" / "final" / "weights.safetensors").read_bytes() for name in "ab")
     assert a == b
     assert json.loads((tmp_path / "a" / "manifest.json").read_text())["status"] == "done"
+
+
+def test_a_run_folder_belongs_to_one_launcher_at_a_time(tmp_path):
+    with locked(tmp_path), pytest.raises(errors.PolicyError, match="another process"), locked(tmp_path):
+        pass
+    with locked(tmp_path):
+        pass

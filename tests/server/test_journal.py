@@ -305,3 +305,19 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
     acknowledged = int(done.stdout.split()[-1])
     assert acknowledged == 123
     assert read_journal(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
+
+
+def test_a_journal_has_one_writer_at_a_time(tmp_path):
+    with JournalWriter(tmp_path / "j", HEADER) as writer:
+        writer.append(RECORDS[0])
+        with pytest.raises(ConfigError, match="another process is writing this journal"):
+            JournalWriter.append_to(tmp_path / "j")
+        writer.append(RECORDS[1])
+    with JournalWriter.append_to(tmp_path / "j") as writer:
+        writer.append(RECORDS[2])
+    assert read_journal(tmp_path / "j").records == RECORDS[:3]
+
+
+def test_a_journal_is_read_without_its_ticks(tmp_path):
+    write(tmp_path / "j")
+    assert list(iter_journal(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

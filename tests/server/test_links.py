@@ -172,11 +172,18 @@ def hall(tmp_path_factory):
         yield server
 
 
+def arrived(link):
+    """Ask for a seat, and wait until the server says whom it waits for: messages of two sockets may overtake."""
+    link.ask_join()
+    while not link.core.late:
+        link._pump()
+
+
 def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(hall):
     with open_seat(hall.seat("a")) as a:
         with open_seat(hall.seat("b")) as b:
             here = b.join().tick
-            a.ask_join()  # who comes later gets in after the next tick
+            arrived(a)  # who comes later gets in after the next tick
             assert b.act(here, AHEAD).tick == a.receive().tick == here + 1
             assert [frame.tick for frame in driven([a, b], 30)] == [here + 31] * 2
             assert (a.master, b.master) == (False, True)
@@ -194,8 +201,8 @@ def test_who_does_not_fit_hears_why(hall):
         with open_seat(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
             d.join()
         with open_seat(hall.seat("e", config="abc")) as e, open_seat(hall.seat("f")) as f:
-            e.ask_join()
-            f.ask_join()
+            arrived(e)
+            arrived(f)
             with open_seat(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
                 g.join()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -12,10 +13,12 @@ from tests.server.servers import stand_in_order
 from wcsim.errors import ConfigError
 from wcsim.server.awake import LEAP_S, AwakeClock
 from wcsim.server.doors import Doors
+from wcsim.server.events import Rules
+from wcsim.server.journal import JOURNAL, JournalWriter, read_header
 from wcsim.server.journal_records import Admitted, Dismissed, EpochBegun, Respawned, Ticked
 from wcsim.server.lifeline import Lifelines
-from wcsim.server.opening import kept_members, open_server
-from wcsim.server.peers import BURST, IDLE_S, MAX_PEERS, MOST_FAULTS, Peers
+from wcsim.server.opening import REGATHER_S, kept_members, open_server
+from wcsim.server.peers import BURST, MAX_PEERS, MOST_FAULTS, Peers
 from wcsim.types import SeatSpec
 
 
@@ -48,11 +51,20 @@ def test_a_patient_peer_is_always_heard():
 def test_strangers_make_room_and_members_do_not():
     peers = Peers()
     for number in range(MAX_PEERS):
-        assert peers.hears(b"%d" % number, 0.0, nobody)
-    assert peers.hears(b"new", 1.0, nobody) is None
-    members = frozenset(b"%d" % number for number in range(MAX_PEERS - 1))
-    assert peers.hears(b"new", IDLE_S + 1.0, lambda: members)
-    assert peers.hears(b"other", IDLE_S + 1.0, lambda: members) is None
+        assert peers.hears(b"%d" % number, float(number), nobody)
+    members = frozenset(b"%d" % number for number in range(MAX_PEERS) if number != 7)
+    assert peers.hears(b"new", MAX_PEERS, lambda: members)
+    assert peers.hears(b"other", MAX_PEERS, lambda: members | {b"new"}) is None
+
+
+def test_a_crowd_of_strangers_that_talks_on_and_on_keeps_nobody_out():
+    peers = Peers()
+    for second in range(5):
+        for number in range(MAX_PEERS):
+            peers.hears(b"%d" % number, float(second), nobody)
+    assert peers.hears(b"client", 4.5, nobody)
+    assert peers.hears(b"stranger", 5.0, lambda: {b"client"})
+    assert peers.hears(b"client", 5.5, lambda: {b"client"})
 
 
 def test_the_end_of_a_process_and_of_the_reader_is_news():
@@ -118,3 +130,18 @@ def test_a_folder_that_others_can_enter_is_no_place_for_a_socket(tmp_path):
 def test_a_stand_in_that_is_not_there(tmp_path):
     with pytest.raises(ConfigError, match="module:Class"):
         open_server(stand_in_order(tmp_path, stand_in="no:Such"))
+
+
+def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_does(tmp_path):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "new"), rules=Rules(capacity=2, expected=2, gather_s=20.0))
+    first = open_server(order).journal
+    assert first is not None
+    first.close()
+    (tmp_path / "died").mkdir()
+    JournalWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
+    again = replace(order, run=str(tmp_path / "died"))
+    for epoch, gather_s in ((0, 20.0), (1, REGATHER_S)):
+        opened = open_server(again)
+        assert (opened.core.cycle.epoch, opened.core.cycle.rules.gather_s) == (epoch, gather_s)
+        assert opened.journal is not None
+        opened.journal.close()

@@ -40,6 +40,8 @@ class StatusPipe:
 
     def __init__(self, name: str, descriptor: int, env: WheelchairEnv, shares: TimeShares) -> None:
         self._name, self._descriptor = name, descriptor
+        if descriptor >= 0:
+            os.set_blocking(descriptor, False)
         self._env, self._shares = env, shares
         self._said_s = 0.0
         self.last = ClientStatus(name=name)
@@ -64,6 +66,8 @@ class StatusPipe:
             self._said_s = time.monotonic()
             try:
                 os.write(self._descriptor, to_line(self.last))
+            except BlockingIOError:  # whoever listens is stopped
+                pass
             except OSError:  # nobody listens any more: save the work and end, as after SIGTERM
                 self._descriptor = -1
                 signal.raise_signal(signal.SIGTERM)

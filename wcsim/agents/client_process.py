@@ -1,7 +1,7 @@
 """A client that learns, in a process of its own: `python -m wcsim.agents.client_process ORDER_FILE [options]`.
 
 Its environment is a seat in a running world, its run folder a normal one. It ends with a code of `ClientExit`. It does
-not outlive its launcher: it saves its work first, but within a minute.
+not outlive its launcher: it saves its work first, but within five minutes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from wcsim.server.orders import ClientOrder, read_order
 from wcsim.server.parent import die_with_parent, outlive_parent_by
 from wcsim.server.states import ClientExit
 
-SAVING_S = 60.0  # longest life after that of the launcher
+SAVING_S = 300.0  # longest life after that of the launcher
 
 
 def main(words: Sequence[str]) -> int:

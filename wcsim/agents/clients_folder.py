@@ -10,7 +10,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import fcntl
+import os
+import secrets
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -34,6 +38,15 @@ class ClientsFolder:
     def ledger(self, name: str) -> Path:
         """Where a client's ledger is."""
         return self.path / LEDGERS / f"{name}.ledger"
+
+    def claim(self, name: str) -> str:
+        """The secret by which a client is known again, also by a world that was made again from its journal."""
+        path = self.path / LEDGERS / f"{name}.claim"
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch(mode=0o600)
+            path.write_text(secrets.token_hex(16), encoding="ascii")
+        return path.read_text(encoding="ascii")
 
     def log(self, name: str) -> Path:
         """Where a client's log is."""
@@ -76,6 +89,22 @@ def open_clients_folder(path: Path) -> ClientsFolder:
         raise PolicyError(str(error)) from None
     manifest = manifest_of(data, path)
     return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(map(str, clients)))
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep a run folder to this process while open. Raises PolicyError when another one has it."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PolicyError(
+                f"{path} is being trained in by another process; wait for its end, or choose another --out"
+            ) from None
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _written(folder: ClientsFolder) -> ClientsFolder:

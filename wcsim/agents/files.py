@@ -35,7 +35,11 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
     beside = path.with_name(f".{path.name}.tmp")
     shutil.rmtree(beside, ignore_errors=True)
     beside.mkdir()
-    fill(beside)
+    try:
+        fill(beside)
+    except BaseException:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise
     for file in beside.iterdir():
         file.chmod(FILE_MODE)
         descriptor = os.open(file, os.O_RDONLY)

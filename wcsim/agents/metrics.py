@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from wcsim.agents import files
-from wcsim.errors import PolicyError
+from wcsim.errors import DiskFullError, PolicyError
 
 COLUMNS = (
     "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
@@ -29,9 +29,13 @@ class MetricsFile:
         files.write_bytes(path, (_line(COLUMNS) + "".join(_line(row.values()) for row in kept)).encode())
 
     def add(self, row: Mapping[str, Value]) -> None:
-        """Append a row; numbers that are not finite are left empty. Raises KeyError when a column is missing."""
-        with self.path.open("a", encoding="utf-8", newline="") as file:
-            file.write(_line([_text(row[name]) for name in COLUMNS]))
+        """Append a row; numbers that are not finite are left empty. Raises KeyError, DiskFullError."""
+        line = _line([_text(row[name]) for name in COLUMNS])
+        try:
+            with self.path.open("a", encoding="utf-8", newline="") as file:
+                file.write(line)
+        except OSError as error:
+            raise DiskFullError(f"{self.path}: a row could not be written ({error.strerror}); make room") from None
 
 
 def read_metrics(path: Path) -> list[dict[str, str]]:

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 import subprocess
@@ -85,8 +86,8 @@ class RunFolder:
         return replace(self, manifest=manifest)
 
     def event(self, kind: str, **values: str | int | float) -> None:
-        """Add a line to events.jsonl."""
-        with (self.path / EVENTS).open("a", encoding="utf-8") as file:
+        """Add a line to events.jsonl; on a full disk it is left out."""
+        with contextlib.suppress(OSError), (self.path / EVENTS).open("a", encoding="utf-8") as file:
             file.write(json.dumps({"event": kind, **values}, allow_nan=False) + "\n")
 
 

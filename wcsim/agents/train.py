@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import gymnasium
 import torch
+from safetensors import SafetensorError
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -23,7 +24,7 @@ from wcsim.agents.phases import PhaseSwitch
 from wcsim.agents.runfolder import METRICS, Manifest, RunFolder, create_run, make_manifest, open_run, with_kept_plant
 from wcsim.agents.seqdqn import SeqDQN
 from wcsim.config import RunConfig
-from wcsim.errors import InterruptedRunError, LinkError, PolicyError
+from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 from wcsim.plant_file import plant_text
 from wcsim.towns.scenario_overrides import Override
 
@@ -73,7 +74,7 @@ def train(
 
     Raises:
         InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
-        LinkError: The environment's world is gone; a checkpoint is saved.
+        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room for it.
         PolicyError: The folder is not empty, or cannot be resumed.
         ConfigError: The device cannot be used.
     """
@@ -138,7 +139,7 @@ class _Session:
                 f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
                 "and can be continued with --resume"
             ) from None
-        except LinkError:  # the world is gone, or the seat: what was learned before is worth keeping
+        except (LinkError, DiskFullError):  # the world is gone, or the seat: what was learned before is worth keeping
             if self.model.num_timesteps > 0:
                 self._checkpoint()
             raise
@@ -153,7 +154,11 @@ class _Session:
         self.run.event("phase2", step=self.model.num_timesteps)
 
     def _save(self, stage: str) -> None:
-        save_policy(self.run.policy(stage), self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+        path = self.run.policy(stage)
+        try:
+            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+        except (OSError, SafetensorError) as error:
+            raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 
     def _finish(self, status: Literal["done", "interrupted"]) -> None:
         """Final policy and manifest; there is no checkpoint of a step that was torn in two."""
@@ -165,7 +170,11 @@ class _Session:
     def _checkpoint(self) -> None:
         self._watch_values()
         extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
-        save_checkpoint(self.run.checkpoints, self.model, extra)
+        try:
+            save_checkpoint(self.run.checkpoints, self.model, extra)
+        except (OSError, SafetensorError) as error:  # a full disk: those before are whole, and learning goes on
+            self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
+            return
         self.run.event("checkpoint", step=self.model.num_timesteps)
 
     def _watch_values(self) -> None:

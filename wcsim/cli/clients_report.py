@@ -12,7 +12,7 @@ from rich.table import Table
 
 from wcsim.agents.clients_folder import ClientsFolder
 from wcsim.errors import WcsimError
-from wcsim.server.journal import JOURNAL, Journal, journal_digest, read_journal
+from wcsim.server.journal import JOURNAL, iter_journal, journal_digest
 from wcsim.server.ledger import audit, ledger_facts, read_ledger
 from wcsim.server.states import LaunchState
 
@@ -80,25 +80,25 @@ class ClientsReport:
 def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport:
     """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
     path = folder.path / JOURNAL
-    journal = read_journal(path) if path.is_file() else None
+    journal = path if path.is_file() else None
     return ClientsReport(
         run=str(folder.path),
         town=folder.manifest.town,
         seed=seed,
         status=folder.manifest.status,
         clients=tuple(_client(name, seat, folder.ledger(name), journal) for seat, name in enumerate(folder.clients)),
-        ticks=0 if journal is None else audit(journal.records, ()).ticks,
+        ticks=0 if journal is None else audit(iter_journal(journal), ()).ticks,
         journal_hash="" if journal is None else journal_digest(path),
         ticks_per_s=rate.ticks_per_s,
     )
 
 
-def _client(name: str, seat: int, ledger: Path, journal: Journal | None) -> ClientReport:
+def _client(name: str, seat: int, ledger: Path, journal: Path | None) -> ClientReport:
     entries = read_ledger(ledger) if ledger.is_file() else ()
     facts = ledger_facts(entries)
     if journal is None and entries:
         raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} beside its folder")
-    against = audit(() if journal is None else journal.records, ((seat, entries),))
+    against = audit(() if journal is None else iter_journal(journal), ((seat, entries),))
     return ClientReport(
         name=name,
         first_tick=facts.first_tick,

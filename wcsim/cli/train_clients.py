@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import secrets
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from wcsim import seeding
-from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, open_clients_folder
+from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, locked, open_clients_folder
 from wcsim.agents.network_names import NETWORK_NAMES
 from wcsim.agents.runfolder import Status, make_manifest
 from wcsim.cli.clients_report import TickRate, print_report, report_of
@@ -84,7 +83,7 @@ def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
     in_bounds("--lease", group.lease_s, 1.0, 86_400.0)
     check_folder("--out", group.out)
     overrides = overrides_of(town, clients[0].config, group.seed)
-    with _opened(group, town, clients, overrides) as folder, workplace() as place:
+    with _opened(group, town, clients, overrides) as folder, locked(folder.path), workplace() as place:
         left = tuple(client for client in clients if not folder.done(client.name))
         plans = [_plan(group, town, folder, place, client, overrides) for client in left]
         order = _world_order(group, town, folder, place, clients, len(left))
@@ -231,7 +230,7 @@ def _plan(
         join=JoinOrder(
             endpoint=endpoint_in(place),
             name=client.name,
-            claim=secrets.token_hex(16),
+            claim=folder.claim(client.name),
             spec=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
             seat=client.seat,
             config=config.world_digest(),

@@ -26,6 +26,7 @@ class ClientRun:
         self.reason = ""
         self.fault = ""  # a mistake of the user that ends the whole run
         self._lives = 0
+        self._world_ticks = False
         self._due_s: float | None = None
         self._ending = False
         self._best_step = 0  # of the lives before this one
@@ -37,6 +38,11 @@ class ClientRun:
     def settled(self) -> bool:
         """Whether it is not there and will not come back."""
         return self.standing in ("done", "stopped", "given up")
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no process of it any more."""
+        return self._child is None or self._child.ended() is not None
 
     @property
     def state(self) -> ClientState:
@@ -67,6 +73,7 @@ class ClientRun:
                 self.start()
             return
         code = self._child.ended()
+        self._world_ticks = world is not None and world.ticks > 0
         for line in self._child.lines():
             self._hear(line, now_s)
         if code is not None:
@@ -76,7 +83,7 @@ class ClientRun:
 
     def ask_to_end(self) -> None:
         """Ask it to save its work and leave; it is not started again."""
-        self._ending = True
+        self._ending, self._due_s = True, None
         if self._child is not None:
             self._child.send(signal.SIGTERM)
         elif not self.settled:
@@ -84,7 +91,7 @@ class ClientRun:
 
     def kill(self) -> None:
         """End it now."""
-        self._ending = True
+        self._ending, self._due_s = True, None
         if self._child is not None:
             self._child.send(signal.SIGKILL)
 
@@ -127,7 +134,8 @@ class ClientRun:
 
     def _died(self, code: int, words: str, now_s: float) -> None:
         self.reason = f"{how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
-        wait_s = self._restarts.died(progressed=self._step > self._best_step)
+        no_world = code == ClientExit.SERVER_GONE and not self._world_ticks  # it could not have done better
+        wait_s = self._restarts.died(progressed=self._step > self._best_step or no_world)
         self._best_step = max(self._best_step, self._step)
         self._died_s = now_s if self._died_s is None else self._died_s
         self._log.add("death", who=self.plan.name, code=code, reason=self.reason, step=self._step)
@@ -139,7 +147,8 @@ class ClientRun:
 
     def _watch_seat(self, child: Child, now_s: float, world: WorldStatus | None) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
-        if world is None or world.stage == "loading":
+        gathering = world is not None and world.stage == "empty" and not self._seated  # it waits for others to come
+        if world is None or world.stage == "loading" or gathering:
             self._unseated_s = None
         elif self.plan.name in world.members:
             self._seated, self._unseated_s = True, None

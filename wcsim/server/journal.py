@@ -7,6 +7,7 @@ loses at most the last second or the last 50 ticks.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import struct
@@ -28,7 +29,15 @@ from wcsim.server.journal_records import JournalHeader as JournalHeader
 from wcsim.server.journal_records import JournalRecord as JournalRecord
 from wcsim.server.journal_records import Respawned as Respawned
 from wcsim.server.journal_records import Ticked as Ticked
-from wcsim.server.journal_records import header_bytes, header_content, header_of, record_bytes, record_of, told_apart
+from wcsim.server.journal_records import (
+    header_bytes,
+    header_content,
+    header_of,
+    is_tick,
+    record_bytes,
+    record_of,
+    told_apart,
+)
 
 JOURNAL = "journal"  # its name in a run folder
 SYNC_TICKS, SYNC_S = 50, 1.0
@@ -53,7 +62,7 @@ class JournalWriter:
             file = FileIO(path, "xb")
         except OSError as error:
             raise ConfigError(f"{path}: a journal cannot be begun ({error.strerror}); choose a new folder") from None
-        self._open(path, file, _Digest(header), 0)
+        self._open(path, file, 0)
         try:
             self._put(header_bytes(header))
             self._sync()
@@ -68,30 +77,38 @@ class JournalWriter:
         """Go on with a journal after its process has died; a torn last record is cut off.
 
         Raises:
-            WcsimError: it is no journal, cannot be written, or is damaged before its end.
+            ConfigError: it cannot be written, or another process is writing it.
+            WcsimError: it is no journal, or is damaged before its end.
         """
         scan = _Scan(path)
-        for record in scan.records():
-            scan.digest.add(record)
-        _require_torn_end_only(path, scan.end)
         try:
             file = FileIO(path, "r+b")
-            file.truncate(scan.end)
-            file.seek(scan.end)
         except OSError as error:
             raise ConfigError(f"{path}: the journal cannot be gone on with ({error.strerror})") from None
         self = cls.__new__(cls)
-        self._open(path, file, scan.digest, scan.end)
+        try:
+            self._open(path, file, 0)
+            scan.to_end()
+            _require_torn_end_only(path, scan.end)
+            file.truncate(scan.end)
+            self._end = file.seek(scan.end)
+        except BaseException:
+            file.close()
+            raise
         return self
 
-    def _open(self, path: Path, file: FileIO, digest: _Digest, end: int) -> None:
-        self._path, self._file, self._digest, self._end = path, file, digest, end
+    def _open(self, path: Path, file: FileIO, end: int) -> None:
+        _lock(path, file)
+        self._path, self._file, self._end = path, file, end
         self._unsynced, self._synced_s = 0, time.monotonic()
 
     @property
     def digest(self) -> str:
-        """A hash (hex) over everything written so far; equal for two equal runs, wherever and whenever they ran."""
-        return self._digest.hex()
+        """A hash (hex) over everything written so far; equal for two equal runs, wherever and whenever they ran.
+
+        It is computed from the file, which takes a while for a long one.
+        """
+        return journal_digest(self._path)
 
     def append(self, record: JournalRecord) -> None:
         """Write one record; when this returns, the death of this process does not undo it.
@@ -100,7 +117,6 @@ class JournalWriter:
             DiskFullError: it could not be written; the journal is what it was before, and can be appended to later.
         """
         self._put(record_bytes(record))
-        self._digest.add(record)
         self._unsynced += 1
         if self._unsynced >= SYNC_TICKS or time.monotonic() - self._synced_s >= SYNC_S:
             self._sync()
@@ -159,12 +175,13 @@ def read_header(path: Path) -> JournalHeader:
     return _Scan(path).header
 
 
-def iter_journal(path: Path) -> Iterator[JournalRecord]:
+def iter_journal(path: Path, ticks: bool = True) -> Iterator[JournalRecord]:
     """The records of a journal one by one, up to the last whole one; another process may be writing it.
 
+    Without `ticks` those of ticks are left out, unread: nearly all are, and reading them takes most of the time.
     Raises WcsimError when it is no journal.
     """
-    return _Scan(path).records()
+    return _Scan(path).records(ticks)
 
 
 def read_journal(path: Path) -> Journal:
@@ -175,7 +192,7 @@ def read_journal(path: Path) -> Journal:
 
 
 def journal_digest(path: Path) -> str:
-    """What `JournalWriter.digest` was after the last whole record. Raises WcsimError when it is no journal."""
+    """The same as `JournalWriter.digest`, up to the last whole record. Raises WcsimError when it is no journal."""
     scan = _Scan(path)
     for record in scan.records():
         scan.digest.add(record)
@@ -220,18 +237,29 @@ class _Scan:
         self.end = first.end
         self.digest = _Digest(self.header)
 
-    def records(self) -> Iterator[JournalRecord]:
+    def to_end(self) -> None:
+        """Find where the last whole record ends, without a look at what the records say."""
+        for _ in self._payloads():
+            pass
+
+    def records(self, ticks: bool = True) -> Iterator[JournalRecord]:
         """Those after the header. Raises WcsimError for a whole record that no journal holds."""
+        for payload in self._payloads():
+            if not ticks and is_tick(payload):
+                continue
+            try:
+                record = record_of(payload)
+            except WcsimError as error:
+                raise WcsimError(f"{self._path}: after {self.end} bytes: {error}") from None
+            yield record
+
+    def _payloads(self) -> Iterator[bytes]:
         with self._path.open("rb") as file:
             file.seek(self.end)
             start = self.end
             for item in whole_records(file):
-                try:
-                    record = record_of(item.payload)
-                except WcsimError as error:
-                    raise WcsimError(f"{self._path}: after {self.end} bytes: {error}") from None
+                yield item.payload
                 self.end = start + item.end
-                yield record
 
 
 def _require_torn_end_only(path: Path, end: int) -> None:
@@ -247,6 +275,16 @@ def _require_torn_end_only(path: Path, end: int) -> None:
         size = struct.unpack("<I", rest[:4])[0] + 8 if len(rest) >= 8 else len(rest)
     if len(rest) > MOST_TORN_BYTES or size < len(rest):
         raise WcsimError(f"{path}: is damaged after {end} bytes, and more follows; restore it, or begin a new run")
+
+
+def _lock(path: Path, file: FileIO) -> None:
+    """Two writers would write over each other. The kernel takes the lock back when the file is closed."""
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ConfigError(f"{path}: another process is writing this journal; wait for it, or end that run") from None
+    except OSError:  # a file system without locks
+        return
 
 
 def _sync_folder(folder: Path) -> None:

@@ -139,10 +139,15 @@ def told_apart(record: JournalRecord) -> JournalRecord:
     return replace(record, reason="") if isinstance(record, Dismissed | Ended) else record
 
 
+def is_tick(payload: bytes) -> bool:
+    """Whether a payload is that of a tick."""
+    return payload.startswith(_TICK)
+
+
 def record_of(payload: bytes) -> JournalRecord:
     """A payload as a record. Raises WcsimError when it is none."""
     try:
-        if payload.startswith(_TICK):
+        if is_tick(payload):
             return _ticked(payload)
         letter, fields = msgspec.json.decode(payload, type=tuple[str, dict[str, Any]])
         kind = _KINDS.get(letter)

@@ -16,6 +16,7 @@ from enum import Enum
 from pathlib import Path
 from types import FrameType
 
+from wcsim.server.awake import AwakeClock
 from wcsim.server.client_run import ClientRun
 from wcsim.server.orders import ServerOrder
 from wcsim.server.runlog import RunLog
@@ -24,7 +25,7 @@ from wcsim.server.world_run import WORLD_ARGV, WorldRun
 
 LOOK_S = 0.1
 SHOW_S = 0.25
-SECOND_ASK_S = 45.0  # a client that still has not ended may wait for something that does not come ...
+SECOND_ASK_S = 240.0  # a client that still has not ended may wait for something that does not come ...
 IDLE_ASK_S = 2.0  # ... as in a world that does not tick
 
 Show = Callable[[LaunchState], None]
@@ -84,16 +85,19 @@ class Launcher:
     def run(self) -> LaunchOutcome:
         """Start everything, and return when nothing of it runs any more."""
         begun_s = time.monotonic()
+        clock = AwakeClock(begun_s)  # a launcher that was stopped has not waited for anybody
         try:
             with self._heard_signals():
-                self._world.start(begun_s)
+                self._world.start(clock.now_s)
                 for client in self._clients:
                     client.start()
                 while self._step is not Step.OVER:
                     self._selector.select(LOOK_S)
-                    now_s = time.monotonic()
-                    self._look(now_s)
-                    self._show_state(now_s, begun_s)
+                    self._look(clock.look(time.monotonic()))
+                    self._show_state(clock.now_s)
+        except Exception:
+            self._rescue()
+            raise
         finally:
             for client in self._clients:
                 client.close()
@@ -177,6 +181,14 @@ class Launcher:
     def _go(self, step: Step, now_s: float) -> None:
         self._step, self._since_s = step, now_s
 
+    def _rescue(self) -> None:
+        """Something failed in here: let the clients save their work before their processes are ended."""
+        for client in self._clients:
+            client.ask_to_end()
+        deadline_s = time.monotonic() + self._rules.saving_s
+        while time.monotonic() < deadline_s and not all(client.ended for client in self._clients):
+            time.sleep(LOOK_S)
+
     def _kill_all(self) -> None:
         for client in self._clients:
             client.kill()
@@ -184,14 +196,14 @@ class Launcher:
 
     # --- what it shows ---
 
-    def _show_state(self, now_s: float, begun_s: float) -> None:
+    def _show_state(self, now_s: float) -> None:
         if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not Step.OVER):
             return
         self._shown_s = now_s
         world = self._world
         self._show(
             LaunchState(
-                elapsed_s=now_s - begun_s,
+                elapsed_s=now_s,
                 world_standing=world.standing,
                 world_pid=world.pid,
                 world_restarts=world.restarts,

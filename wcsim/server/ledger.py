@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from wcsim.errors import WcsimError
+from wcsim.errors import DiskFullError, WcsimError
 from wcsim.server.journal_records import JournalRecord, Ticked
 
 _ENTRY = struct.Struct("<16siqi")  # session, epoch, tick, stepped
@@ -48,14 +48,23 @@ class LedgerWriter:
     def __init__(self, path: Path) -> None:
         """Open a ledger. Raises OSError when that is not possible."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = FileIO(path, "ab")
+        self._path, self._file = path, FileIO(path, "ab")
         torn = self._file.tell() % _ENTRY.size
         if torn:
             self._file.truncate(self._file.tell() - torn)
 
     def add(self, entry: LedgerEntry) -> None:
-        """Write one entry."""
-        self._file.write(_ENTRY.pack(entry.session, entry.epoch, entry.tick, entry.stepped))
+        """Write one entry, or nothing of it. Raises DiskFullError."""
+        data = _ENTRY.pack(entry.session, entry.epoch, entry.tick, entry.stepped)
+        try:
+            written = self._file.write(data) or 0
+            reason = "" if written == len(data) else "only a part was written"
+            if reason:  # all that follows half an entry would be read wrongly
+                self._file.truncate(self._file.tell() - written)
+        except OSError as error:
+            reason = str(error.strerror)
+        if reason:
+            raise DiskFullError(f"{self._path}: an entry could not be written ({reason}); make room")
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -116,11 +125,11 @@ def audit(records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Sequenc
     Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
     """
     done: dict[int, set[tuple[int, int]]] = {}
-    ticks = 0
+    ticks, seats = 0, {seat for seat, _ in ledgers}
     for record in records:
         if isinstance(record, Ticked):
             ticks += 1
-            for command in record.commands:
+            for command in (c for c in record.commands if c.seat in seats):
                 done.setdefault(command.seat, set()).add((record.epoch, record.tick))
     lost = doubled = phantom = 0
     for seat, entries in ledgers:

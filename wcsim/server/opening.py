@@ -67,8 +67,9 @@ def open_server(order: ServerOrder) -> Opened:
         Path(order.run).mkdir(parents=True, exist_ok=True)
         return _begun(order, JournalWriter(path, _header(order)), 0, order.rules)
     _require_same(path, order)
-    again = replace(order.rules, gather_s=min(order.rules.gather_s, REGATHER_S))
     last = _last_epoch(path)
+    gather_s = order.rules.gather_s if last < 0 else min(order.rules.gather_s, REGATHER_S)  # nobody was in yet, or some
+    again = replace(order.rules, gather_s=gather_s)
     if last < 0 or order.recovery == "new_epoch":
         return _begun(order, JournalWriter.append_to(path), last + 1, again)
     return _gone_on(order, path, again)
@@ -199,4 +200,5 @@ def _require_same(path: Path, order: ServerOrder) -> None:
 
 
 def _last_epoch(path: Path) -> int:
-    return max((record.epoch for record in iter_journal(path) if isinstance(record, EpochBegun)), default=-1)
+    begun = (record for record in iter_journal(path, ticks=False) if isinstance(record, EpochBegun))
+    return max((record.epoch for record in begun), default=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from datetime import UTC, datetime
@@ -11,7 +12,7 @@ EVENTS = "events.jsonl"
 
 
 class RunLog:
-    """Appends one line an event; a killed process loses nothing."""
+    """Appends one line an event; a killed process loses nothing, and a full disk loses lines alone."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS
@@ -25,7 +26,8 @@ class RunLog:
             "event": event,
             **values,
         }
-        with self._path.open("a", encoding="utf-8") as file:
+        # Who keeps processes alive must not end because a line about them cannot be written.
+        with contextlib.suppress(OSError), self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line, allow_nan=False) + "\n")
 
 

@@ -100,6 +100,8 @@ class ServerLoop:
             self._peers.fault(peer)
             self._refuse(peer, error)
             return
+        if isinstance(message, m.Rebuild):
+            self._reporter.loading()  # whoever watches this process must know that it takes its time
         self._feed(Received(peer, message))
         if isinstance(message, m.Join) and message.pid > 0 and peer.startswith(LOCAL):
             self._watch(message)

@@ -52,7 +52,7 @@ class LaunchRules:
     loading_lease_s: float = 300.0  # ... unless it has not done a tick yet
     client_lease_s: float = 120.0  # a client that the world gave up, and that lives on without its seat
     joining_s: float = 600.0  # a client that never took its seat
-    saving_s: float = 60.0  # clients that were asked to end
+    saving_s: float = 300.0  # clients that were asked to end, with all their replay to write
     leaving_s: float = 2.0  # for the world to hear that all clients have left
     ending_s: float = 30.0  # a world that was asked to end
     client: RestartRules = RestartRules()  # noqa: RUF009 - frozen

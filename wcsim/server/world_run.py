@@ -22,6 +22,7 @@ WORLD_ARGV = (sys.executable, "-m", "wcsim.server.world_process")
 WORLD = "world"  # its name in logs and events
 _ERROR_NAME = re.compile(r"^[A-Za-z]+Error: ")
 REPLAY_S_A_TICK = 0.2  # time for each tick that a world has to do again before it goes on
+MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 A_START = 10  # ticks; a life that ends before has achieved nothing
 
 
@@ -171,7 +172,7 @@ class WorldRun:
         """The last tick that is known to have been done, exactly where there is a journal."""
         tick = 0 if self.status is None else self.status.tick
         journal = Path(self._order.run) / JOURNAL
-        if not self._order.run or not journal.is_file():
+        if not self._order.run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
             return tick
         epoch = 0 if self.status is None else self.status.epoch
         try:

@@ -8,6 +8,7 @@ from typing import Self
 from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -28,9 +29,17 @@ class LiveTable:
         self.console = Console(stderr=True, highlight=False) if console is None else console
         self._live = Live(console=self.console, auto_refresh=False, transient=True)
         self._lined_s = 0.0
+        self._nobody_reads = False
 
     def show(self, state: LaunchState) -> None:
-        """Say how things are."""
+        """Say how things are; a terminal that is gone must not end what is shown on it."""
+        try:
+            if not self._nobody_reads:
+                self._say(state)
+        except (OSError, SystemExit):  # rich ends a program whose output nobody reads
+            self._nobody_reads = True
+
+    def _say(self, state: LaunchState) -> None:
         if self.console.is_terminal:
             self._live.update(table_of(state), refresh=True)
         elif state.elapsed_s - self._lined_s >= LINE_S:
@@ -106,7 +115,7 @@ def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
         f"{client.name}{' *' if master else ''}",
         str(client.seat),
         *told,
-        _standing(client, world),
+        escape(_standing(client, world)),
         str(client.restarts),
     )
 
