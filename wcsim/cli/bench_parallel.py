@@ -105,7 +105,8 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path) ->
 
 
 def _print(console: Console, together: Trained, apart: dict[str, dict[str, float]], sequential_s: float) -> None:
-    table = Table("client", "run", *(share.removesuffix("_s") for share in SHARES), box=box.SIMPLE_HEAD, pad_edge=False)
+    titles = ("world", "barrier", "infer", "learn", "other", "all")  # seconds, in the order of SHARES
+    table = Table("client", "run", *titles, box=box.SIMPLE_HEAD, pad_edge=False)
     for run_name, waited in (("together", together.waited), ("alone", apart)):
         for client, shares in waited.items():
             table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in SHARES))
