@@ -15,10 +15,10 @@ import numpy as np
 
 from tests.bench.naive import NaiveLoop
 from wcsim import seeding
-from wcsim.bridge.stage import RunPlace, open_scenario, settings_of
+from wcsim.bridge.stage import RunPlace, open_scenario
 from wcsim.config import RunConfig
 from wcsim.towns.routes import Router
-from wcsim.towns.scenario_overrides import forced
+from wcsim.towns.scenario_overrides import forced, settings_of
 from wcsim.towns.street import load_street
 from wcsim.towns.town import open_town
 from wcsim.types import ActorKind, ActorState

@@ -8,10 +8,11 @@ import pytest
 
 from tests.towns import hostile
 from tests.worlds import quick_config
-from wcsim.bridge.stage import RunPlace, open_scenario, settings_of
+from wcsim.bridge.stage import RunPlace, open_scenario
 from wcsim.bridge.sumo import SumoOptions, SumoSession, world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import TownError
+from wcsim.towns.scenario_overrides import settings_of
 from wcsim.towns.town import Town, find_town, open_town
 
 SETTINGS = settings_of(quick_config(), 1)

@@ -14,7 +14,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from wcsim.bridge.trial import BEGUN_ANEW
-from wcsim.config import RunConfig
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache import cache_folder, write_whole
 from wcsim.towns.scenario import Scenario, stage_scenario
@@ -38,14 +37,6 @@ class RunPlace:
     folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
     outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
     hook: str = ""  # a user's own module:Class, see `bridge/hook.py`
-
-
-def settings_of(config: RunConfig, seed: int) -> Settings:
-    """What a run decides about a scenario; `seed` is SUMO's own."""
-    world = config.world
-    return Settings(
-        step_s=world.tick_s, seed=seed, demand_scale=world.demand_scale, jam_teleport_s=world.jam_teleport_s
-    )
 
 
 def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitStack) -> Scenario:

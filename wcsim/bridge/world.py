@@ -22,7 +22,7 @@ from wcsim.bridge.guard import MirrorGuard
 from wcsim.bridge.orders import Attention, ChairInStreet, in_street, on_level
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.seating import Seating
-from wcsim.bridge.stage import RunPlace, open_scenario, settings_of
+from wcsim.bridge.stage import RunPlace, open_scenario
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
@@ -35,6 +35,7 @@ from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.streets import FLAT, joined_mesh
 from wcsim.towns.netcheck import validate_net
+from wcsim.towns.scenario_overrides import settings_of
 from wcsim.towns.street import load_street
 from wcsim.towns.town import Town
 from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey

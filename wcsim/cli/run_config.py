@@ -7,7 +7,7 @@ from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import ConfigError
 from wcsim.supervisor.profiles import HELD_OUT
 from wcsim.towns.scenario import scenario_overrides
-from wcsim.towns.scenario_overrides import Override
+from wcsim.towns.scenario_overrides import Override, settings_of
 from wcsim.towns.town import Town
 
 
@@ -62,6 +62,4 @@ def require_trained_user(config: RunConfig) -> None:
 
 def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
-    from wcsim.bridge.stage import settings_of  # loads SUMO, which --help has no use for
-
     return tuple(scenario_overrides(town, settings_of(config, seeding.derive(seed, "sumo"))))

@@ -87,7 +87,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     from wcsim.agents.baselines import NAMES
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.testing import open_policy, run_test, window_for
-    from wcsim.bridge.stage import settings_of
+    from wcsim.towns.scenario_overrides import settings_of
 
     towns, profiles = check(options)
     config = _config(options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from wcsim.config import RunConfig
 from wcsim.towns.scenario_options import Configuration, Treatment, sumo_options
 
 
@@ -26,6 +27,14 @@ class Settings:
     seed: int
     demand_scale: float = 1.0  # times the author's own
     jam_teleport_s: float | None = None  # None keeps the author's
+
+
+def settings_of(config: RunConfig, seed: int) -> Settings:
+    """What a run decides about a scenario; `seed` is SUMO's own."""
+    world = config.world
+    return Settings(
+        step_s=world.tick_s, seed=seed, demand_scale=world.demand_scale, jam_teleport_s=world.jam_teleport_s
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
