@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -22,7 +22,7 @@ from wcsim.server.orders import JoinOrder
 from wcsim.server.parent import die_with_parent
 from wcsim.server.socket_link import open_seat
 from wcsim.server.stand_in import StandInWorld
-from wcsim.types import Command, Joystick, SeatSpec, Snapshot
+from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, SensorFrame, Snapshot
 
 TICK_TIMES = "tick-times.json"  # in the run folder of a `TimedWorld`
 _WAIT_MS = 60_000
@@ -62,13 +62,30 @@ class TimedWorld(StandInWorld):
         self._times_s: list[float] = []
 
     def tick(self, commands: Sequence[Command], out: object = None) -> Snapshot:
-        """See `World.tick`."""
+        """See `World.tick`; everybody sees the same again, under a new number."""
+        del commands, out
         self._times_s.append(time.monotonic())
-        return super().tick(commands, out)  # type: ignore[arg-type]
+        now = self.snapshot
+        self.snapshot = replace(now, tick=now.tick + 1, clients=tuple(map(_again, now.clients)))
+        return self.snapshot
 
     def close(self) -> None:
         """Write the times."""
         self._file.write_bytes(msgspec.json.encode(self._times_s))
+
+
+def _again(client: ClientSnapshot) -> ClientSnapshot:
+    """The same frame, a tick later."""
+    sensors, tick = client.sensors, client.tick + 1
+    return ClientSnapshot(
+        seat=client.seat,
+        tick=tick,
+        plant=client.plant,
+        sensors=SensorFrame(tick=tick, cameras=sensors.cameras, imu=sensors.imu),
+        user=client.user,
+        contacts=client.contacts,
+        events=client.events,
+    )
 
 
 def main(words: Sequence[str]) -> int:
