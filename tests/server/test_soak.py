@@ -22,22 +22,24 @@ def sights(*entries: tuple[float, int, int]) -> list[Sight]:
 
 
 def test_a_tick_that_was_under_way_is_no_recovery():
-    fault = Fault(time_s=10.0, what="kill", who="a")
+    fault = Fault(time_s=10.0, what="kill", who="a", others=("b",))
     seen = {
         "a": sights((9.9, 0, 50)),
         "b": sights((9.9, 0, 50), (10.01, 0, 51), (12.5, 0, 52)),
     }
     assert recovery_s(fault, seen) == 2.5
     assert rejoin_s(fault, seen) is None
+    assert recovery_s(Fault(time_s=10.0, what="kill", who="a"), seen) is None, "nobody else had a seat"
 
 
 def test_a_new_epoch_is_a_recovery_and_its_first_frame_a_rejoin():
-    fault = Fault(time_s=10.0, what="kill", who="world")
+    fault = Fault(time_s=10.0, what="kill", who="world", others=("a", "b"))
     seen = {"a": sights((9.9, 0, 50), (14.0, 1, 0)), "b": sights((9.9, 0, 50), (13.0, 1, 0))}
     assert recovery_s(fault, seen) == 3.0
     assert rejoin_s(fault, seen) is None
-    assert rejoin_s(Fault(time_s=10.0, what="kill", who="a"), seen) == 4.0
-    assert recovery_s(Fault(time_s=10.0, what="kill", who="a"), {"a": sights((9.0, 0, 1)), "b": []}) is None
+    assert rejoin_s(Fault(time_s=10.0, what="kill", who="a", others=("b",)), seen) == 4.0
+    lonely = Fault(time_s=10.0, what="kill", who="a", others=("b",))
+    assert recovery_s(lonely, {"a": sights((9.0, 0, 1)), "b": []}) is None
 
 
 def state(tick: int, epoch: int = 0) -> LaunchState:
@@ -68,6 +70,7 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
         ("kill", False), ("stop", False), ("pause", False), ("kill", True)
     }  # fmt: skip
     assert any(fault.master for fault in chaos.faults)
+    assert all(len(fault.others) == 2 + (fault.who == "world") for fault in chaos.faults)
     paused = sum(fault.what == "pause" or (fault.what == "stop" and fault.who != "world") for fault in chaos.faults)
     assert sum(number == signal.SIGCONT for _, number in sent) == paused
 

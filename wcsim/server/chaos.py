@@ -40,6 +40,7 @@ class Fault:
     what: What
     who: str  # name of a client, or WORLD
     master: bool = False
+    others: tuple[str, ...] = ()  # clients that had a seat beside the one that was hit, and have to go on without it
 
 
 class Chaos:
@@ -79,16 +80,20 @@ class Chaos:
     def _strike(self, state: LaunchState, now_s: float) -> None:
         shares = [share if who != WORLD or what != "stop" or self._world_stops else 0.0 for who, what, share in _MENU]
         who, what, _ = _MENU[int(self._rng.choice(len(_MENU), p=[share / sum(shares) for share in shares]))]
+        seated = () if state.world is None else state.world.members
         if who == WORLD:
-            self._do(what, state.world_pid, Fault(time_s=now_s, what=what, who=WORLD))
+            self._do(what, state.world_pid, Fault(time_s=now_s, what=what, who=WORLD, others=seated))
             return
         master = "" if state.world is None else state.world.master
-        seated = () if state.world is None else state.world.members
         there = [c for c in state.clients if c.pid and c.name in seated]
         chosen = [c for c in there if (c.name == master) == (who == "master")]
         if chosen:
             client: ClientState = chosen[int(self._rng.integers(len(chosen)))]
-            self._do(what, client.pid, Fault(time_s=now_s, what=what, who=client.name, master=client.name == master))
+            others = tuple(name for name in seated if name != client.name)
+            fault = Fault(
+                time_s=now_s, what=what, who=client.name, master=client.name == master, others=others
+            )
+            self._do(what, client.pid, fault)
 
     def _do(self, what: What, pid: int, fault: Fault) -> None:
         _send(pid, signal.SIGKILL if what == "kill" else signal.SIGSTOP)

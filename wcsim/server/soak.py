@@ -100,19 +100,19 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
 
 
 def recovery_s(fault: Fault, sights: dict[str, list[Sight]]) -> float | None:
-    """Seconds from a fault to the next tick of somebody else that cannot have been under way already; None without one.
+    """Seconds from a fault to the others' next tick that cannot have been under way already; None without others.
 
     The tick that was waited for, or being done, at the time of the fault may still reach the others: two ticks more
     than anybody had seen is one that was done without the client that was hit, or after it.
     """
     before = [s for seen in sights.values() for s in seen if s.time_s <= fault.time_s]
-    if not before:
+    if not before or not fault.others:
         return None
     newest = max((s.epoch, s.tick) for s in before)
     after = [
         s.time_s
         for name, seen in sights.items()
-        if name != fault.who
+        if name in fault.others
         for s in seen
         if s.time_s > fault.time_s and (s.epoch > newest[0] or (s.epoch == newest[0] and s.tick >= newest[1] + 2))
     ]
