@@ -26,6 +26,7 @@ _MENU: tuple[tuple[str, What, float], ...] = (
     (WORLD, "pause", 0.05),
 )
 FORWARD_TICKS = 5  # the world has gone on by so much before the next fault comes
+TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
 GAP_S = (0.5, 3.0)  # ... and then so long
 PAUSE_S = (0.3, 1.5)
 STOP_S = (4.0, 8.0)  # a stopped client wakes again, and finds that it was given up
@@ -63,6 +64,8 @@ class Chaos:
         if state.stopping or now_s > self._until_s or state.world is None or state.world_standing != "running":
             return
         here = (state.world.epoch, state.world.tick)
+        if self.faults and now_s - self.faults[-1].time_s < TOLD_S:
+            self._base = here
         new = here[0] > self._base[0]
         went_on = here[1] >= (0 if new else self._base[1]) + FORWARD_TICKS
         last_s = self.faults[-1].time_s if self.faults else now_s
