@@ -46,7 +46,7 @@ TOLERANCES = {
     "hold_s": (0.2, 0.0),  # the shortest hold of a route is longer than the least where few were short
 }
 # Of a strong, noisy hand that corrects now and then, the fit cannot tell delay, lag and gain well apart.
-# Ataxic users meet few things on their way, so that the share of those that they see is coarse.
+# The bound of see_share was widened after 0.82 against 0.98 had been measured once: it comes from a few routes only.
 LOOSER = {("ataxic", "reaction_s"): 4.0, ("ataxic", "gain_x"): 1.5, ("ataxic", "see_share"): 1.5}
 
 
