@@ -200,7 +200,7 @@ class CameraRig:
         camera = self.cameras[index]
         if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
             if own is not None and not np.may_share_memory(own.depth_m, shutter.last.depth_m):
-                shutter.last = _copied(shutter.last, own)
+                shutter.last = copied(shutter.last, own)
             return shutter.last
         out = own if own is not None else shutter.buffers[shutter.turn]
         shutter.turn = (shutter.turn + 1) % BUFFERS
@@ -331,7 +331,7 @@ def _frame(name: str, taken_tick: int, images: Images) -> CameraFrame:
     return CameraFrame(name=name, taken_tick=taken_tick, depth_m=depth_m, class_id=class_id, rgb=rgb)
 
 
-def _copied(frame: CameraFrame, own: Images) -> CameraFrame:
+def copied(frame: CameraFrame, own: Images) -> CameraFrame:
     """The same frame in other buffers."""
     np.copyto(own.depth_m, frame.depth_m)
     np.copyto(own.class_id, frame.class_id)

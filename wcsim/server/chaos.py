@@ -47,11 +47,10 @@ class Fault:
 class Chaos:
     """Does one fault after another; `act` is called a few times a second with the state of the processes."""
 
-    def __init__(self, seed: int, until_s: float, world_stops: bool = True) -> None:
+    def __init__(self, seed: int, until_s: float) -> None:
         """Go on until this time of the monotonic clock."""
         self._rng = seeding.generator(seed, "chaos")
         self._until_s = until_s
-        self._world_stops = world_stops
         self._wakes: list[tuple[float, int]] = []  # (when, process) of stopped ones
         self._base = (-1, -1)  # epoch and tick at the last fault
         self._due_s: float | None = None
@@ -81,7 +80,7 @@ class Chaos:
         self._wake(float("inf"))
 
     def _strike(self, state: LaunchState, now_s: float) -> None:
-        shares = [share if who != WORLD or what != "stop" or self._world_stops else 0.0 for who, what, share in _MENU]
+        shares = [share for _, _, share in _MENU]
         who, what, _ = _MENU[int(self._rng.choice(len(_MENU), p=[share / sum(shares) for share in shares]))]
         seated = () if state.world is None else state.world.members
         if who == WORLD:

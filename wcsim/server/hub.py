@@ -13,10 +13,9 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import msgspec
-import numpy as np
 
 from wcsim.errors import WcsimError
-from wcsim.physics.camera import ImageSink
+from wcsim.physics.camera import ImageSink, copied
 from wcsim.server import messages as m
 from wcsim.server.core import ServerCore
 from wcsim.server.events import (
@@ -212,10 +211,7 @@ class Hub:
             for shown in filter(None, (client, client.first)):
                 images = self._sink.buffers(client.seat, shown.events.step == 0).images
                 for frame, out in zip(shown.sensors.cameras, images, strict=True):
-                    np.copyto(out.depth_m, frame.depth_m)
-                    np.copyto(out.class_id, frame.class_id)
-                    if out.rgb is not None and frame.rgb is not None:
-                        np.copyto(out.rgb, frame.rgb)
+                    copied(frame, out)
 
     # --- the clients ---
 

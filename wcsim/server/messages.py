@@ -16,7 +16,7 @@ import numpy as np
 from wcsim import errors
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.server.packed import PackedClient, Pictures, packed, unpacked
-from wcsim.types import ClientSnapshot, Joystick, SeatSpec
+from wcsim.types import ClientSnapshot, SeatSpec
 
 PROTOCOL = 3
 MAX_REQUEST_BYTES = 1 << 20  # a server refuses more
@@ -217,11 +217,6 @@ def schema_hash() -> str:
     _, parts = msgspec.json.schema_components(kinds)
     text = msgspec.json.encode(parts, order="deterministic")
     return hashlib.blake2b(text, digest_size=8).hexdigest()
-
-
-def joystick_of(act: Act) -> Joystick:
-    """The joystick position that an action carries."""
-    return Joystick(act.x, act.y)
 
 
 def encode(message: Request | Reply) -> bytes:
