@@ -11,7 +11,7 @@ import pytest
 
 from tests.agents.test_train import Nervous, config, street
 from wcsim import errors
-from wcsim.agents.callbacks import TrainProgress
+from wcsim.agents.callbacks import StopRequest, TrainProgress
 from wcsim.agents.client import StatusPipe, exit_of
 from wcsim.agents.client_process import main
 from wcsim.agents.clients_folder import locked
@@ -86,19 +86,16 @@ def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, mo
     os.close(writes)
 
 
-def test_a_client_whose_launcher_is_gone_asks_itself_to_end():
-    asked = []
-    before = signal.signal(signal.SIGTERM, lambda number, frame: asked.append(number))
-    try:
-        reads, writes = os.pipe()
-        os.close(reads)
-        pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
+    reads, writes = os.pipe()
+    os.close(reads)
+    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+    with StopRequest() as request:
+        signal.raise_signal(signal.SIGTERM)  # as the kernel does when the launcher dies
         pipe.show(told(100))
         pipe.show(told(100))
         os.close(writes)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert asked == [signal.SIGTERM]
+    assert (request.asked, request.forced) == (True, False)
 
 
 def test_a_call_within_a_call_counts_once(monkeypatch):

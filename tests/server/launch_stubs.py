@@ -63,6 +63,13 @@ def misbehave(words: list[str], at: int, life: int, stop: bool) -> None:
             raise SystemExit(code)
 
 
+def say(fd: int, line: bytes) -> None:
+    """Write a line to the launcher; when it is gone, SIGTERM stays blocked: it may not cut the saving short."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    os.write(fd, line)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+
+
 def evicts(run: Path, words: list[str]) -> bool:
     """Whether the first client has come so far in its first life that the world shall give it up."""
     at = told(words, "evict", 1)
@@ -81,7 +88,7 @@ def world(order_file: str) -> int:
         while True:
             misbehave(words, tick, life, stop=True)
             status["members"] = [] if tick == 0 or evicts(Path(order["run"]), words) else members
-            os.write(order["status_fd"], json.dumps(status).encode() + b"\nnoise\n")
+            say(order["status_fd"], json.dumps(status).encode() + b"\nnoise\n")
             tick += 1
             status |= {"stage": "collect", "tick": tick, "ticks": tick}
             time.sleep(TICK_S)
@@ -103,7 +110,7 @@ def client(words: list[str]) -> int:
             step += 1
             misbehave(words, step, life, stop="deaf" not in words)
             status = {"name": folder.name, "step": step, "total_steps": total}
-            os.write(fd, json.dumps(status).encode() + b"\n")
+            say(fd, json.dumps(status).encode() + b"\n")
             if "forgets" not in words:
                 kept.write_text(str(step))
             time.sleep(TICK_S)

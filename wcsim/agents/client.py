@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import time
 from pathlib import Path
 
@@ -68,9 +67,8 @@ class StatusPipe:
                 os.write(self._descriptor, to_line(self.last))
             except BlockingIOError:  # whoever listens is stopped
                 pass
-            except OSError:  # nobody listens any more: save the work and end, as after SIGTERM
-                self._descriptor = -1
-                signal.raise_signal(signal.SIGTERM)
+            except OSError:  # nobody listens any more; the kernel asks for the end itself (`parent.die_with_parent`),
+                self._descriptor = -1  # and a second request from here would cut the saving short
 
 
 def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
