@@ -12,7 +12,7 @@ from tests.worlds import quick_config
 from wcsim.cli.bench_soak import faults_of, result
 from wcsim.server.chaos import Chaos, Fault
 from wcsim.server.orders import WorldStatus
-from wcsim.server.soak import SoakFacts, SoakOrder, recovery_s, rejoin_s, soak
+from wcsim.server.soak import SoakFacts, SoakOrder, overlapping, recovery_s, rejoin_s, soak
 from wcsim.server.states import ClientState, LaunchState
 from wcsim.server.stub_client import Sight
 
@@ -40,6 +40,13 @@ def test_a_new_epoch_is_a_recovery_and_its_first_frame_a_rejoin():
     assert rejoin_s(Fault(time_s=10.0, what="kill", who="a", others=("b",)), seen) == 4.0
     lonely = Fault(time_s=10.0, what="kill", who="a", others=("b",))
     assert recovery_s(lonely, {"a": sights((9.0, 0, 1)), "b": []}) is None
+
+
+def test_faults_overlap_when_they_share_a_moment():
+    assert overlapping([(0.0, 3.0), (3.5, 4.0), (2.0, 2.1), (9.0, 9.0)]) == (True, False, True, False)
+    assert overlapping([(0.0, 1.0), (1.0, 2.0)]) == (False, False)
+    assert overlapping([(0.0, 5.0), (1.0, 1.0)]) == (True, True), "one without an end of its own"
+    assert overlapping([]) == ()
 
 
 def state(tick: int, epoch: int = 0) -> LaunchState:

@@ -28,6 +28,8 @@ _MENU: tuple[tuple[str, What, float], ...] = (
 FORWARD_TICKS = 5  # the world has gone on by so much before the next fault comes
 TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
 GAP_S = (0.5, 3.0)  # ... and then so long
+HASTE = 0.25  # share of faults on which the next one follows before anybody has got over them
+HASTE_GAP_S = (0.1, 2.5)
 PAUSE_S = (0.3, 1.5)
 STOP_S = (4.0, 8.0)  # a stopped client wakes again, and finds that it was given up
 PATIENCE_S = 60.0  # the next fault comes although nothing went on
@@ -71,7 +73,8 @@ class Chaos:
         if self._due_s is None and (went_on or now_s - last_s > PATIENCE_S):
             self._due_s = now_s + float(self._rng.uniform(*GAP_S))
         if self._due_s is not None and now_s >= self._due_s:
-            self._due_s = None
+            hasty = self._rng.random() < HASTE
+            self._due_s = now_s + float(self._rng.uniform(*HASTE_GAP_S)) if hasty else None
             self._base = here
             self._strike(state, now_s)
 
@@ -92,9 +95,7 @@ class Chaos:
         if chosen:
             client: ClientState = chosen[int(self._rng.integers(len(chosen)))]
             others = tuple(name for name in seated if name != client.name)
-            fault = Fault(
-                time_s=now_s, what=what, who=client.name, master=client.name == master, others=others
-            )
+            fault = Fault(time_s=now_s, what=what, who=client.name, master=client.name == master, others=others)
             self._do(what, client.pid, fault)
 
     def _do(self, what: What, pid: int, fault: Fault) -> None:

@@ -50,7 +50,7 @@ class ServerCore:
             case Received():
                 self._receive(event.peer, event.message, now_s)
             case Stepped():
-                cycle.commit(event.tick, now_s)
+                cycle.commit(event.tick, now_s, event.step_s)
             case Lost():
                 self._lose(event.session, event.reason, now_s)
             case Clock():

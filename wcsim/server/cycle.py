@@ -139,15 +139,16 @@ class Cycle:
         commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
         self.out.append(Step(self.tick, commands))
 
-    def commit(self, tick: int, now_s: float) -> None:
+    def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
         """The world has reached `tick`: everybody hears of it and gets a frame, then those who wait come in."""
         if self.stage is not Stage.STEPPING or tick != self.tick + 1:
             raise ProtocolError(f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}")
         self.tick = tick
         self._begin_tick(now_s)
         members = self.roll.by_seat()
+        done = m.TickDone(self.epoch, tick, step_s)
         for mate in members:
-            self.send(mate.peer, m.TickDone(self.epoch, tick))
+            self.send(mate.peer, done)
         for mate in members:
             self.show(mate)
         self.stage = Stage.COLLECT if members else Stage.EMPTY

@@ -49,6 +49,8 @@ class Doors:
         """
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._wakes = select.epoll()
+        self._watched: set[int] = set()
+        self._empty: set[bytes] = set()  # doors that had no news when they were last touched
         self._guard: ThreadAuthenticator | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
@@ -68,26 +70,35 @@ class Doors:
     def watch(self, fileno: int) -> None:
         """Wake `wait` also when there is something to read from this descriptor."""
         self._wakes.register(fileno, select.EPOLLIN)
+        self._watched.add(fileno)
 
-    def wait(self, most_ms: int) -> None:
-        """Until something has come; not longer than that."""
+    def wait(self, most_ms: int) -> bool:
+        """Until something has come, not longer than that; returns whether it came from a watched descriptor."""
         # A ZeroMQ descriptor wakes once for news of any kind; whether there is a message, EVENTS says (measured: this
-        # takes a fifth of the time of zmq.Poller).
-        if not any(_has_news(socket) for socket in self._sockets.values()):
-            self._wakes.poll(1e-3 * most_ms)
+        # takes a fifth of the time of zmq.Poller). To ask for it takes longer than to receive a message.
+        for door, socket in self._sockets.items():
+            if door not in self._empty and _has_news(socket):
+                return False
+        self._empty.clear()
+        return any(number in self._watched for number, _ in self._wakes.poll(1e-3 * most_ms))
 
     def messages(self) -> Iterator[tuple[Peer, bytes]]:
         """What has come, not more than a batch of each door; what has not one part is empty."""
         for door, socket in self._sockets.items():
             for _ in range(BATCH):
                 if not _has_news(socket):
+                    self._empty.add(door)
                     break
-                peer, *parts = socket.recv_multipart(_NOW)
-                yield door + peer, parts[0] if len(parts) == 1 else b""
+                peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
+                if last.more:
+                    socket.recv_multipart(_NOW)
+                yield door + peer, b"" if last.more else last.bytes
 
     def send(self, peer: Peer, parts: Sequence[bytes]) -> None:
         """Send messages together, or drop them when the peer is gone or does not read."""
-        socket = self._sockets[peer[:1]]
+        door = peer[:1]
+        socket = self._sockets[door]
+        self._empty.discard(door)
         *most, last = peer[1:], *parts
         try:
             for part in most:

@@ -70,6 +70,7 @@ class Stepped:
     """The world has reached this tick, as `Step` asked for."""
 
     tick: int
+    step_s: float = 0.0  # what it took
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,27 +11,28 @@ class HoldUps:
     """Adds up time in which some members had acted and others had not; a moment's late ones share it evenly.
 
     >>> holdups = HoldUps()
-    >>> holdups.saw(("a", "b"), ("a", "b"), 0.0)  # nobody waits yet
-    >>> holdups.saw(("a", "b"), ("b",), 1.0)  # a has acted
-    >>> holdups.saw(("a", "b"), (), 3.5)  # b too
-    >>> holdups.held()
+    >>> holdups.saw(2, ("a", "b"), 0.0)  # nobody waits yet
+    >>> holdups.saw(2, ("b",), 1.0)  # a has acted
+    >>> holdups.saw(2, (), 3.5)  # b too
+    >>> holdups.held(("a", "b"))
     (Held(name='a', seconds=0.0), Held(name='b', seconds=2.5))
     """
 
     def __init__(self) -> None:
         self._seconds: dict[str, float] = {}
-        self._late: tuple[str, ...] = ()  # for whom somebody has waited since `_seen_s`
+        self._late: Sequence[str] = ()  # for whom somebody has waited since `_seen_s`
         self._seen_s = 0.0
 
-    def saw(self, members: Sequence[str], late: Sequence[str], now_s: float) -> None:
-        """Things are so from now on; to be called whenever they may have changed."""
-        for name in self._late:
-            self._seconds[name] = self._seconds.get(name, 0.0) + (now_s - self._seen_s) / len(self._late)
-        self._late = tuple(late) if len(late) < len(members) else ()
+    def saw(self, members: int, late: Sequence[str], now_s: float) -> None:
+        """So many members there are from now on, of whom these are late; to be called whenever that has changed."""
+        if self._late:
+            share_s = (now_s - self._seen_s) / len(self._late)
+            for name in self._late:
+                self._seconds[name] = self._seconds.get(name, 0.0) + share_s
+        self._late = late if len(late) < members else ()
         self._seen_s = now_s
-        if [*self._seconds] != [*members]:
-            self._seconds = {name: self._seconds.get(name, 0.0) for name in members}
 
-    def held(self) -> tuple[Held, ...]:
-        """Seconds that each member was waited for, in the members' order."""
+    def held(self, members: Sequence[str]) -> tuple[Held, ...]:
+        """Seconds that each of these members was waited for; those of others are forgotten."""
+        self._seconds = {name: self._seconds.get(name, 0.0) for name in members}
         return tuple(Held(name=name, seconds=seconds) for name, seconds in self._seconds.items())

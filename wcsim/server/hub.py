@@ -122,7 +122,7 @@ class Hub:
             effect = todo.popleft()
             match effect:
                 case Send():
-                    self._send(effect)
+                    self._post(effect.peer, effect.message)
                 case SendFrame():
                     self._send_frame(effect)
                 case Step():
@@ -142,13 +142,11 @@ class Hub:
         begun_s = time.perf_counter()
         self._turn(step.tick + 1)
         after = self.world.tick(step.commands, self._sink)
-        self._keep(
-            Ticked(epoch=after.epoch, tick=after.tick, commands=step.commands, state_hash=after.state_hash)
-        )
+        self._keep(Ticked(epoch=after.epoch, tick=after.tick, commands=step.commands, state_hash=after.state_hash))
         self._frames = {client.seat: client for client in after.clients}
         self.step_s = time.perf_counter() - begun_s
         self.ticks += 1
-        return self.core.handle(Stepped(after.tick), now_s + self.step_s)
+        return self.core.handle(Stepped(after.tick, self.step_s), now_s + self.step_s)
 
     def _admit(self, admit: Admit, now_s: float) -> list[Effect]:
         now = self.world.snapshot
@@ -161,9 +159,7 @@ class Hub:
         member = self.core.cycle.roll.at(admit.seat)
         claim = "" if member is None else member.claim.hex()
         self._keep(
-            Admitted(
-                epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name, claim=claim
-            )
+            Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name, claim=claim)
         )
         return []
 
@@ -214,12 +210,6 @@ class Hub:
                     copied(frame, out)
 
     # --- the clients ---
-
-    def _send(self, send: Send) -> None:
-        message = send.message
-        if isinstance(message, m.TickDone):
-            message = msgspec.structs.replace(message, step_s=self.step_s)
-        self._post(send.peer, message)
 
     def _send_frame(self, wanted: SendFrame) -> None:
         client = self._frames.get(wanted.seat)

@@ -5,6 +5,7 @@ Measured: an array of its own costs more to send and to read than all its number
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -28,7 +29,7 @@ from wcsim.types import (
     Truth,
 )
 
-_NUMBERS = 32
+_ROW = struct.Struct("=32d")
 _NO_DEPTH = np.zeros((0, 0), np.float32)
 _NO_CLASS = np.zeros((0, 0), np.uint8)
 _NO_DEPTH.setflags(write=False)
@@ -108,8 +109,8 @@ def unpacked(client: PackedClient, slot: int = -1, shared: Pictures | None = Non
     Raises:
         ProtocolError: The parts do not fit.
     """
-    if len(client.numbers) != 8 * _NUMBERS:
-        raise ProtocolError(f"a frame with {len(client.numbers)} bytes of numbers; expected {8 * _NUMBERS}")
+    if len(client.numbers) != _ROW.size:
+        raise ProtocolError(f"a frame with {len(client.numbers)} bytes of numbers; expected {_ROW.size}")
     n: F64 = np.frombuffer(client.numbers, np.float64)
     roll_rad, pitch_rad, yaw_rad, imu_roll_rad, imu_pitch_rad, imu_yaw_rad, x, y = n[24:].tolist()
     imu = ImuFrame(
@@ -151,21 +152,25 @@ def unpacked(client: PackedClient, slot: int = -1, shared: Pictures | None = Non
 def _numbers(client: ClientSnapshot) -> bytes:
     """24 numbers of arrays, then 8 single ones, in the order in which `unpacked` takes them."""
     plant, imu, user = client.plant, client.sensors.imu, client.user
-    row = np.concatenate(
-        (
-            plant.p_WB_m,
-            plant.q_WB,
-            plant.v_B_mps,
-            plant.w_B_radps,
-            plant.wheel_radps,
-            imu.accel_mean_mps2,
-            imu.accel_peak_mps2,
-            imu.gyro_radps,
-            (plant.roll_rad, plant.pitch_rad, plant.yaw_rad, imu.roll_rad, imu.pitch_rad, imu.yaw_rad, user.x, user.y),
-        ),
-        dtype=np.float64,
+    # Measured: half the time of joining the arrays.
+    return _ROW.pack(
+        *plant.p_WB_m.tolist(),
+        *plant.q_WB.tolist(),
+        *plant.v_B_mps.tolist(),
+        *plant.w_B_radps.tolist(),
+        *plant.wheel_radps.tolist(),
+        *imu.accel_mean_mps2.tolist(),
+        *imu.accel_peak_mps2.tolist(),
+        *imu.gyro_radps.tolist(),
+        plant.roll_rad,
+        plant.pitch_rad,
+        plant.yaw_rad,
+        imu.roll_rad,
+        imu.pitch_rad,
+        imu.yaw_rad,
+        user.x,
+        user.y,
     )
-    return row.tobytes()
 
 
 def _packed_picture(camera: CameraFrame, whole: bool) -> PackedPicture:

@@ -55,7 +55,7 @@ class Reporter:
             members = core.cycle.roll.members
             waits = core.cycle.stage is Stage.COLLECT
             late = [mate.name for mate in members if mate.action is None and not mate.respawning] if waits else []
-            self._holdups.saw([mate.name for mate in members], late, now_s)
+            self._holdups.saw(len(members), late, now_s)
 
     def report(self, core: ServerCore, hub: Hub, now_s: float) -> None:
         """Say how things are, when it is time to."""
@@ -66,7 +66,6 @@ class Reporter:
         self._counts.append((real_s, hub.ticks))
         cycle = core.cycle
         members = cycle.roll.by_seat()
-        seats = {mate.name: mate.seat for mate in members}
         master = cycle.roll.member(cycle.master)
         owing = [mate for mate in members if not mate.ready] if cycle.stage is Stage.COLLECT else []
         self._say(
@@ -82,7 +81,7 @@ class Reporter:
                 late=tuple(mate.name for mate in owing),
                 late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
                 rss_mb=_rss_mb(),
-                held=tuple(sorted(self._holdups.held(), key=lambda one: seats.get(one.name, -1))),
+                held=self._holdups.held([mate.name for mate in members]),
                 listening=self.listening,
             )
         )

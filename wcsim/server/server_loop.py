@@ -51,6 +51,7 @@ class ServerLoop:
         self._clock = AwakeClock(time.monotonic())
         self._peers = Peers()
         self._out: dict[Peer, list[bytes]] = {}
+        self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
         doors.watch(lifelines.fileno())
@@ -75,14 +76,16 @@ class ServerLoop:
     # --- a turn ---
 
     def _turn(self) -> None:
-        self._doors.wait(WAIT_MS)
+        woken = self._doors.wait(WAIT_MS)
         self._clock.look(time.monotonic())
         for peer, data in self._doors.messages():
             self._hear(peer, data)
-        lost, self._alone = self._lifelines.news()
-        for session in lost:
-            self._feed(Lost(session))
-        if self._clock.now_s - self._clock_s >= CLOCK_S:
+        due = self._clock.now_s - self._clock_s >= CLOCK_S
+        if woken or due:
+            lost, self._alone = self._lifelines.news()
+            for session in lost:
+                self._feed(Lost(session))
+        if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
             self._lifelines.keep({p.session for p in self._present()})
@@ -139,9 +142,10 @@ class ServerLoop:
             # Off at once: while the next frame is packed, this client can begin to think.
             self._doors.send(peer, [*self._out.pop(peer, ()), m.encode(message)])
             return
-        if isinstance(message, m.Welcome):
-            message = self._welcome(peer, message)
-        self._out.setdefault(peer, []).append(m.encode(message))
+        if message is not self._encoded[0]:  # the word of a tick is the same for all
+            told = self._welcome(peer, message) if isinstance(message, m.Welcome) else message
+            self._encoded = message, m.encode(told)
+        self._out.setdefault(peer, []).append(self._encoded[1])
 
     def _welcome(self, peer: Peer, welcome: m.Welcome) -> m.Welcome:
         ring = str(self._ring.path(welcome.seat)) if peer.startswith(LOCAL) else ""

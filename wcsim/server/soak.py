@@ -11,7 +11,7 @@ import contextlib
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,6 +59,7 @@ class SoakFacts:
     faults: tuple[Fault, ...]
     client_s: tuple[float, ...]
     world_s: tuple[float, ...]
+    overlap_s: tuple[float, ...]  # of faults that struck while another one was being got over, and of those others
     rejoin_s: tuple[float, ...]  # until the client that was hit saw a frame again
     orphans: int
     leaked: int  # folders of shared memory
@@ -84,14 +85,20 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         outcome = launcher.run()
     ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
     sights = {name: read_sights(_sights(order, name)) for name in names}
-    recovered = [(fault, recovery_s(fault, sights)) for fault in watch.chaos.faults]
-    known = [(fault, took_s) for fault, took_s in recovered if took_s is not None]
+    faults = tuple(watch.chaos.faults)
+    took = tuple(recovery_s(fault, sights) for fault in faults)
+    rejoined = tuple(rejoin_s(fault, sights) for fault in faults)
+    overlap = overlapping(
+        [(f.time_s, f.time_s + (t or r or 0.0)) for f, t, r in zip(faults, took, rejoined, strict=True)]
+    )
+    known = [(f, t, shared) for f, t, shared in zip(faults, took, overlap, strict=True) if t is not None]
     return SoakFacts(
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
-        faults=tuple(watch.chaos.faults),
-        client_s=tuple(took_s for fault, took_s in known if fault.who != WORLD),
-        world_s=tuple(took_s for fault, took_s in known if fault.who == WORLD),
-        rejoin_s=tuple(filter(None, (rejoin_s(fault, sights) for fault in watch.chaos.faults))),
+        faults=faults,
+        client_s=tuple(t for fault, t, shared in known if fault.who != WORLD and not shared),
+        world_s=tuple(t for fault, t, shared in known if fault.who == WORLD and not shared),
+        overlap_s=tuple(t for _, t, shared in known if shared),
+        rejoin_s=tuple(filter(None, rejoined)),
         orphans=watch.orphans(),
         leaked=int(place.exists()),
         rss_slope_mb_per_h=watch.slope_mb_per_h(),
@@ -117,6 +124,14 @@ def recovery_s(fault: Fault, sights: dict[str, list[Sight]]) -> float | None:
         if s.time_s > fault.time_s and (s.epoch > newest[0] or (s.epoch == newest[0] and s.tick >= newest[1] + 2))
     ]
     return min(after) - fault.time_s if after else None
+
+
+def overlapping(spans_s: Sequence[tuple[float, float]]) -> tuple[bool, ...]:
+    """Which of these spans of time (begin, end) share a moment with another one."""
+    return tuple(
+        any(begin < other[1] and other[0] < end for i, other in enumerate(spans_s) if i != k)
+        for k, (begin, end) in enumerate(spans_s)
+    )
 
 
 def rejoin_s(fault: Fault, sights: dict[str, list[Sight]]) -> float | None:
