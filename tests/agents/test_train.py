@@ -129,6 +129,14 @@ def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
     assert not torch.are_deterministic_algorithms_enabled()
 
 
+def test_a_checkpoint_is_heard_of_while_it_is_written(tmp_path):
+    heard = []
+    train(config(), street, tmp_path / "run", 5, alive=lambda: heard.append(len(list(tmp_path.rglob("LATEST")))))
+    written = config().learn.total_steps // config().learn.checkpoint_every
+    assert len(heard) >= 2 * written
+    assert heard[0] == 0, "before the first one was whole"
+
+
 @pytest.mark.parametrize("stop", ["exception", "signal"])
 def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     def interrupt():

@@ -217,6 +217,17 @@ def test_a_seat_goes_on_for_who_saw_its_last_frame_and_knows_its_claim() -> None
     assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
 
 
+def test_the_beats_of_a_new_life_count_anew() -> None:
+    desk = Desk(members=1, lease_s=100.0)
+    desk.say(0, m.Beat(session_of(0), 50))
+    claim = desk.core.cycle.roll.members[0].claim
+    joined = desk.say(0, join_of(0, session=session_of(9), claim=claim, resume=(0, 0)))
+    assert only(joined, m.Welcome).resumed is True
+    for progress in (1, 2):
+        desk.say(0, m.Beat(session_of(9), progress))
+        assert desk.wait(90.0) == []
+
+
 def test_a_sole_master_that_hangs_before_its_tick_does_not_hold_the_next_one_up() -> None:
     desk = Desk(members=1, tick_lease_s=10.0, lease_s=100.0)
     desk.act(0)

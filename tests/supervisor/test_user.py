@@ -14,7 +14,9 @@ from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
 from wcsim.seeding import generator
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.avoidance import Body
 from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import profile, profile_names, sample
 from wcsim.supervisor.user import USUAL_OUTLINE, SimulatedUser
 from wcsim.types import ActorKind, Joystick, SignalState
@@ -75,6 +77,22 @@ def test_every_profile_gets_around_the_corners(name):
         if name != "inattentive":  # who looks away in a corner may leave the street: that is what the agent is for
             assert math.sqrt((lateral(track.array(), CORNERS) ** 2).mean()) < 0.5
     assert arrived >= (2 if name == "inattentive" else 3)
+
+
+@pytest.mark.parametrize("lane_m", [-0.6, -0.3, 0.0, 0.6])
+def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
+    user = make_user()
+    route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
+    user.follow(route)
+    user._lane_m = -lane_m
+    path = Path(route)
+    for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
+        x, y = path.at(arc_m)
+        for yaw_rad in np.arange(0.0, 6.2, 0.3).tolist():
+            body = Body(x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0)
+            goal, axle = user._goal(body, path, arc_m + 1.2), user._axle(body)
+            assert math.dist(goal, (axle.x_m, axle.y_m)) >= 0.5
+            assert path.project(*goal, arc_m + 2.0).arc_m < arc_m + 4.5
 
 
 def test_profiles_differ_as_they_should():

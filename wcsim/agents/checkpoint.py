@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,22 @@ SCHEMA = 1
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def save_checkpoint(folder: Path, model: SeqDQN, extra: Mapping[str, int | float | str | bool]) -> Path:
-    """Write `folder/step-N` in one step, point LATEST to it, drop all but the newest three; returns the new one."""
+def save_checkpoint(
+    folder: Path,
+    model: SeqDQN,
+    extra: Mapping[str, int | float | str | bool],
+    alive: Callable[[], object] = lambda: None,
+) -> Path:
+    """Write `folder/step-N` in one step, point LATEST to it, drop all but the newest three; returns the new one.
+
+    `alive` is called now and then while it is being written.
+    """
     name = f"step-{model.num_timesteps:08d}"
 
     def fill(target: Path) -> None:
         save_file(_model_arrays(model), target / MODEL)
-        save_file(replay_arrays(_replay(model)), target / REPLAY)
+        save_file(replay_arrays(_replay(model), alive), target / REPLAY)
+        alive()
         state = {
             "schema_version": SCHEMA,
             "num_timesteps": model.num_timesteps,

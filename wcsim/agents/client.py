@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from itertools import count
 from pathlib import Path
 
 from wcsim.agents import files
@@ -86,7 +87,7 @@ def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
     config = with_window(RunConfig.model_validate_json(order.config_json))
     find_network(net_spec(config).network)
     terms = tuple(find_reward_term(name) for name in order.rewards)
-    out, begun_s = Path(order.out), time.monotonic()
+    out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
     goes_on = resume and any(out.glob("checkpoints/step-*"))
     if resume and not goes_on and out.is_dir():
         shutil.rmtree(out)
@@ -109,6 +110,7 @@ def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
             overrides=order.overrides,
             progress_every=1,
             callbacks=(shares,),
+            alive=lambda: env.beat(next(beats)),  # else a server that hears nothing gives the seat away
         )
     finally:
         env.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,11 @@ PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_ste
 SLICE = 512  # steps read at once
 
 
-def replay_arrays(replay: FrameReplay) -> Arrays:
-    """Everything in the memory, oldest step first; images are compressed."""
+def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+    """Everything in the memory, oldest step first; images are compressed, which takes minutes for a large one.
+
+    `alive` is called now and then.
+    """
     first, size = replay.total - replay.size(), replay.size()
     index = first + np.arange(size)
     rows = index % replay.buffer_size
@@ -25,6 +29,7 @@ def replay_arrays(replay: FrameReplay) -> Arrays:
     for seat in range(replay.n_envs):
         for k in range(0, size, SLICE):
             blobs += frames_store.pack(replay.windows.read_newest(index[k : k + SLICE], seat))
+            alive()
     ends = sorted(replay.after_end)
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
     if replay.advice is not None:

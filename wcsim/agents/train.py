@@ -50,6 +50,7 @@ def train(
     overrides: Sequence[Override] = (),
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
+    alive: Callable[[], object] = lambda: None,
 ) -> Path:
     """Learn both phases and leave a run folder.
 
@@ -68,6 +69,7 @@ def train(
         resume: Go on from the newest sound checkpoint; the environment begins a new episode.
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
+        alive: Called now and then while something is done that takes long and no step of the environment.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
@@ -85,6 +87,7 @@ def train(
         env = DummyVecEnv([make_env])
         try:
             session = _Session(run, build_model(config, env, seed), request, progress, resume, progress_every)
+            session.alive = alive
             session.callbacks.extend(callbacks)
             return session.learn()
         finally:
@@ -104,6 +107,7 @@ class _Session:
         progress_every: int,
     ) -> None:
         self.run, self.model, self.progress, self.request = run, model, progress, request
+        self.alive: Callable[[], object] = lambda: None
         self.learn_config = run.config.learn
         extra = load_checkpoint(run.checkpoints, model) if resume else {}
         if resume:
@@ -171,7 +175,7 @@ class _Session:
         self._watch_values()
         extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
         try:
-            save_checkpoint(self.run.checkpoints, self.model, extra)
+            save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
         except (OSError, SafetensorError) as error:  # a full disk: those before are whole, and learning goes on
             self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
             return

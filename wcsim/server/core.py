@@ -115,6 +115,7 @@ class ServerCore:
         cycle.roll.retire(old)
         holder.session, holder.peer, holder.claim = join.session, peer, join.claim
         holder.heard_s = holder.asked_s = now_s
+        holder.progress = -1  # a new life counts anew
         holder.resumed = True
         if not cycle.master or cycle.master == old:
             cycle.crown(holder, tell=False)

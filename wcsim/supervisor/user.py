@@ -44,6 +44,8 @@ TURN_PATIENCE = 3.0  # and this many times while turning round
 LONGEST_STEP_S = 0.05
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
 HAIRPIN_M = 1.0
+NEAREST_GOAL_M = 0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
+GOAL_FARTHER_M = tuple(0.25 * step for step in range(1, 11))
 STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
 CREEP_MPS, BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
 STUCK_S, STUCK_M, STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
@@ -217,7 +219,7 @@ class SimulatedUser:
         speed = min(speed, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
         goal_m = body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
         speed = self._change_lane(body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0)
-        goal = path.at(goal_m, self._lane_m)
+        goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
             self._moved = None
             return Plan(wish=self._steered(body, goal, speed), patience=WAIT_PATIENCE)
@@ -226,6 +228,19 @@ class SimulatedUser:
         if turn is not None:
             return turn
         return Plan(wish=self._steered(body, goal, speed))
+
+    def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:
+        """Where to steer at or beyond a place of the route: far enough off to say a direction.
+
+        On the inside of a sharp bend, a place well ahead along the route may be right beside the chair's axle: turning
+        there would change where to turn to, and never end.
+        """
+        axle, goal = self._axle(body), path.at(arc_m, self._lane_m)
+        for farther_m in GOAL_FARTHER_M:
+            if math.dist(goal, (axle.x_m, axle.y_m)) >= NEAREST_GOAL_M:
+                break
+            goal = path.at(arc_m + farther_m, self._lane_m)
+        return goal
 
     def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
         return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
