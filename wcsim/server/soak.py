@@ -128,10 +128,14 @@ def recovery_s(fault: Fault, sights: dict[str, list[Sight]]) -> float | None:
 
 def overlapping(spans_s: Sequence[tuple[float, float]]) -> tuple[bool, ...]:
     """Which of these spans of time (begin, end) share a moment with another one."""
-    return tuple(
-        any(begin < other[1] and other[0] < end for i, other in enumerate(spans_s) if i != k)
-        for k, (begin, end) in enumerate(spans_s)
-    )
+    shared, last = [False] * len(spans_s), -1  # the one that ends last of those begun
+    for k in sorted(range(len(spans_s)), key=lambda k: spans_s[k]):
+        begin, end = spans_s[k]
+        if last >= 0 and begin < spans_s[last][1] and spans_s[last][0] < end:
+            shared[k] = shared[last] = True
+        if last < 0 or end > spans_s[last][1]:
+            last = k
+    return tuple(shared)
 
 
 def rejoin_s(fault: Fault, sights: dict[str, list[Sight]]) -> float | None:
