@@ -86,8 +86,7 @@ def train(
     with _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
-            session = _Session(run, build_model(config, env, seed), request, progress, resume, progress_every)
-            session.alive = alive
+            session = _Session(run, build_model(config, env, seed), request, progress, resume, progress_every, alive)
             session.callbacks.extend(callbacks)
             return session.learn()
         finally:
@@ -105,9 +104,9 @@ class _Session:
         progress: Progress | None,
         resume: bool,
         progress_every: int,
+        alive: Callable[[], object],
     ) -> None:
-        self.run, self.model, self.progress, self.request = run, model, progress, request
-        self.alive: Callable[[], object] = lambda: None
+        self.run, self.model, self.progress, self.request, self.alive = run, model, progress, request, alive
         self.learn_config = run.config.learn
         extra = load_checkpoint(run.checkpoints, model) if resume else {}
         if resume:
