@@ -17,6 +17,7 @@ SHARED = ROOT.parent / "shared"
 BUDGET_S = {
     "api": 190,
     "agents": 170,
+    "attack": 60,
     "bench": 40,
     "bridge": 180,
     "cli": 200,

@@ -1,8 +1,11 @@
 """Every error that wcsim raises on purpose.
 
     WcsimError                      exit code 2 at the command line, one or two lines, no traceback
-    ├── ConfigError                 a file or option holds something that cannot be used
-    ├── TownError                   a town, net or scene is missing, broken or refused
+    ├── FileError                   a file cannot be read, or is not what it should be
+    │   ├── ConfigError             ... or an option holds something that cannot be used
+    │   ├── TownError               ... a town, net or scene is missing, broken or refused
+    │   ├── JournalError            ... a journal, a ledger or a recording of a world is damaged
+    │   └── PolicyError             ... a policy, a checkpoint or a run folder cannot be loaded
     ├── SumoError                   SUMO or one of its tools failed
     ├── HookError                   a user's own step hook cannot be used, or failed
     ├── PhysicsError                the physics engine refused a body or left the finite numbers
@@ -29,7 +32,6 @@
     │       ├── BarrierNotFullError a tick was asked for before everybody acted
     │       ├── BadActionError      an action outside of the joystick's range, or a second one for a tick
     │       └── OverloadedError     more, or larger, messages than the server takes
-    ├── PolicyError                 a policy or run folder cannot be loaded
     └── InterruptedRunError         the user stopped the run; what was done is saved
 
 A message says what was wrong, what was got, what was expected, and what to do.
@@ -40,12 +42,20 @@ class WcsimError(Exception):
     """Base of all errors that wcsim raises on purpose."""
 
 
-class ConfigError(WcsimError):
+class FileError(WcsimError):
+    """Base of what is raised for a file that cannot be read or is not what it should be; one class a kind of file."""
+
+
+class ConfigError(FileError):
     """Raised when a configuration file or option holds an unknown key or a value out of bounds."""
 
 
-class TownError(WcsimError):
+class TownError(FileError):
     """Raised when a town, net or scene is missing, broken, or refused for this use."""
+
+
+class JournalError(FileError):
+    """Raised when a journal, a ledger or a recording of a world cannot be read, or is damaged."""
 
 
 class SumoError(WcsimError):
@@ -160,7 +170,7 @@ class OverloadedError(ProtocolError):
     """Raised when a client sends more, or larger, messages than the server takes."""
 
 
-class PolicyError(WcsimError):
+class PolicyError(FileError):
     """Raised when a policy or a run folder cannot be loaded."""
 
 

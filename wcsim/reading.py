@@ -1,0 +1,196 @@
+"""The one door for files that others may have written: regular, of bounded size, depth and numbers, in UTF-8.
+
+A `FileKind` says what a file should be and which error tells that it is not; whatever is wrong with a file, that error
+and no other comes out. Nothing here follows what a file says.
+"""
+
+from __future__ import annotations
+
+import codecs
+import json
+import math
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+from wcsim.errors import ConfigError, FileError
+
+MAX_DEPTH = 32  # of tables and lists inside each other
+MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
+MAX_DOTTED = 16  # parts of a TOML key; tomllib takes a time that grows with their square
+_DOTTED = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_DOTTED}}}""")
+_MESSAGE_CHARACTERS = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileKind:
+    """What a file is expected to be."""
+
+    what: str  # "a TOML file", for messages
+    limit_bytes: int
+    error: type[FileError] = ConfigError
+
+
+@contextmanager
+def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
+    """A regular file, open for reading from its beginning; what goes wrong while it is open is told as `kind.error`.
+
+    A pipe, a device or a folder is refused without being read, so none of them can hang or fill this process.
+
+    Raises:
+        FileError: Of the kind's class: no such file, no regular one, or reading it failed.
+    """
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        with os.fdopen(number, "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise kind.error(f"{shown(path)}: is no regular file; expected {kind.what}")
+            yield file
+    except OSError as error:
+        reason = error.strerror or error
+        raise kind.error(f"{shown(path)}: cannot be read ({reason}); expected {kind.what}") from None
+    except ValueError as error:  # NUL in the path
+        raise kind.error(f"{shown(path)}: cannot be read ({error}); expected {kind.what}") from None
+
+
+def read_bytes(path: Path, kind: FileKind) -> bytes:
+    """The whole content of a file. Raises FileError, of the kind's class."""
+    with opened(path, kind) as file:
+        data = file.read(kind.limit_bytes + 1)
+    if len(data) > kind.limit_bytes:
+        raise kind.error(f"{shown(path)}: larger than {kind.limit_bytes} bytes; expected {kind.what}")
+    return data
+
+
+def read_text(path: Path, kind: FileKind) -> str:
+    """The whole content of a file in UTF-8, with or without its mark. Raises FileError, of the kind's class."""
+    data = read_bytes(path, kind)
+    try:
+        return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise kind.error(f"{shown(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it so") from None
+
+
+def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
+    """A JSON object from a file. Raises FileError, of the kind's class."""
+    return parse_json(read_text(path, kind), shown(path), kind)
+
+
+def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
+    """The table of a TOML file. Raises FileError, of the kind's class."""
+    return parse_toml(read_text(path, kind), shown(path), kind)
+
+
+def parse_json(text: str, where: str, kind: FileKind) -> dict[str, Any]:
+    """JSON text as an object; a key that comes twice is refused, as two readers may differ in which one counts.
+
+    Raises:
+        FileError: Of the kind's class, beginning with `where`.
+    """
+    try:
+        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise kind.error(f"{where}: is not JSON: {_short(error)}; expected {kind.what}") from None
+    if not isinstance(data, dict):
+        raise kind.error(f"{where}: holds a {type(data).__name__}; expected a JSON object, {kind.what}")
+    require_bounded(data, where, kind)
+    return data
+
+
+def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
+    """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
+    if _DOTTED.search(text):
+        raise kind.error(f"{where}: has a name of more than {MAX_DOTTED} parts with dots between; expected {kind.what}")
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise kind.error(f"{where}: is not TOML: {_short(error)}") from None
+    require_bounded(data, where, kind)
+    return data
+
+
+def require_bounded(data: Any, where: str, kind: FileKind) -> None:
+    """Refuse what is nested deeper than `MAX_DEPTH`, or holds a number that is not finite or beyond `MAX_INTEGER`.
+
+    Raises:
+        FileError: Of the kind's class.
+    """
+    level = [data]
+    for _ in range(MAX_DEPTH + 1):
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                below.extend(value.values())
+            elif isinstance(value, list):
+                below.extend(value)
+            else:
+                _require_plain_number(value, where, kind)
+        if not below:
+            return
+        level = below
+    raise kind.error(f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}")
+
+
+def regular_size(path: Path, kind: FileKind) -> int:
+    """Bytes of a file that a library will read itself. Raises FileError, of the kind's class, when it must not."""
+    with opened(path, kind) as file:
+        size = os.fstat(file.fileno()).st_size
+    if size > kind.limit_bytes:
+        raise kind.error(f"{shown(path)}: larger than {kind.limit_bytes} bytes; expected {kind.what}")
+    return size
+
+
+def is_file(path: Path) -> bool:
+    """Whether a path that somebody wrote names a regular file; one that no system could hold does not."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path that somebody wrote names a folder."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def shown(text: object, most: int = 160) -> str:
+    r"""A path or a text that somebody wrote, for a message: printable, at most `most` letters, its end where longer.
+
+    >>> shown("a\x1b[31mb")
+    'a\\x1b[31mb'
+    """
+    words = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text)[-2 * most :])
+    return words if len(words) <= most else "..." + words[3 - most :]
+
+
+def _require_plain_number(value: Any, where: str, kind: FileKind) -> None:
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        raise kind.error(f"{where}: holds a number of {value.bit_length()} bits; expected at most 64")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise kind.error(f"{where}: holds the number {value}; expected finite ones")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {shown(twice, 40)!r} comes twice")
+    return data
+
+
+def _no_constant(word: str) -> NoReturn:
+    raise ValueError(f"{word} is no number of JSON")
+
+
+def _short(error: BaseException) -> str:
+    return shown(str(error)[:_MESSAGE_CHARACTERS], _MESSAGE_CHARACTERS) or type(error).__name__
