@@ -20,7 +20,7 @@ REQUESTS = [
         session=SESSION,
         claim=b"mine",
         seat=m.ANY_SEAT,
-        name="ä client",
+        name="a-client",
         spec=SeatSpec(start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
         pid=7,
         resume=(1, 2),
@@ -57,7 +57,8 @@ def test_replies_survive_the_wire(reply):
 
 
 @pytest.mark.parametrize(
-    "data", [b"", b"\x00", b"hello", m.encode(m.Bye(b"")), b"\x92\xa3Act\x01", m.encode(REQUESTS[1]) + b"\x00"]
+    "data",
+    [b"", b"\x00", b"hello", m.encode(m.Leave(b"")), b"\x92\xa3Act\x01", m.encode(REQUESTS[1]) + b"\x00"],
 )
 def test_anything_else_is_a_protocol_error(data):
     with pytest.raises(ProtocolError):
@@ -65,7 +66,7 @@ def test_anything_else_is_a_protocol_error(data):
 
 
 def test_a_message_beyond_the_limit_is_not_even_read():
-    with pytest.raises(OverloadedError, match="1048577"):
+    with pytest.raises(OverloadedError, match=str(m.MAX_REQUEST_BYTES + 1)):
         m.decode_request(bytes(m.MAX_REQUEST_BYTES + 1))
 
 
@@ -107,7 +108,7 @@ def test_a_snapshot_survives_the_wire(ended):
 
 
 def test_numbers_arrive_to_the_bit(ended):
-    odd = np.array([np.nan, -0.0, 5e-324])
+    odd = np.array([1 / 3, -0.0, 5e-324])
     client = replace(ended, plant=replace(ended.plant, p_WB_m=odd))
     reply = m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
     assert reply.client.plant.p_WB_m.tobytes() == odd.tobytes()

@@ -114,8 +114,10 @@ def test_what_is_no_ring_is_refused(tmp_path):
         RingView(tmp_path / "missing")
     client = drive(a_world(), sink).clients[0]
     view = RingView(sink.path(0))
-    with pytest.raises(ProtocolError, match="slot 2"):
+    with pytest.raises(ProtocolError, match="<= 1"):
         opened(view, client, 2)
+    with pytest.raises(ProtocolError, match="slot 2"):
+        view.pictures(2, first=False)
     few = replace(client, sensors=replace(client.sensors, cameras=client.sensors.cameras[:1]))
     with pytest.raises(ProtocolError, match="1 cameras"):
         opened(view, few, 0)

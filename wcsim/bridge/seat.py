@@ -13,6 +13,7 @@ from wcsim import seeding
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
+from wcsim.errors import ConfigError
 from wcsim.physics.camera import CameraRig, SeatBuffers
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.engine import Engine
@@ -50,6 +51,7 @@ from wcsim.types import (
 SIGHT_M = 25.0
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
+START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
 AT_REST = Joystick(0.0, 0.0)
 
 XY = tuple[float, float]
@@ -69,8 +71,10 @@ class Seat:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
     def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
+        """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
+        _require_in_town(spec.start, router)
         self._person = find_user(spec.profile)
         self._config = config
         self._street = street
@@ -277,6 +281,18 @@ class Seat:
                 break
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
         return self._start(xy, yaw_rad, self._router.random_goal(rng, xy, *GOAL_RANGE_M))
+
+
+def _require_in_town(start: StartSpec | None, router: Router) -> None:
+    """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
+    for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
+        if not router.away_m(xy) <= START_REACH_M:
+            raise ConfigError(
+                f"{what} at {xy} m is {router.away_m(xy):.0f} m from the nearest pavement; expected one of the town's "
+                f"places, at most {START_REACH_M:.0f} m away"
+            )
+    if start is not None and not math.isfinite(start.yaw_rad):
+        raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
 
 
 def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:

@@ -28,7 +28,7 @@ from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
-from wcsim.errors import ProtocolError, WcsimError
+from wcsim.errors import ProtocolError
 from wcsim.physics.bodies import BodyPool
 from wcsim.physics.camera import CameraRig, ImageSink
 from wcsim.physics.engine import Engine
@@ -78,6 +78,8 @@ class World:
         self.epoch = epoch - 1
         self._drawn: dict[TileKey, GeometryStore] = {}
         self._engine: Engine | None = None
+        self._actors: tuple[ActorState, ...] = ()
+        self._signals: tuple[SignalState, ...] = ()
         self.snapshot: Snapshot
         self._held = ExitStack()
         try:
@@ -122,10 +124,12 @@ class World:
         Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
         """
         new = self._seating.admit(self._open_engine, seat, spec)
+        actors, signals = self._actors, self._signals
         try:
             return self._joined(new, out)
-        except WcsimError:
+        except BaseException:
             self._seating.revoke(seat)
+            self._actors, self._signals = actors, signals
             raise
 
     def dismiss(self, seat: int) -> None:
@@ -225,8 +229,8 @@ class World:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        self._actors: tuple[ActorState, ...] = ()
-        self._signals: tuple[SignalState, ...] = ()
+        self._actors = ()
+        self._signals = ()
         attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
         self._street = StreetReaction(self.config.world, attention)
         self._deflection = Deflection(self.street.grid, self.config.world.tick_s, attention)

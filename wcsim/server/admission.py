@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from wcsim.errors import (
+    ConfigError,
     ConfigMismatchError,
     EvictedError,
     ProtocolError,
@@ -13,11 +15,17 @@ from wcsim.errors import (
     WcsimError,
     WorldFullError,
 )
+from wcsim.reading import shown
 from wcsim.server import messages as m
 from wcsim.server.events import Rules
 from wcsim.server.members import Roll
+from wcsim.supervisor.profiles import profile_names
+from wcsim.supervisor.recorded import PREFIX
+from wcsim.types import SeatSpec
 
-MOST_NAME = 100  # characters
+MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
+MOST_METRES = 1e6
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +41,7 @@ def admission(join: m.Join, rules: Rules, roll: Roll, now: tuple[int, int]) -> A
     fault = _unfit(join, rules)
     if fault is not None:
         return fault
-    if join.session in roll.retired:
+    if roll.is_over(join.session):
         return EvictedError("this session is over; join again with another one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
@@ -59,13 +67,33 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
         )
     if len(join.session) != m.SESSION_BYTES:
         return VersionMismatchError(f"a session of {len(join.session)} bytes; expected {m.SESSION_BYTES}")
-    if len(join.name) > MOST_NAME:
-        return ProtocolError(f"a name of {len(join.name)} characters; expected {MOST_NAME} at most")
+    if not _NAME.fullmatch(join.name):
+        return ProtocolError(f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, - _ or .")
     if join.config and join.config != rules.config:
         return ConfigMismatchError(
             f"client expects a world of configuration {join.config[:64]!r}, this one is {rules.config!r}; "
             "use the server's configuration"
         )
+    return _unfit_spec(join.spec, rules)
+
+
+def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
+    """What is wrong with what a client asks for; that a start lies in the town is the world's to see."""
+    named = spec.profile.startswith(PREFIX)
+    if named and rules.recordings is not None and spec.profile not in rules.recordings:
+        return ConfigError(
+            "this world replays only recordings that it was started with; start it with --set "
+            "env.profile=recorded:FILE, or ask for one of wcsim's profiles"
+        )
+    if not named and spec.profile not in profile_names():
+        known = ", ".join(profile_names())
+        return ConfigError(f"unknown user profile {shown(spec.profile, 40)!r}; expected one of: {known}")
+    if not 1 <= spec.max_steps <= MOST_STEPS:
+        return ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
+    start = spec.start
+    numbers = () if start is None else (*start.p_W_m, start.yaw_rad, *start.goal_W_m)
+    if not all(abs(number) <= MOST_METRES for number in numbers):  # false for what is no number, too
+        return ProtocolError("a start with a number that is not finite, or far from any town; expected one in the town")
     return None
 
 

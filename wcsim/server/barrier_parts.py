@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 import zmq
 
-from wcsim.server.curve import authenticator, client_keys, server_keys, server_public
+from wcsim.server.curve import KnownKeys, authenticator, client_keys, server_keys, server_public
 from wcsim.server.link import SeatLink, WorldOrder
 from wcsim.server.orders import JoinOrder
 from wcsim.server.parent import die_with_parent
@@ -142,7 +142,7 @@ def _echo(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
     with context.socket(zmq.ROUTER) as socket:
         _prepare(socket)
         if order.keys:
-            guard, pair = authenticator(context, Path(order.keys)), server_keys(Path(order.keys))
+            guard, pair = authenticator(context, KnownKeys(Path(order.keys))), server_keys(Path(order.keys))
             socket.curve_server = True
             socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         socket.bind(order.echo)

@@ -20,6 +20,7 @@ from wcsim.errors import (
     FutureTickError,
     NotMasterError,
     ProtocolError,
+    SeatTakenError,
     StaleSessionError,
     StaleTermError,
     StaleTickError,
@@ -76,6 +77,10 @@ class ServerCore:
             return
         if roll.waiting(join.session) is not None:
             roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
+            return
+        if roll.others_of(peer, join.claim):
+            error = SeatTakenError("this connection has a seat; expected a connection of its own for each client")
+            self.cycle.send(peer, m.failure_of(error, join.session))
             return
         found = admission(join, self.cycle.rules, roll, (self.cycle.epoch, self.cycle.tick))
         if isinstance(found, Admission):
@@ -169,8 +174,12 @@ class ServerCore:
     def _answer_stranger(self, peer: Peer, message: m.Request) -> None:
         roll, session = self.cycle.roll, message.session
         if isinstance(message, m.Leave):
+            waits = roll.waiting(session) is not None
             roll.pending = [p for p in roll.pending if p.session != session]
-            roll.retire(session)
+            if waits:
+                roll.retire(session)
+            elif session not in roll.retired:
+                roll.never_came(session)
             self.cycle.send(peer, m.Bye(session))
         elif roll.waiting(session) is None:
             error: WcsimError = StaleSessionError(

@@ -6,6 +6,7 @@ A folder of keys: `server.secret`, `server.public`, and for each client that may
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shutil
@@ -20,6 +21,8 @@ import zmq.auth
 from zmq.auth.thread import ThreadAuthenticator
 
 from wcsim.errors import ConfigError
+
+log = logging.getLogger("wcsim.server.curve")
 
 CLIENTS = "clients"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -77,18 +80,11 @@ def server_public(folder: Path) -> bytes:
     return _load(folder / "server.public")[0]
 
 
-def authenticator(context: zmq.Context[zmq.Socket[bytes]], folder: Path) -> ThreadAuthenticator:
-    """Lets in, over the sockets of a context, the clients whose public keys are in the folder; to be stopped.
-
-    Raises:
-        ConfigError: There is none, or a file is no key.
-    """
-    known = frozenset(_load(path)[0] for path in sorted((folder / CLIENTS).glob("*.public")))
-    if not known:
-        raise ConfigError(f"{folder / CLIENTS}: no NAME.public of any client; expected one for each that may join")
+def authenticator(context: zmq.Context[zmq.Socket[bytes]], known: KnownKeys) -> ThreadAuthenticator:
+    """Lets in, over the sockets of a context, the clients with these keys; to be stopped."""
     guard = ThreadAuthenticator(context)
     guard.start()
-    guard.configure_curve_callback("*", _AllowList(known))
+    guard.configure_curve_callback("*", known)
     return guard
 
 
@@ -113,16 +109,44 @@ def is_loopback(address: str) -> bool:
         return False
 
 
-class _AllowList:
-    """What zmq.auth asks whether a client may come in."""
+class KnownKeys:
+    """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
 
-    def __init__(self, known: frozenset[bytes]) -> None:
-        self._known = known
+    A connection that stands already goes on until it ends.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Raises ConfigError when there is no key, or a file is none."""
+        self._folder = folder / CLIENTS
+        self._names: dict[str, str] = {}  # by public key, in text form
+        self._read_ns = -1
+        self._read()
+        if not self._names:
+            raise ConfigError(f"{self._folder}: no NAME.public of any client; expected one for each that may join")
+
+    def name(self, key: str) -> str:
+        """Whose key this is, "" for one that is not known any more."""
+        return self._names.get(key, "")
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """Whether a client with this public key (in text form) may."""
+        """What zmq.auth asks, in a thread of its own: whether a client with this public key (in text form) may come."""
         del domain
-        return key in self._known
+        try:
+            self._read()
+        except ConfigError as error:
+            log.error("nobody is let in: %s", error)
+            return False
+        return key.decode("ascii", "replace") in self._names
+
+    def _read(self) -> None:
+        try:
+            changed_ns = self._folder.stat().st_mtime_ns
+        except OSError:
+            changed_ns = 0
+        if changed_ns != self._read_ns:
+            files = sorted(self._folder.glob("*.public"))
+            self._names = {_load(path)[0].decode("ascii"): path.stem for path in files if _NAME.fullmatch(path.stem)}
+            self._read_ns = changed_ns
 
 
 def _make_pair(folder: Path, name: str) -> None:

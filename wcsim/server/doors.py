@@ -12,25 +12,35 @@ import select
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
 from wcsim.errors import ConfigError
 from wcsim.server import messages as m
-from wcsim.server.curve import authenticator, is_loopback, server_keys
+from wcsim.server.curve import KnownKeys, authenticator, is_loopback, server_keys
 from wcsim.server.events import Peer
 
 log = logging.getLogger("wcsim.server.doors")
 
 LOCAL, REMOTE = b"L", b"R"  # first byte of a peer's name: which door it came through
-QUEUE = 128  # messages to a peer that does not read; messages of a peer that are not read yet
+QUEUE = 128  # messages of a peer that are not read yet: 1 MiB at most
+SEND_QUEUE = {LOCAL: 128, REMOTE: 16}  # to a peer that does not read; over the network pictures are inside
 LINGER_MS = 500
 BATCH = 256  # messages that are taken in at a time
+HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES = 107
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
+
+
+class Heard(NamedTuple):
+    """A message; `key` is the name of the key that its peer has shown, "" where none is asked for."""
+
+    peer: Peer
+    data: bytes
+    key: str
 
 
 class Doors:
@@ -52,6 +62,7 @@ class Doors:
         self._watched: set[int] = set()
         self._empty: set[bytes] = set()  # doors that had no news when they were last touched
         self._guard: ThreadAuthenticator | None = None
+        self._keys: KnownKeys | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
             self._open(LOCAL, _ipc(endpoint), None)
@@ -82,7 +93,7 @@ class Doors:
         self._empty.clear()
         return any(number in self._watched for number, _ in self._wakes.poll(1e-3 * most_ms))
 
-    def messages(self) -> Iterator[tuple[Peer, bytes]]:
+    def messages(self) -> Iterator[Heard]:
         """What has come, not more than a batch of each door; what has not one part is empty."""
         for door, socket in self._sockets.items():
             for _ in range(BATCH):
@@ -92,7 +103,8 @@ class Doors:
                 peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
                 if last.more:
                     socket.recv_multipart(_NOW)
-                yield door + peer, b"" if last.more else last.bytes
+                key = "" if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
+                yield Heard(door + peer, b"" if last.more else last.bytes, key)
 
     def send(self, peer: Peer, parts: Sequence[bytes]) -> None:
         """Send messages together, or drop them when the peer is gone or does not read."""
@@ -134,7 +146,8 @@ class Doors:
             self._open(REMOTE, address, None)
             return
         is_loopback(address)
-        self._guard = authenticator(self._context, Path(keys))
+        self._keys = KnownKeys(Path(keys))
+        self._guard = authenticator(self._context, self._keys)
         self._open(REMOTE, address, Path(keys))
 
     def _open(self, door: bytes, address: str, keys: Path | None) -> None:
@@ -142,11 +155,12 @@ class Doors:
         self._sockets[door] = socket
         socket.setsockopt(zmq.LINGER, LINGER_MS)
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
-        socket.setsockopt(zmq.SNDHWM, QUEUE)
+        socket.setsockopt(zmq.SNDHWM, SEND_QUEUE[door])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
         if door == REMOTE:  # a machine that vanished says nothing
             socket.setsockopt(zmq.HEARTBEAT_IVL, 5_000)
             socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 60_000)
+            socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
         if keys is not None:
             pair = server_keys(keys)
             socket.curve_server = True

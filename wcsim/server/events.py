@@ -39,6 +39,7 @@ class Rules:
     rejoin_s: float = 30.0  # so long a seat waits for its client after an exact recovery
     notice_s: float = 1.0  # how often those who wait are told for whom
     max_think_s: float | None = None  # a client that takes longer for an action is given up, alive or not
+    recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may ask for; None: any
 
 
 # --- what happens ---

@@ -7,6 +7,7 @@ computed again from the journal, whatever dies when.
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from typing import Protocol
 
 import msgspec
 
-from wcsim.errors import WcsimError
+from wcsim.errors import PhysicsError, WcsimError
 from wcsim.physics.camera import ImageSink, copied
 from wcsim.server import messages as m
 from wcsim.server.core import ServerCore
@@ -34,8 +35,9 @@ from wcsim.server.events import (
     Stepped,
 )
 from wcsim.server.journal_records import Admitted, Dismissed, EpochBegun, JournalRecord, Respawned, Ticked
-from wcsim.supervisor.recorded import find_user
 from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot
+
+log = logging.getLogger("wcsim.server.hub")
 
 Post = Callable[[Peer, m.Reply], None]
 Keep = Callable[[JournalRecord], None]
@@ -111,11 +113,6 @@ class Hub:
         """
         if isinstance(event, Received) and isinstance(event.message, m.Join):
             join = event.message
-            try:
-                find_user(join.spec.profile)
-            except WcsimError as error:
-                self._post(event.peer, m.failure_of(error, join.session))
-                return
             event = Received(event.peer, msgspec.structs.replace(join, claim=sealed(join.claim)))
         todo: deque[Effect] = deque(self.core.handle(event, now_s))
         while todo:
@@ -153,8 +150,10 @@ class Hub:
         self._turn(now.tick)
         try:
             client = self.world.admit(admit.seat, admit.spec, self._sink)
-        except WcsimError as error:
-            return self._refuse(admit.seat, error, now_s)
+        except Exception as error:  # whatever a client asks for, nobody else's world ends of it
+            if self.world.snapshot is not now:
+                raise
+            return self._refuse(admit.seat, _as_refusal(error), now_s)
         self._frames[admit.seat] = client
         member = self.core.cycle.roll.at(admit.seat)
         claim = "" if member is None else member.claim.hex()
@@ -219,5 +218,13 @@ class Hub:
 
 
 def sealed(claim: bytes) -> bytes:
-    """A claim as a core and a journal keep it: enough to know it again, of no use to who reads it."""
-    return hashlib.blake2b(claim, digest_size=16).digest()
+    """A claim as a core and a journal keep it: enough to know it again, of no use to who reads it; none stays none."""
+    return hashlib.blake2b(claim, digest_size=16).digest() if claim else b""
+
+
+def _as_refusal(error: Exception) -> WcsimError:
+    """An error as one that a client may see."""
+    if isinstance(error, WcsimError):
+        return error
+    log.error("a client's chair could not be put into the street", exc_info=error)
+    return PhysicsError(f"the world cannot take this chair ({type(error).__name__}); ask for another start or user")

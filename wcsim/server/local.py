@@ -28,7 +28,13 @@ NEVER_S = 1e12
 def local_rules(capacity: int, expected: int = 1) -> Rules:
     """Nobody can hang or die alone in a process of its own."""
     return Rules(
-        capacity=capacity, expected=expected, gather_s=NEVER_S, lease_s=NEVER_S, tick_lease_s=NEVER_S, notice_s=NEVER_S
+        capacity=capacity,
+        expected=expected,
+        gather_s=NEVER_S,
+        lease_s=NEVER_S,
+        tick_lease_s=NEVER_S,
+        notice_s=NEVER_S,
+        recordings=None,
     )
 
 
@@ -47,7 +53,7 @@ class LocalServer:
     def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> LocalSeat:
         """A link to a seat; it has to join."""
         peer = f"local-{self._made}".encode()
-        ask = Ask(claim=peer, name=name or f"client {self._made}", spec=spec, seat=seat)
+        ask = Ask(claim=peer, name=name or f"client-{self._made}", spec=spec, seat=seat)
         self._made += 1
         self._links[peer] = LocalSeat(self, peer, ask)
         return self._links[peer]

@@ -60,6 +60,8 @@ class Roll:
     pending: list[Pending] = field(default_factory=list)
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    strangers: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    """Sessions that left before they joined. A list of its own, so that strangers cannot flush the one above."""
 
     def member(self, session: bytes) -> Member | None:
         """The member of this session."""
@@ -79,6 +81,11 @@ class Roll:
     def waiting_at(self, seat: int) -> Pending | None:
         """Who waits for this seat."""
         return next((p for p in self.pending if p.seat == seat), None)
+
+    def others_of(self, peer: Peer, claim: bytes) -> bool:
+        """Whether somebody of another claim speaks through the same connection."""
+        everyone: list[Member | Pending] = [*self.members, *self.pending]
+        return any(entry.peer == peer and (not claim or entry.claim != claim) for entry in everyone)
 
     def claimed(self, claim: bytes) -> int | None:
         """The seat that somebody with this claim has or waits for."""
@@ -103,6 +110,15 @@ class Roll:
         if session and session not in self.retired:
             self.retired.append(session)
 
+    def never_came(self, session: bytes) -> None:
+        """Remember a session that is over before it began, so that a join that comes late finds nobody at home."""
+        if session not in self.strangers:
+            self.strangers.append(session)
+
+    def is_over(self, session: bytes) -> bool:
+        """Whether nothing can come of this session any more."""
+        return session in self.retired or session in self.strangers
+
     def copied(self) -> Roll:
         """A copy that shares nothing that changes."""
         return Roll(
@@ -110,4 +126,5 @@ class Roll:
             list(self.pending),
             dict(self.going),
             deque(self.retired, maxlen=REMEMBERED),
+            deque(self.strangers, maxlen=REMEMBERED),
         )

@@ -15,7 +15,8 @@ from wcsim.errors import OverloadedError, WcsimError
 from wcsim.server import messages as m
 from wcsim.server.awake import AwakeClock
 from wcsim.server.core import ServerCore
-from wcsim.server.doors import LOCAL, REMOTE, Doors
+from wcsim.server.doors import LOCAL, REMOTE, Doors, Heard
+from wcsim.server.entry import at_the_door
 from wcsim.server.events import Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.hub import Hub, Keep, SeatWorld
 from wcsim.server.lifeline import Lifelines
@@ -78,8 +79,8 @@ class ServerLoop:
     def _turn(self) -> None:
         woken = self._doors.wait(WAIT_MS)
         self._clock.look(time.monotonic())
-        for peer, data in self._doors.messages():
-            self._hear(peer, data)
+        for heard in self._doors.messages():
+            self._hear(heard)
         due = self._clock.now_s - self._clock_s >= CLOCK_S
         if woken or due:
             lost, self._alone = self._lifelines.news()
@@ -91,14 +92,17 @@ class ServerLoop:
             self._lifelines.keep({p.session for p in self._present()})
             self._reporter.report(self._core, self._hub, self._clock.now_s)
 
-    def _hear(self, peer: Peer, data: bytes) -> None:
-        heard = self._peers.hears(peer, self._clock.now_s, self._present_peers)
-        if not heard:
-            if heard is not None:
+    def _hear(self, heard: Heard) -> None:
+        peer = heard.peer
+        may_speak = self._peers.hears(peer, self._clock.now_s, self._present_peers)
+        if not may_speak:
+            if may_speak is not None:
                 self._refuse(peer, OverloadedError("too many messages a second; wait for the answers"))
             return
         try:
-            message = m.decode_request(data)
+            message = m.decode_request(heard.data)
+            if isinstance(message, m.Join):
+                message = at_the_door(message, peer.startswith(REMOTE), heard.key)
         except WcsimError as error:
             self._peers.fault(peer)
             self._refuse(peer, error)

@@ -108,6 +108,8 @@ class SocketSeat(SeatLink):
 
     def _welcomed(self, welcome: m.Welcome) -> None:
         self._world = WorldOffer(config_json=welcome.config_json, town=welcome.town)
+        if welcome.ring and not self._order.endpoint.startswith("ipc://"):
+            raise ProtocolError("the server names a file of this machine; expected none over the network")
         self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
 
     def _end(self) -> None:

@@ -47,6 +47,13 @@ class Router:
         edges = np.concatenate([np.full(len(piece), index, np.int32) for index, piece in best])
         return _resampled(points_m, edges)
 
+    def away_m(self, xy: XY) -> float:
+        """How far a place is from the network; infinite for one that is no place."""
+        if not np.isfinite(xy).all():
+            return float("inf")
+        point = shapely.Point(xy)
+        return float(shapely.distance(self._lines[int(self._tree.nearest(point))], point))
+
     def random_start(self, rng: np.random.Generator) -> tuple[XY, float]:
         """A place on a pavement, every metre equally likely, and the direction (rad) along it, either way."""
         weights = self._length_m[self._starts]

@@ -1,0 +1,45 @@
+"""What a field of a message may hold. Every field has one of these types, so nothing comes in without a bound."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+SESSION_BYTES = 16
+MOST_SEATS = 64  # of a world
+MOST_CAMERAS = 64
+MOST_CONTACTS = 4096  # of a chair in a tick
+MOST_TEXT = 4000  # characters of a message for people
+MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
+MAX_SEED = (1 << 63) - 1
+MAX_PROCESS = 1 << 22  # of Linux
+MOST_PICTURE_BYTES = 2048 * 2048 * 4
+
+Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
+SessionOrNone = Annotated[bytes, msgspec.Meta(max_length=SESSION_BYTES)]  # b"" where it is not known
+Claim = Annotated[bytes, msgspec.Meta(max_length=128)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
+CountOrNone = Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=MAX_SEED)]
+Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
+SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
+Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
+Process = Annotated[int, msgspec.Meta(ge=0, le=MAX_PROCESS)]
+Steps = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]  # as env.max_steps
+Pixels = Annotated[int, msgspec.Meta(ge=0, le=2048)]
+Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks
+# A stick beyond its range is the core's to refuse, by name; here only what is no position at all.
+Stick = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
+Metres = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Radians = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
+Number = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
+Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
+Hash = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[0-9a-z]*\Z")]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.-]+\Z")]
+NameOrNone = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[A-Za-z0-9_.-]*\Z")]
+Key = Annotated[str, msgspec.Meta(max_length=128, pattern=r"\A[A-Za-z0-9_.*-]*\Z")]
+Line = Annotated[str, msgspec.Meta(max_length=256, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
+Place = Annotated[str, msgspec.Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
+Text = Annotated[str, msgspec.Meta(max_length=MOST_TEXT)]  # printed only as `reading.shown` gives it
+Document = Annotated[str, msgspec.Meta(max_length=1 << 20)]
