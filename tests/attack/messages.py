@@ -131,13 +131,15 @@ def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     try:
         for number in range(count):
             rng = np.random.default_rng((seed, number))
-            data = _hostile(kinds, siege, rng)
+            cycle = siege.core.cycle
+            data = hostile_request(kinds, rng, cycle.epoch, cycle.tick)
             yield Case(area="server", name=f"{seed} {number}: {data[:60]!r}", feed=lambda data=data: siege.attack(data))
     finally:
         siege.close()
 
 
-def _hostile(kinds: list[Any], siege: Besieged, rng: np.random.Generator) -> bytes:
+def hostile_request(kinds: list[Any], rng: np.random.Generator, epoch: int, tick: int) -> bytes:
+    """A request to a server at about this tick: spoilt, or sound but for what it says."""
     way = int(rng.integers(4))
     if way == 0:
         return spoilt(kinds[int(rng.integers(len(kinds)))], rng)
@@ -149,7 +151,7 @@ def _hostile(kinds: list[Any], siege: Besieged, rng: np.random.Generator) -> byt
         seat = (m.ANY_SEAT, 0, 1, 2, 3, -2, 99)[int(rng.integers(7))]
         return m.encode(msgspec.structs.replace(join, spec=spec, seat=seat, pid=int(rng.integers(1 << 22))))
     session = (SESSION[:15], rng.bytes(16), rng.bytes(16))[int(rng.integers(3))]
-    epoch, tick = siege.core.cycle.epoch + int(rng.integers(-1, 2)), siege.core.cycle.tick + int(rng.integers(-2, 3))
+    epoch, tick = epoch + int(rng.integers(-1, 2)), tick + int(rng.integers(-2, 3))
     said: tuple[m.Request, ...] = (
         m.Act(session, epoch, tick, 0, float(rng.normal()), math.nan),
         m.Tick(session, epoch, tick, 1),

@@ -119,6 +119,20 @@ def test_a_connection_has_one_seat(town: Town) -> None:
     assert town.goes_on()
 
 
+def test_nobody_waits_for_a_client_that_is_not_heard_any_more(tmp_path: Path) -> None:
+    rules = Rules(capacity=2, expected=2, gather_s=60.0, lease_s=1e6, notice_s=60.0)
+    with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ThreadPoolExecutor() as pool:
+        server.status()
+        with open_seat(server.seat("honest")) as honest, Attacker(server.order.endpoint) as peer:
+            joining = pool.submit(honest.join)
+            peer.shout(a_join(name="mad"))
+            seen = joining.result()
+            for _ in range(30):
+                peer.shout(b"garbage")
+            assert honest.act(seen.tick, AHEAD).tick == seen.tick + 1
+        assert server.process.poll() is None
+
+
 def test_an_empty_claim_takes_no_seat_of_another_empty_claim(tmp_path: Path) -> None:
     rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=60.0)
     order = stand_in_order(tmp_path, rules=rules)

@@ -8,20 +8,23 @@ from importlib.metadata import version
 from pathlib import Path
 
 PACKAGES = ("libsumo", "pybullet", "numpy")
-VECTOR_UNITS = ("avx2", "fma", "avx512f")  # numpy's sines and cosines differ in the last bit between these
+CPU_KIND = ("vendor_id", "cpu family", "model")
+"""Two kinds of the same vector units still differ in the last bit: numpy, its linear algebra and numba go by kind."""
 
 
 def fingerprint() -> str:
-    """Versions of what computes a trace, the CPU's vector units, and whether the C library is pinned to common code."""
+    """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned to common code."""
     pinned = "pinned" if "hwcaps" in os.environ.get("GLIBC_TUNABLES", "") else "unpinned"
     libc = "-".join(platform.libc_ver())
     versions = (f"{name}-{version(name)}" for name in PACKAGES)
-    return " ".join([*versions, libc, platform.machine(), *_vector_units(), pinned])
+    return " ".join([*versions, libc, platform.machine(), _cpu_kind(), pinned])
 
 
-def _vector_units() -> tuple[str, ...]:
+def _cpu_kind() -> str:
     try:
-        flags = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("flags")[2].partition("\n")[0].split()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        return ("unknown-cpu",)
-    return tuple(unit for unit in VECTOR_UNITS if unit in flags)
+        return "unknown-cpu"
+    named = [line.partition(":") for line in lines]
+    first = {name.strip(): value.strip() for name, _, value in reversed(named)}
+    return "-".join(first.get(name, "?") for name in CPU_KIND)

@@ -74,7 +74,7 @@ class LocalGroup(SeatGroup):
 
     def _connect(self) -> None:
         seats = range(self._order.seats)
-        self.links = [self._server.link(self._order.seat, seat, f"chair {seat}") for seat in seats]
+        self.links = [self._server.link(self._order.seat, seat, f"chair-{seat}") for seat in seats]
 
 
 def open_group(order: WorldOrder) -> SeatGroup:

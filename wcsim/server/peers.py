@@ -54,6 +54,11 @@ class Peers:
         if account is not None:
             account.faults += 1
 
+    def is_shut_out(self, peer: Peer) -> bool:
+        """Whether nothing of the peer is heard any more."""
+        account = self._accounts.get(peer)
+        return account is not None and account.faults >= MOST_FAULTS
+
     def _opened(self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]) -> _Account | None:
         if len(self._accounts) >= MAX_PEERS:
             kept = members()

@@ -31,4 +31,4 @@ class ProcessGroup(SeatGroup):
     def _connect(self, seed: int) -> None:
         order = self._order
         self._child = WorldChild(replace(order, seed=seed), expected=order.seats)
-        self.links = [ChildSeat(self._child, order.seat, seat, f"chair {seat}") for seat in range(order.seats)]
+        self.links = [ChildSeat(self._child, order.seat, seat, f"chair-{seat}") for seat in range(order.seats)]

@@ -98,6 +98,7 @@ class ServerLoop:
         if not may_speak:
             if may_speak is not None:
                 self._refuse(peer, OverloadedError("too many messages a second; wait for the answers"))
+                self._shut_out(peer)
             return
         try:
             message = m.decode_request(heard.data)
@@ -106,12 +107,19 @@ class ServerLoop:
         except WcsimError as error:
             self._peers.fault(peer)
             self._refuse(peer, error)
+            self._shut_out(peer)
             return
         if isinstance(message, m.Rebuild):
             self._reporter.loading()  # whoever watches this process must know that it takes its time
         self._feed(Received(peer, message))
         if isinstance(message, m.Join) and message.pid > 0 and peer.startswith(LOCAL):
             self._watch(message)
+
+    def _shut_out(self, peer: Peer) -> None:
+        """Who is not heard any more cannot act: nobody shall wait for it."""
+        if self._peers.is_shut_out(peer):
+            for session in [p.session for p in self._present() if p.peer == peer]:
+                self._feed(Lost(session, "it sent too much, or too much that cannot be read"))
 
     def _feed(self, event: Event) -> None:
         ticks = self._hub.ticks
