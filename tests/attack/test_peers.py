@@ -8,17 +8,21 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.attack.messages import hostile_request
 from tests.attack.peers import Attacker, a_join, real_order, refusal
+from tests.attack.wire import shapes
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.server import messages as m
 from wcsim.server.client_core import Phase
 from wcsim.server.curve import make_keys
 from wcsim.server.events import Rules
 from wcsim.server.socket_link import SocketSeat, open_seat
-from wcsim.types import SeatSpec, StartSpec
+from wcsim.types import Joystick, SeatSpec, StartSpec
 
+AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
 NAN, INF = math.nan, math.inf
 STARTS = [
     StartSpec(p_W_m=(NAN, NAN), yaw_rad=0.0, goal_W_m=(0.0, 0.0)),
@@ -190,3 +194,26 @@ def test_what_strangers_say_does_not_grow_the_world(tmp_path: Path) -> None:
                     peer.shout(m.Beat(os.urandom((1 << 20) - 64), 1))
         assert honest.act(seen.tick, AHEAD).tick == seen.tick + 1
         assert server.status().rss_mb - before_mb < 16.0
+
+
+@pytest.mark.proof
+def test_fifty_thousand_hostile_messages_leave_the_world_as_large_as_it_was(corner: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    kinds = [shape for shape in shapes() if shape.request]
+    with Server(real_order(corner, tmp_path, seats=1), tmp_path) as server:  # a guest who stays would hold it
+        network = server.status().listening
+        with open_seat(server.seat("honest")) as honest:
+            seen = honest.join()
+            for _ in range(300):  # a world has met its street by then
+                seen = honest.act(seen.tick, (seen.first or seen).user)
+            before_mb = server.status().rss_mb
+            for number in range(2000):
+                with Attacker(network if number % 2 else server.order.endpoint) as peer:
+                    for _ in range(25):
+                        peer.shout(hostile_request(kinds, rng, 0, seen.tick))
+                    peer.answers(within_ms=200)
+                if number % 10 == 0:
+                    seen = honest.act(seen.tick, AHEAD_A_LITTLE)
+            assert server.status().members == ("honest",)
+            assert server.status().rss_mb - before_mb < 16.0
+        assert server.process.poll() is None

@@ -155,8 +155,8 @@ def _copied(value: Any) -> Any:
 def _put(message: list[Any], place: Sequence[int], value: Any) -> None:
     *above, last = place
     for index in above:
-        inner = message[index]
-        if not isinstance(inner, list) or index >= len(message):
+        inner = message[index] if index < len(message) else None
+        if not isinstance(inner, list):
             return
         message = inner
     if last < len(message):
