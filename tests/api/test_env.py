@@ -194,7 +194,7 @@ def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(
         "world = two.unwrapped._link._child.process; world.kill(); world.wait()\n"
         "two.step(44)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 1
     assert done.stderr.strip().splitlines()[-1].startswith("wcsim.errors.LinkClosedError: the world process ended")
 
