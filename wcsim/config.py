@@ -35,6 +35,7 @@ CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 <
 _JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
 _VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
 MAX_SEEN_PX = 1 << 22  # of all images in an observation
+MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
 MAX_CAMERAS = 64  # as many as a frame of a served world has room for
 MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
 _FAULTS = 12  # that are told of one file
@@ -243,6 +244,12 @@ class RunConfig(Model):
                 f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
                 f"{sizes_px[0] * self.env.frames}; expected at most {MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
                 "width_px and height_px smaller, or env.window"
+            )
+        batch = max(self.learn.batch_size, self.learn.aid_batch)
+        if sizes_px[0] * self.env.frames * batch > MAX_BATCH_PX:
+            raise ValueError(
+                f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
+                f"{MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
             )
         return self
 

@@ -4,7 +4,9 @@ import pytest
 
 from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_overrides
 from wcsim.errors import ConfigError
+from wcsim.plant_file import PlantFile
 from wcsim.reading import parse_toml
+from wcsim.run_file import ManifestFile, PolicyFile
 from wcsim.scene_file import SceneFile
 
 
@@ -149,3 +151,39 @@ def test_few_of_many_faults_are_told():
     with pytest.raises(ConfigError, match="and 988 more") as caught:
         parse(RunConfig, {f"x{number}": 1 for number in range(1000)}, "here")
     assert len(str(caught.value)) < 2000
+
+
+def test_a_batch_that_would_fill_the_memory_is_refused():
+    for key in ("learn.batch_size", "learn.aid_batch"):
+        with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
+            load_run_config("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", f"{key}=4096"))
+
+
+def unbounded(schema, definitions, where=""):
+    """Where a file could hold anything: texts, numbers, lists and tables without a bound."""
+    schema = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+    if {"enum", "const", "pattern", "anyOf"} & schema.keys():
+        return [name for part in schema.get("anyOf", ()) for name in unbounded(part, definitions, where)]
+    match schema.get("type"):
+        case "string":
+            return [] if "maxLength" in schema else [where]
+        case "integer" | "number":
+            low, high = {"minimum", "exclusiveMinimum"}, {"maximum", "exclusiveMaximum"}
+            return [] if low & schema.keys() and high & schema.keys() else [where]
+        case "array":
+            parts = [*schema.get("prefixItems", ()), schema.get("items", {"enum": []})]
+            found = [name for part in parts if part for name in unbounded(part, definitions, f"{where}[]")]
+            return found if "maxItems" in schema else [where, *found]
+        case "object" if "properties" in schema:
+            parts = schema["properties"].items()
+            return [name for key, part in parts for name in unbounded(part, definitions, f"{where}.{key}")]
+        case "object":
+            found = unbounded(schema["additionalProperties"], definitions, f"{where}.*")
+            return found if "maxProperties" in schema else [where, *found]
+    return []
+
+
+@pytest.mark.parametrize("model", [RunConfig, PlantFile, SceneFile, TownFile, PolicyFile, ManifestFile])
+def test_every_field_of_every_file_has_bounds(model):
+    schema = model.model_json_schema()
+    assert unbounded(schema, schema.get("$defs", {})) == []

@@ -35,7 +35,7 @@ MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv
 PLANT = "plant.toml"
 CHECKPOINTS, POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
-_KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=16 << 20, error=PolicyError)
+_KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
 
