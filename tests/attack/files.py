@@ -17,6 +17,7 @@ import numpy as np
 from tests.attack.outcomes import Case
 from tests.attack.twists import (
     NASTY,
+    PATIENCE_S,
     PLACES,
     Rng,
     cleared,
@@ -32,10 +33,12 @@ from tests.attack.twists import (
 )
 from wcsim.agents.face import make_face
 from wcsim.agents.runfolder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
+from wcsim.bridge.fcd import write_fcd
 from wcsim.bridge.records import framed, whole_records
 from wcsim.bridge.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
+from wcsim.errors import WcsimError
 from wcsim.physics.plant import plant_spec
 from wcsim.plant_file import plant_text, read_plant
 from wcsim.scene_file import SceneFile
@@ -111,6 +114,8 @@ def _take_trace(path: Path) -> bool:
     header, ticks = read_trace(path)
     _write_trace(path, header, ticks)
     found, again = read_trace(path)
+    with suppress(WcsimError):  # there may be no tick of epoch 0
+        write_fcd(path, path)
     return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
 
 
@@ -260,16 +265,19 @@ def _file_case(kind: Family, rng: Rng, number: int, work: Path) -> Case:
     how = integer(rng, 20)
     if how == 0:
         place = pick(rng, sorted(PLACES))
-        return Case(area=kind.name, name=f"{number}: {place}", feed=functools.partial(_feed, kind, path, PLACES[place]))
+        return _case(kind, number, place, functools.partial(_feed, kind, path, PLACES[place]))
     if how == 1:
         wrong = pick(rng, (work / f"x\0{kind.file}", work / ("a" * 300) / kind.file, work / kind.file / "deeper"))
-        return Case(area=kind.name, name=f"{number}: an odd path", feed=functools.partial(kind.take, wrong))
+        return _case(kind, number, "an odd path", functools.partial(kind.take, wrong))
     if how == 2:
         data, told = kind.sound, "sound"
     else:
         data, told = spoiled(kind.sound, rng) if how < 9 else kind.twist(rng)
-    feed = functools.partial(_feed, kind, path, lambda place: place.write_bytes(data))
-    return Case(area=kind.name, name=f"{number}: {told}", feed=feed)
+    return _case(kind, number, told, functools.partial(_feed, kind, path, lambda place: place.write_bytes(data)))
+
+
+def _case(kind: Family, number: int, told: str, feed: Callable[[], bool]) -> Case:
+    return Case(area=kind.name, name=f"{number}: {told}", feed=feed, limit_s=PATIENCE_S)
 
 
 def _feed(kind: Family, path: Path, lay: Callable[[Path], object]) -> bool:
@@ -295,5 +303,5 @@ def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case
         find_user(made.env.profile)
         return take_config(made) and load_run_config("quick", (text,)).digest() != ""
 
-    return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed)
+    return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed, limit_s=PATIENCE_S)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.agents.toy import ToyStreet, toy_camera
 from tests.attack.outcomes import Case
-from tests.attack.twists import NASTY, PLACES, Rng, cleared, integer, json_text, pick, spoiled, twisted
+from tests.attack.twists import NASTY, PATIENCE_S, PLACES, Rng, cleared, integer, json_text, pick, spoiled, twisted
 from wcsim.agents.build import build_model
 from wcsim.agents.export import WEIGHTS, load_policy, save_policy
 from wcsim.agents.policy_file import POLICY_JSON
@@ -24,6 +24,7 @@ from wcsim.config import LearnConfig, RunConfig
 CAMERA = toy_camera(24, 32)
 WIDTHS = {"F64": 8, "F32": 4, "F16": 2, "BF16": 2, "I64": 8, "I32": 4, "I16": 2, "I8": 1, "U8": 1, "BOOL": 1,
           "F8_E4M3": 1, "F8_E5M2": 1, "C64": 8, "U64": 8, "F4": 1, "x": 4, "": 4}  # fmt: skip
+SOUND_NETWORKS = ("patch", "small", "patch", "gru")
 SIZES = (0, 1, 7, 8, 64, 4096, 65_536, 10**7, 2**31, 2**63, 2**64 - 1)
 Tensors = dict[str, tuple[str, list[Any], bytes]]  # type, shape and bytes of each
 Change = Callable[[Tensors, Rng], tuple[Tensors, str]]
@@ -170,10 +171,11 @@ def _bad_header(tensors: Tensors, rng: Rng) -> tuple[bytes, str]:
 
 def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """So many hostile policies, one after the other, each in the same folder."""
-    sound = sound_policy(work)
-    tensors = unpacked(sound.weights)
+    sounds = [sound_policy(work, network) for network in SOUND_NETWORKS]
     for number in range(count):
         rng = np.random.default_rng([seed, number])
+        sound = sounds[number % len(sounds)]
+        tensors = unpacked(sound.weights)
         about, weights, told, lay = json_text(sound.about).encode(), sound.weights, "sound", None
         how = integer(rng, 20)
         if how < 5:
@@ -195,7 +197,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
             about = json_text({**sound.about, "weights_sha256": hashlib.sha256(weights).hexdigest()}).encode()
         area = "policy.json" if how < 8 else "weights"
         feed = functools.partial(_feed, sound, work / "p", {POLICY_JSON: about, WEIGHTS: weights}, lay)
-        yield Case(area=area, name=f"{number}: {told}", feed=feed)
+        yield Case(area=area, name=f"{number}: {told}", feed=feed, limit_s=PATIENCE_S)
 
 
 def _other_description(about: dict[str, Any], rng: Rng) -> tuple[dict[str, Any], str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from copy import deepcopy
@@ -12,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+PATIENCE_S = 60.0  # on a machine with other work; an input takes some milliseconds
 Rng = np.random.Generator
 Data = dict[str, Any]
+_KEY = re.compile(rb'"[^"\\]{1,40}": ')
 
 
 class Raw(str):
@@ -161,8 +164,16 @@ def _a_line_twice(data: bytes, rng: Rng) -> bytes:
     return b"".join([*lines[: at + 1], lines[at], *lines[at + 1 :]])
 
 
+def _a_key_twice(data: bytes, rng: Rng) -> bytes:
+    keys = list(_KEY.finditer(data))
+    if not keys:
+        return _a_line_twice(data, rng)
+    key = pick(rng, keys)
+    return data[: key.start()] + key[0] + pick(rng, (b"0, ", b'"x", ', b"{}, ", b"[], ")) + data[key.start() :]
+
+
 BYTES: tuple[Callable[[bytes, Rng], bytes], ...] = (
-    _flip, _flip, _splice, _insert, _insert, _encoded, _a_line_twice,
+    _flip, _flip, _splice, _insert, _insert, _encoded, _a_line_twice, _a_key_twice,
     lambda data, rng: data[: integer(rng, len(data))],
     lambda data, rng: data[integer(rng, len(data)) :],
     lambda data, rng: bytes(rng.bytes(integer(rng, 200))),
