@@ -29,7 +29,10 @@ BUDGET_S = {
     "view": 40,
     "wcsim": 15,
 }
-"""Seconds of test time a group may take, on two cores shared by three workers; all together under ten minutes."""
+"""Seconds of test time of a group, for an idle machine of the reference kind: two cores, shared by three workers.
+
+All together under ten minutes. They are printed, and no test fails by them: on another machine they say little.
+"""
 
 PROOF_TIMEOUT_S = 2400
 """A single proof may take minutes; this is for one that hangs."""

@@ -6,20 +6,22 @@ Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are 
 from __future__ import annotations
 
 import hashlib
-import json
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
+from wcsim import reading
 from wcsim.errors import ConfigError
 from wcsim.model import Finite as Finite
 from wcsim.model import Model as Model
 from wcsim.model import NotNegative as NotNegative
 from wcsim.model import Positive as Positive
 from wcsim.model import Share as Share
+from wcsim.model import Text as Text
+from wcsim.model import Word as Word
 from wcsim.model import fault
+from wcsim.reading import FileKind, shown
 from wcsim.sensors_file import CameraConfig as CameraConfig
 from wcsim.sensors_file import CameraNoiseConfig as CameraNoiseConfig
 from wcsim.sensors_file import ClassNoiseConfig as ClassNoiseConfig
@@ -29,7 +31,15 @@ from wcsim.sensors_file import ImuConfig as ImuConfig
 from wcsim.vary_file import VaryConfig as VaryConfig
 
 YAW_SLOWDOWN_S_PER_M = 0.6  # of every chair: its fastest turn falls as 1 / (1 + 0.6 v)
-MAX_CONFIG_BYTES = 1 << 20
+CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
+_JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
+_VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
+MAX_SEEN_PX = 1 << 22  # of all images in an observation
+MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
+MAX_CAMERAS = 64  # as many as a frame of a served world has room for
+MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
+_FAULTS = 12  # that are told of one file
+_PARTS = 16  # of a key of `--set`
 
 
 PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 2.78}
@@ -38,7 +48,7 @@ PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 
 class ChairConfig(Model):
     """The wheelchair as it is driven: its plant, and what its controller is programmed to."""
 
-    plant: str = "rwd"  # or "mwd", or the path of a .toml file
+    plant: Text = "rwd"  # or "mwd", or the path of a .toml file
     profile: Literal["custom", "indoor", "pavement", "road"] = "custom"  # a named v_max_mps
     v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67
     reverse_share: Share = 0.4
@@ -81,9 +91,9 @@ class WorldConfig(Model):
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
     attention_share: Share = 0.95
-    reaction_s: NotNegative = 0.7
-    brake_mps2: Positive = 4.5
-    clear_spawn_m: Positive = 2.0
+    reaction_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.7
+    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
+    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
 
     @model_validator(mode="after")
@@ -97,12 +107,16 @@ class WorldConfig(Model):
         return self
 
 
+JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
+LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
+
+
 class RewardConfig(Model):
     """Windows of Tables 1 and 2 of the paper, and the share of contacts that counts as a crash."""
 
     base: Finite = 1.0
-    max_follow_distance: Positive = 0.1768  # sqrt(0.125^2 + 0.125^2)
-    max_distance: Positive = 2.0
+    max_follow_distance: JoystickDistance = 0.1768  # sqrt(0.125^2 + 0.125^2)
+    max_distance: JoystickDistance = 2.0
     penalty: NotNegative = 2.0
     accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)
     roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)
@@ -113,12 +127,14 @@ class RewardConfig(Model):
     @model_validator(mode="after")
     def _windows_are_open(self) -> RewardConfig:
         windows = (self.accel_window_mps2, self.roll_window_deg, self.pitch_window_deg)
-        if any(low >= high for low, high in (*windows, (self.max_follow_distance, self.max_distance))):
+        if any(high - low < LEAST_WINDOW for low, high in (*windows, (self.max_follow_distance, self.max_distance))):
             raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
         return self
 
 
 Window = Annotated[int, Field(ge=1, le=16)]
+Steps = Annotated[int, Field(ge=1, le=10**9)]
+StepsOrNone = Annotated[int, Field(ge=0, le=10**9)]
 
 
 class EnvConfig(Model):
@@ -131,7 +147,7 @@ class EnvConfig(Model):
     window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
     actions: Literal["square81", "disc69"] = "square81"
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
-    profile: str = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
+    profile: Text = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
     truth: bool = False
 
     @model_validator(mode="after")
@@ -152,18 +168,18 @@ class EnvConfig(Model):
 class LearnConfig(Model):
     """Both learning phases."""
 
-    total_steps: Annotated[int, Field(ge=1)] = 20_000
-    phase1_steps: Annotated[int, Field(ge=0)] = 5_000
-    network: str = "small"
+    total_steps: Steps = 20_000
+    phase1_steps: StepsOrNone = 5_000
+    network: Word = "small"
     head: Literal["residual", "plain"] = "residual"
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
     learning_rate: Positive = 3e-4
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero
     batch_size: Annotated[int, Field(ge=1, le=4096)] = 32
-    replay_frames: Annotated[int, Field(ge=100)] = 50_000
-    learning_starts: Annotated[int, Field(ge=0)] = 500
-    train_every: Annotated[int, Field(ge=1)] = 4
-    gradient_steps: Annotated[int, Field(ge=1)] = 1
+    replay_frames: Annotated[int, Field(ge=100, le=10**7)] = 50_000
+    learning_starts: StepsOrNone = 500
+    train_every: Annotated[int, Field(ge=1, le=10**6)] = 4
+    gradient_steps: Annotated[int, Field(ge=1, le=10**4)] = 1
     n_step: Annotated[int, Field(ge=1, le=50)] = 5
     tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
     reward_scale: Positive = 0.05
@@ -172,7 +188,7 @@ class LearnConfig(Model):
     margin: NotNegative = 1.0
     margin_fade: Share = 0.25
     precrash_share: Share = 0.25
-    precrash_window: Annotated[int, Field(ge=1)] = 20
+    precrash_window: Annotated[int, Field(ge=1, le=10**6)] = 20
     exploration: Literal["local", "uniform"] = "local"
     epsilon_start: Share = 0.2
     epsilon_end: Share = 0.05
@@ -186,10 +202,10 @@ class LearnConfig(Model):
     aid_ahead: Annotated[int, Field(ge=0, le=50)] = 0  # steps before it ends badly in which an action is unsafe already
     aid_relabel: Share = 0.5  # of the aid's batch, with another joystick than the user's
     mirror: bool = False  # batches are mirrored left to right half of the time
-    checkpoint_every: Annotated[int, Field(ge=1)] = 5_000
+    checkpoint_every: Steps = 5_000
     threads: Annotated[int, Field(ge=1, le=64)] = 1
-    device: str = "cpu"
-    episode_steps: Annotated[int, Field(ge=1)] = 1_000
+    device: Word = "cpu"
+    episode_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1_000
 
 
 class RunConfig(Model):
@@ -197,7 +213,7 @@ class RunConfig(Model):
 
     world: WorldConfig = WorldConfig()
     chair: ChairConfig = ChairConfig()
-    cameras: tuple[CameraConfig, ...] = (CameraConfig(),)
+    cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1, max_length=MAX_CAMERAS)] = (CameraConfig(),)
     imu: ImuConfig = ImuConfig()
     reward: RewardConfig = RewardConfig()
     env: EnvConfig = EnvConfig()
@@ -216,8 +232,25 @@ class RunConfig(Model):
     @model_validator(mode="after")
     def _cameras_have_names_of_their_own(self) -> RunConfig:
         names = [camera.name for camera in self.cameras]
-        if not names or len(set(names)) != len(names):
-            raise ValueError(f"cameras are named {names}; expected at least one, each with a name of its own")
+        if len(set(names)) != len(names):
+            raise ValueError(f"cameras are named {names}; expected each to have a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _pictures_can_be_held(self) -> RunConfig:
+        sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
+        if sum(sizes_px) > MAX_CAMERAS_PX or sizes_px[0] * self.env.frames > MAX_SEEN_PX:
+            raise ValueError(
+                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
+                f"{sizes_px[0] * self.env.frames}; expected at most {MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
+                "width_px and height_px smaller, or env.window"
+            )
+        batch = max(self.learn.batch_size, self.learn.aid_batch)
+        if sizes_px[0] * self.env.frames * batch > MAX_BATCH_PX:
+            raise ValueError(
+                f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
+                f"{MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
+            )
         return self
 
     def digest(self) -> str:
@@ -231,46 +264,8 @@ class RunConfig(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
-
-
-class PriorFile(Model):
-    """The known follow reward inside a residual network."""
-
-    base: Finite
-    max_follow_distance: Positive
-    max_distance: Positive
-    penalty: NotNegative
-    reward_scale: Positive
-
-
-class NetFile(Model):
-    """The shape of an action-value network."""
-
-    network: Name
-    head: Literal["residual", "plain"]
-    dueling: bool
-    hidden: Annotated[int, Field(ge=1, le=65_536)]
-    actions: Literal["square81", "disc69"]
-    classes: Literal["cityscapes", "wcsim"]
-    prior: PriorFile
-
-
-class PolicyFile(Model):
-    """`policy.json`: everything about a trained policy but its weights."""
-
-    schema_version: Literal[1]
-    algorithm: Literal["SeqDQN"]
-    net: NetFile
-    image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
-    vector_size: Annotated[int, Field(ge=3, le=1024)]
-    window: Window = 1
-    camera: CameraConfig
-    reward_scale: Positive
-    manifest_sha256: Sha256 | Literal[""]
-    weights_sha256: Sha256
-    versions: dict[str, str] = Field(default_factory=dict)
+ChairWay = Literal["sidewalk", "crossing", "cycleway", "shared"]
+NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
 
 class TownFile(Model):
@@ -278,24 +273,24 @@ class TownFile(Model):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     split: Literal["train", "test", "scene"]
-    origin_m: tuple[int, int] = (0, 0)  # net coordinates of W's origin
+    origin_m: tuple[NetMetre, NetMetre] = (0, 0)  # net coordinates of W's origin
     kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
     lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    chair_ways: tuple[Literal["sidewalk", "crossing", "cycleway", "shared"], ...] = ("sidewalk", "crossing", "shared")
+    chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = ("sidewalk", "crossing", "shared")
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None
-    sumocfg: str = ""  # where the scenario lies, when it is not the only .sumocfg beside this file
-    source: str = ""
-    attribution: str = ""
-    rebuild: str = ""  # the command that makes the town again from what its folder holds
-    hashes: dict[str, str] = Field(default_factory=dict)
+    sumocfg: Text = ""  # where the scenario lies, when it is not the only .sumocfg beside this file
+    source: Text = ""
+    attribution: Text = ""
+    rebuild: Text = ""  # the command that makes the town again from what its folder holds
+    hashes: Annotated[dict[Text, Word], Field(max_length=4096)] = Field(default_factory=dict)
 
 
 M = TypeVar("M", bound=Model)
 
 
 def read_toml(path: Path, model: type[M]) -> M:
-    """Read a TOML file as `model`. Raises ConfigError with every fault and its place."""
-    return parse(model, _toml(path), str(path))
+    """Read a TOML file as `model`. Raises ConfigError with its faults and their places."""
+    return parse(model, reading.read_toml(path, CONFIG_FILE), shown(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:
@@ -303,16 +298,15 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(f"{where}: " + "; ".join(fault(model, item) for item in error.errors())) from None
+        found = error.errors()
+        told = [fault(model, item) for item in found[:_FAULTS]]
+        more = [f"and {len(found) - _FAULTS} more"] if len(found) > _FAULTS else []
+        raise ConfigError(f"{where}: " + "; ".join([*told, *more])) from None
 
 
 def parse_json(model: type[M], text: str, where: str) -> M:
     """Check JSON text as `parse` does its data."""
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{where}: is not JSON: {error}") from None
-    return parse(model, data, where)
+    return parse(model, reading.parse_json(text, where, _JSON), where)
 
 
 def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
@@ -321,49 +315,43 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
     path = folder / f"{preset}.toml"
     if not path.is_file():
         known = ", ".join(sorted(item.stem for item in folder.glob("*.toml")))
-        raise ConfigError(f"unknown preset {preset!r}; expected one of: {known}")
-    data = _toml(path)
+        raise ConfigError(f"unknown preset {shown(preset)!r}; expected one of: {known}")
+    data = reading.read_toml(path, CONFIG_FILE)
     where = f"preset {preset}"
     if file is not None:
-        data, where = _merged(data, _toml(file)), str(file)
-    for text in overrides:
-        data, where = _merged(data, _override(text)), f"--set {text}"
-    return parse(RunConfig, data, where)
+        data, where = _merged(data, reading.read_toml(file, CONFIG_FILE)), shown(file)
+    return _overridden(data, overrides, where)
 
 
 def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
     """A resolved configuration with `section.key=value` laid over it. Raises ConfigError as `load_run_config` does."""
-    data, where = config.model_dump(mode="json"), "configuration"
-    for text in overrides:
-        data, where = _merged(data, _override(text)), f"--set {text}"
-    return parse(RunConfig, data, where)
+    return _overridden(config.model_dump(mode="json"), overrides, "configuration")
 
 
 def with_file(config: RunConfig, file: Path) -> RunConfig:
     """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
-    return parse(RunConfig, _merged(config.model_dump(mode="json"), _toml(file)), str(file))
+    return parse(RunConfig, _merged(config.model_dump(mode="json"), reading.read_toml(file, CONFIG_FILE)), shown(file))
 
 
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_CONFIG_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes; expected a small TOML file")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
+def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
+    for text in overrides:
+        data, where = _merged(data, _override(text)), f"--set {shown(text)}"
+    return parse(RunConfig, data, where)
 
 
 def _override(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     parts = key.strip().split(".")
-    if not equals or not all(parts):
-        raise ConfigError(f"--set {text!r} is not section.key=value, for example learn.total_steps=2000")
+    where = f"--set {shown(text)}"
+    if not equals or not all(parts) or len(parts) > _PARTS:
+        raise ConfigError(f"--set {shown(text)!r} is not section.key=value, for example learn.total_steps=2000")
     try:
-        parsed: Any = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        parsed = value
+        table = reading.parse_toml(f"value = {value}", where, _VALUE)
+    except ConfigError:
+        if value.strip()[:1] in ("[", "{", '"', "'"):
+            raise
+        table = {"value": value}  # a word, as in env.profile=competent
+    parsed: Any = table["value"] if len(table) == 1 else value
     for part in reversed(parts):
         parsed = {part: parsed}
     return dict(parsed)
@@ -371,13 +359,12 @@ def _override(text: str) -> dict[str, Any]:
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
-    out = dict(base)
-    for key, value in over.items():
-        old = out.get(key)
-        if isinstance(old, dict) and isinstance(value, dict):
-            out[key] = _merged(old, value)
-        elif isinstance(old, list) and isinstance(value, dict) and set(value) <= {str(i) for i in range(len(old))}:
-            out[key] = [_merged(item, value.get(str(i), {})) for i, item in enumerate(old)]
-        else:
-            out[key] = value
-    return out
+    return {**base, **{key: _laid(base.get(key), value) for key, value in over.items()}}
+
+
+def _laid(old: Any, value: Any) -> Any:
+    if isinstance(old, dict) and isinstance(value, dict):
+        return _merged(old, value)
+    if isinstance(old, list) and isinstance(value, dict) and set(value) <= {str(i) for i in range(len(old))}:
+        return [_laid(item, value[str(i)]) if str(i) in value else item for i, item in enumerate(old)]
+    return value

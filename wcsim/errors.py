@@ -30,7 +30,7 @@
     │       ├── VersionMismatchError, ConfigMismatchError
     │       ├── StaleTickError, FutureTickError
     │       ├── BarrierNotFullError a tick was asked for before everybody acted
-    │       ├── BadActionError      an action outside of the joystick's range, or a second one for a tick
+    │       ├── BadActionError      no action of the set or joystick position, or a second one for a tick
     │       └── OverloadedError     more, or larger, messages than the server takes
     └── InterruptedRunError         the user stopped the run; what was done is saved
 
@@ -163,7 +163,7 @@ class BarrierNotFullError(ProtocolError):
 
 
 class BadActionError(ProtocolError):
-    """Raised for an action that is no joystick position, or differs from the one given before for the same tick."""
+    """Raised for what is no action or joystick position, or differs from what was given before for the same tick."""
 
 
 class OverloadedError(ProtocolError):

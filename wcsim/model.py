@@ -8,10 +8,15 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+from wcsim.reading import shown
+
+LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
+Positive = Annotated[float, Field(gt=0.0, le=LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Word = Annotated[str, Field(max_length=400)]
+Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
 
 _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
 _UNITS = {
@@ -30,7 +35,7 @@ class Model(BaseModel):
 
 def fault(model: type[BaseModel], item: Any) -> str:
     """One error of pydantic in words: the key, what is wrong, what was got with its unit, and its bounds."""
-    key = ".".join(str(part) for part in item["loc"]) or "(file)"
+    key = shown(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name"
     got = json.dumps(item["input"], default=str)[:80]

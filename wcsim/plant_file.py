@@ -12,14 +12,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from wcsim.config import Model, parse, read_toml
+from wcsim import reading
+from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
 from wcsim.errors import ConfigError
 
 Friction = Annotated[float, Field(ge=0.0, le=2.0)]  # times that of the ground, which is 1
 PartKg = Annotated[float, Field(ge=0.1, le=30.0)]
 Metre = Annotated[float, Field(ge=-1.5, le=1.5)]
 Vec3 = tuple[Metre, Metre, Metre]
-Rises = tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...]
+Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max_length=64)]
 
 
 class MassPart(Model):
@@ -100,7 +101,7 @@ class FramePart(Model):
 
     height_m: Annotated[float, Field(ge=0.8, le=2.0)]  # top of the user's head
     friction: Friction
-    boxes: Annotated[tuple[BoxPart, ...], Field(min_length=1)]
+    boxes: Annotated[tuple[BoxPart, ...], Field(min_length=1, max_length=64)]
 
 
 class MotorPart(Model):
@@ -135,7 +136,7 @@ class ClimbPart(Model):
 class PlantFile(Model):
     """The whole file."""
 
-    shows: str
+    shows: Text
     mass: MassPart
     wheel: WheelPart
     casters: Annotated[tuple[CasterPart, ...], Field(min_length=1, max_length=4)]
@@ -160,8 +161,8 @@ def read_plant(plant: str) -> PlantFile:
     if plant.endswith(".toml"):
         return read_toml(Path(plant), PlantFile)
     if plant not in known_plants():
-        names = ", ".join(known_plants())
-        raise ConfigError(f"chair.plant is {plant!r}; expected one of: {names}, or the path of a .toml file")
+        names, got = ", ".join(known_plants()), reading.shown(plant)
+        raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
     return read_toml(_folder() / f"{plant}.toml", PlantFile)
 
 
@@ -169,8 +170,9 @@ def plant_text(plant: str) -> bytes:
     """What a user's own plant file holds; nothing for a plant that comes with wcsim. Raises ConfigError as above."""
     if not plant.endswith(".toml"):
         return b""
-    read_plant(plant)
-    return Path(plant).read_bytes()
+    text = reading.read_text(Path(plant), CONFIG_FILE)
+    parse(PlantFile, reading.parse_toml(text, reading.shown(plant), CONFIG_FILE), reading.shown(plant))
+    return text.encode()
 
 
 def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:

@@ -116,21 +116,22 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
 
 
 def require_bounded(data: Any, where: str, kind: FileKind) -> None:
-    """Refuse what is nested deeper than `MAX_DEPTH`, or holds a number that is not finite or beyond `MAX_INTEGER`.
+    """Refuse nesting beyond `MAX_DEPTH`, numbers not finite or beyond `MAX_INTEGER`, and text that is no Unicode.
 
     Raises:
         FileError: Of the kind's class.
     """
-    level = [data]
+    level: list[tuple[str, Any]] = [("it", data)]
     for _ in range(MAX_DEPTH + 1):
-        below: list[Any] = []
-        for value in level:
+        below: list[tuple[str, Any]] = []
+        for name, value in level:
             if isinstance(value, dict):
-                below.extend(value.values())
+                below.extend((name, key) for key in value)
+                below.extend(value.items())
             elif isinstance(value, list):
-                below.extend(value)
+                below.extend((name, item) for item in value)
             else:
-                _require_plain_number(value, where, kind)
+                _require_plain(value, f"{where}: {shown(name, 40)}", kind)
         if not below:
             return
         level = below
@@ -172,11 +173,21 @@ def shown(text: object, most: int = 160) -> str:
     return words if len(words) <= most else "..." + words[3 - most :]
 
 
-def _require_plain_number(value: Any, where: str, kind: FileKind) -> None:
+def shown_value(value: object, most: int = 60) -> str:
+    """A value that somebody gave to a function, for a message, as Python writes it."""
+    try:
+        return shown(repr(value), most)
+    except ValueError:  # an integer of thousands of digits
+        return f"a very large {type(value).__name__}"
+
+
+def _require_plain(value: Any, where: str, kind: FileKind) -> None:
+    if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise kind.error(f"{where} holds half a letter, {shown(value, 40)!r}; expected text that UTF-8 can hold")
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
-        raise kind.error(f"{where}: holds a number of {value.bit_length()} bits; expected at most 64")
+        raise kind.error(f"{where} holds a number of {value.bit_length()} bits; expected at most 64")
     if isinstance(value, float) and not math.isfinite(value):
-        raise kind.error(f"{where}: holds the number {value}; expected finite ones")
+        raise kind.error(f"{where} holds the number {value}; expected finite ones")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -7,10 +7,11 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from wcsim.config import Finite, Model, NotNegative, Share
+from wcsim.config import Finite, Model, NotNegative, Share, Text
 
 Stick = Annotated[float, Field(ge=-1.0, le=1.0)]
 Window = tuple[Finite, Finite]
+ScriptStep = tuple[NotNegative, Stick, Stick]  # from this second on: right, forward
 
 
 class SceneSeat(Model):
@@ -19,9 +20,9 @@ class SceneSeat(Model):
     start_m: tuple[Finite, Finite]  # net coordinates
     heading_deg: Finite  # SUMO's: clockwise from north
     goal_m: tuple[Finite, Finite] | None = None
-    profile: str = "competent"
+    profile: Text = "competent"
     joystick: tuple[Stick, Stick] | None = None  # right, forward
-    script: tuple[tuple[NotNegative, Stick, Stick], ...] = ()  # from this second on: right, forward
+    script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()
 
     @model_validator(mode="after")
     def _is_driven_by_one(self) -> SceneSeat:
@@ -79,12 +80,12 @@ class SceneFile(Model):
     """The whole file."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    shows: str
-    seed: Annotated[int, Field(ge=0)]
+    shows: Text
+    seed: Annotated[int, Field(ge=0, lt=1 << 31)]
     duration_s: Annotated[float, Field(gt=0.0, le=60.0)]
     kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
     lefthand: bool = False
     warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     attention_share: Share = 1.0
-    seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1)]
+    seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]
     expect: SceneExpect = SceneExpect()

@@ -6,7 +6,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.model import Finite, Model
+from wcsim.model import Finite, Model, Word
 
 Number = TypeVar("Number", int, float)
 
@@ -25,6 +25,7 @@ Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 Turn = Annotated[float, Field(ge=-45.0, le=45.0)]
 Delay = Annotated[int, Field(ge=0, le=10)]
 Span = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+PlantSpans = Annotated[dict[Word, Span], Field(max_length=64)]  # by the dotted names of the plant's file
 
 
 class VaryConfig(Model):
@@ -36,7 +37,7 @@ class VaryConfig(Model):
     camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = None  # along x, y and z of each
     camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
     action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
-    plant: dict[str, Span] = Field(default_factory=dict)  # by the dotted names of the plant's file
+    plant: PlantSpans = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod

@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.config import RunConfig, TownFile, load_run_config, read_toml, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_overrides
 from wcsim.errors import ConfigError
+from wcsim.plant_file import PlantFile
+from wcsim.reading import parse_toml
+from wcsim.run_file import ManifestFile, PolicyFile
 from wcsim.scene_file import SceneFile
 
 
@@ -55,9 +58,15 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
         ("cameras.0.noise.rgb.snr_db=100", "snr_db.* got 100 dB; expected at least 6 and at most 80 dB"),
         ("cameras.0.noise.classes.border_px=1.5", "border_px"),
         ("imu.gyro_range_deg=100", "gyro_range_deg.* got 100 deg; expected at least 250 and at most 2000 deg"),
-        ("imu.accel_density_ug=nan", "accel_density_ug.* got NaN"),
+        ("imu.accel_density_ug=nan", "accel_density_ug.* got .nan. ug; expected at least 0 and at most 10000"),
         ("imu.tilt=perfect", "ideal.*accelerometer.*complementary"),
-        ("world.reaction_s=inf", "reaction_s.*finite.* got Infinity s; expected at least 0 s"),
+        ("world.reaction_s=inf", "reaction_s.* got .inf. s; expected at least 0 and at most 60 s"),
+        ("learn.total_steps=10_000_000_000", "total_steps"),
+        ("learn.replay_frames=100_000_000", "replay_frames"),
+        ("learn.precrash_window=10_000_000_000", "precrash_window"),
+        ("reward.crash=1e300", "crash.*at most 1e.09"),
+        ("reward.max_distance=1000", "max_distance"),
+        ("env.profile='" + "a" * 20_000 + "'", "profile"),
     ],
 )
 def test_a_number_out_of_bounds_is_refused_with_its_unit_and_its_bounds(override, says):
@@ -105,3 +114,76 @@ def test_a_missing_file_and_a_scene_that_is_too_long(tmp_path):
     path.write_text("name='s'\nshows='x'\nseed=1\nduration_s=61\nseats=[]\n")
     with pytest.raises(ConfigError, match="duration_s"):
         read_toml(path, SceneFile)
+
+
+def test_an_item_of_a_list_of_numbers_is_reached_by_its_number():
+    changed = with_overrides(load_run_config("quick"), ("imu.p_BI_m.2=0.6", "reward.roll_window_deg.0=4"))
+    assert changed.imu.p_BI_m == (0.18, 0.0, 0.6)
+    assert changed.reward.roll_window_deg == (4.0, 20.0)
+
+
+def test_as_many_cameras_as_a_world_has_room_for():
+    tiny = '[[cameras]]\nname = "c{}"\nwidth_px = 16\nheight_px = 12\n'
+    for count, fits in ((64, True), (65, False), (1000, False)):
+        data = parse_toml("".join(tiny.format(i) for i in range(count)), "here", CONFIG_FILE)
+        if fits:
+            assert len(parse(RunConfig, data, "here").cameras) == 64
+        else:
+            with pytest.raises(ConfigError, match="at most 64"):
+                parse(RunConfig, data, "here")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("cameras.0.width_px=2048", "cameras.0.height_px=2048", "env.window=16"),
+        ('cameras=[{name="a", width_px=2048, height_px=2048}, ' + ", ".join(
+            f'{{name="b{k}", width_px=2048, height_px=2048}}' for k in range(9)
+        ) + "]",),
+    ],
+)  # fmt: skip
+def test_pictures_that_would_fill_the_memory_are_refused(overrides):
+    with pytest.raises(ConfigError, match=r"pixels.*make width_px and height_px smaller"):
+        load_run_config("quick", overrides)
+
+
+def test_few_of_many_faults_are_told():
+    with pytest.raises(ConfigError, match="and 988 more") as caught:
+        parse(RunConfig, {f"x{number}": 1 for number in range(1000)}, "here")
+    assert len(str(caught.value)) < 2000
+
+
+def test_a_batch_that_would_fill_the_memory_is_refused():
+    for key in ("learn.batch_size", "learn.aid_batch"):
+        with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
+            load_run_config("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", f"{key}=4096"))
+
+
+def unbounded(schema, definitions, where=""):
+    """Where a file could hold anything: texts, numbers, lists and tables without a bound."""
+    schema = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+    if {"enum", "const", "pattern", "anyOf"} & schema.keys():
+        return [name for part in schema.get("anyOf", ()) for name in unbounded(part, definitions, where)]
+    match schema.get("type"):
+        case "string":
+            return [] if "maxLength" in schema else [where]
+        case "integer" | "number":
+            low, high = {"minimum", "exclusiveMinimum"}, {"maximum", "exclusiveMaximum"}
+            return [] if low & schema.keys() and high & schema.keys() else [where]
+        case "array":
+            parts = [*schema.get("prefixItems", ()), schema.get("items", {"enum": []})]
+            found = [name for part in parts if part for name in unbounded(part, definitions, f"{where}[]")]
+            return found if "maxItems" in schema else [where, *found]
+        case "object" if "properties" in schema:
+            parts = schema["properties"].items()
+            return [name for key, part in parts for name in unbounded(part, definitions, f"{where}.{key}")]
+        case "object":
+            found = unbounded(schema["additionalProperties"], definitions, f"{where}.*")
+            return found if "maxProperties" in schema else [where, *found]
+    return []
+
+
+@pytest.mark.parametrize("model", [RunConfig, PlantFile, SceneFile, TownFile, PolicyFile, ManifestFile])
+def test_every_field_of_every_file_has_bounds(model):
+    schema = model.model_json_schema()
+    assert unbounded(schema, schema.get("$defs", {})) == []

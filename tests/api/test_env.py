@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -20,8 +21,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from wcsim.agents.env import WheelchairEnv
+from wcsim.agents.parallel_env import StreetParallelEnv
 from wcsim.agents.plugins import find_reward_term
-from wcsim.errors import ConfigError, ProtocolError, TownError
+from wcsim.agents.vec_env import StreetVecEnv
+from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.types import Events, PlantState, RewardTerms
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -194,7 +197,7 @@ def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(
         "world = two.unwrapped._link._child.process; world.kill(); world.wait()\n"
         "two.step(44)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 1
     assert done.stderr.strip().splitlines()[-1].startswith("wcsim.errors.LinkClosedError: the world process ended")
 
@@ -358,13 +361,35 @@ def test_action_sets_have_their_size(corner, actions, size):
         env.step(size - 1)
 
 
-@pytest.mark.parametrize("action", [-1, 81, 1000])
-def test_an_action_out_of_the_set_is_refused_and_nothing_moves(corner, action):
+def test_an_action_that_is_none_of_the_set_is_refused_and_nothing_moves(corner):
     with made(corner) as env:
         env.unwrapped.reset(seed=1)
-        with pytest.raises(ProtocolError, match="0 to 80"):
-            env.unwrapped.step(action)
+        for action in (-1, 81, 1000, 10**5000, 1.5, 1.0, math.nan, "x", None, [1], np.array([1, 2]), np.float64(3.0)):
+            with pytest.raises(BadActionError, match="expected an integer from 0 to 80"):
+                env.unwrapped.step(action)
         assert env.unwrapped.step(40)[4]["events"].step == 1
+        for action in (np.int64(40), np.array(40), np.array([40])):
+            env.unwrapped.step(action)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "x", math.nan, 10**5000], ids=range(5))
+def test_a_seed_that_is_none_is_refused_before_a_world_is_made(corner, seed):
+    with made(corner) as env, pytest.raises(ConfigError, match="expected an integer from 0 to"):
+        env.reset(seed=seed)
+    for face in (WheelchairEnv, StreetParallelEnv, StreetVecEnv):
+        with pytest.raises(ConfigError, match="expected an integer from 0 to"):
+            face(str(corner), seed=seed)
+    several = StreetVecEnv(str(corner))
+    with pytest.raises(ConfigError, match="expected an integer from 0 to"):
+        several.seed(seed)
+    with pytest.raises(ConfigError, match="expected an integer from 0 to"):
+        StreetParallelEnv(str(corner)).reset(seed=seed)
+
+
+def test_a_seed_of_numpy_is_a_seed(corner):
+    with made(corner) as env:
+        one = env.unwrapped.reset(seed=np.int64(3))[0]
+        assert all(np.array_equal(one[key], value) for key, value in env.unwrapped.reset(seed=3)[0].items())
 
 
 def test_wrong_settings_are_named_before_a_world_is_made():

@@ -14,7 +14,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import wcsim
 from tests.api.streets import TINY, action_at, equal
 from wcsim.agents.parallel_env import StreetParallelEnv
-from wcsim.errors import ConfigError, ProtocolError
+from wcsim.errors import BadActionError, ConfigError, ProtocolError
 from wcsim.types import SeatSpec
 
 
@@ -132,8 +132,11 @@ def test_a_step_without_everybody_is_refused_and_nothing_moves(made):
     for wrong in ({}, {"chair_0": 44}, {"chair_0": 44, "chair_1": 44, "chair_2": 44}):
         with pytest.raises(ProtocolError, match=r"expected one of each of \['chair_0', 'chair_1'\]"):
             env.step(wrong)
-    with pytest.raises(ProtocolError, match="0 to 80"):
-        env.step({"chair_0": 44, "chair_1": 81})
+    with pytest.raises(ProtocolError, match="a list; expected one of each of"):
+        env.step([44, 44])
+    for wrong in (81, -1, 1.5, float("nan"), "x", None):
+        with pytest.raises(BadActionError, match="expected an integer from 0 to 80"):
+            env.step({"chair_0": 44, "chair_1": wrong})
     infos = env.step({"chair_0": 44, "chair_1": 44})[4]
     assert [info["events"].step for info in infos.values()] == [1, 1]
     env.close()

@@ -168,8 +168,9 @@ def test_steps_out_of_turn_are_refused_and_nothing_moves(made):
         vec.step_wait()
     with pytest.raises(ProtocolError, match="expected 2, one for each chair"):
         vec.step_async(np.array([44]))
-    with pytest.raises(ProtocolError, match="0 to 80"):
-        vec.step_async(np.array([44, 81]))
+    for wrong in (np.array([44, 81]), np.array([44.0, 1.5]), np.array([44.0, np.nan]), [44, "x"], [44, None], "ab"):
+        with pytest.raises(ProtocolError, match=r"expected (an integer from 0 to 80|2, one for each chair)"):
+            vec.step_async(wrong)
     vec.step_async(np.array([44, 44]))
     with pytest.raises(ProtocolError, match="came twice"):
         vec.step_async(np.array([44, 44]))

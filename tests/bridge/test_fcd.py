@@ -10,7 +10,8 @@ import pytest
 from tests.worlds import quick_config
 from wcsim.bridge.fcd import write_fcd
 from wcsim.bridge.record import TRACE, RecordOrder, record_town
-from wcsim.bridge.trace import TickRecord, TraceHeader, TraceWriter, read_trace
+from wcsim.bridge.trace import TickRecord, TraceHeader, TraceWriter
+from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import WcsimError
 from wcsim.towns.tools import sumo_home
 from wcsim.towns.town import find_town

@@ -41,7 +41,7 @@ def test_a_run_depends_on_neither_string_hashes_nor_delays(corner):
             capture_output=True,
             text=True,
             check=True,
-            timeout=120,
+            timeout=200,
         )
         told.append(run.stdout)
     assert told[0] == told[1]

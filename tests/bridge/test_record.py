@@ -7,7 +7,7 @@ import pytest
 
 from tests.worlds import quick_config
 from wcsim.bridge.record import TRACE, RecordOrder, check_mirrored, record_town
-from wcsim.bridge.trace import read_trace
+from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import SumoError
 from wcsim.towns.town import find_town
 from wcsim.types import ActorKind, ActorState

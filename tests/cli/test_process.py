@@ -37,7 +37,7 @@ def start(folder: Path, *words: object, **more: object) -> subprocess.Popen[str]
 )
 def test_a_mistake_is_one_line_and_code_2(tmp_path, words, told):
     child = start(tmp_path, *words)
-    out, err = child.communicate(timeout=60)
+    out, err = child.communicate(timeout=200)
     assert (child.returncode, out, err.count("\n")) == (2, "", 1)
     assert err.startswith("wcsim: ")
     assert told in err
@@ -47,7 +47,7 @@ def test_a_mistake_is_one_line_and_code_2(tmp_path, words, told):
 @pytest.mark.parametrize("words", [("snapshot", "--out", "x.png"), ("video", "--out", "x.webm")], ids=lambda w: w[0])
 def test_pictures_and_videos_come_without_chatter(tmp_path, corner, words):
     child = start(tmp_path, *words[:1], corner, "--seconds", "0.3", "--width", "64", *words[1:])
-    out, err = child.communicate(timeout=60)
+    out, err = child.communicate(timeout=200)
     assert (child.returncode, err) == (0, "")
     assert out.startswith(words[-1])
     assert out.count("\n") == 1
@@ -58,7 +58,7 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
     with start(tmp_path, *words) as child:
         child.stdout.close()
         assert child.stderr.read() == ""
-        assert child.wait(timeout=60) in (1, 141)
+        assert child.wait(timeout=120) in (1, 141)
 
 
 def test_an_import_that_is_ended_leaves_nothing(tmp_path):
@@ -68,7 +68,7 @@ def test_an_import_that_is_ended_leaves_nothing(tmp_path):
     while not list(towns.glob(".mine-*")):
         assert child.poll() is None
     child.terminate()
-    _, err = child.communicate(timeout=60)
+    _, err = child.communicate(timeout=200)
     assert (child.returncode, err) == (143, "wcsim: terminated\n")
     assert list(tmp_path.rglob("*")) == []
 
@@ -85,7 +85,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
     while f"/{total} steps" not in child.stderr.readline():
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
-    out, err = child.communicate(timeout=120)
+    out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
     assert "Traceback" not in err
     assert "--resume" in err
@@ -94,7 +94,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
     assert 0 < manifest["steps"] < total
     assert (tmp_path / "run" / "policies" / "final" / "policy.json").is_file()
     child = start(tmp_path, *words, "--resume")
-    out, err = child.communicate(timeout=120)
+    out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
     assert "\nrun folder: run" in out
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"

@@ -236,7 +236,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
     child = start(tmp_path, *words, "--resume", "--json", "again.json")
-    child.communicate(timeout=60)
+    child.communicate(timeout=120)
     again = json.loads((tmp_path / "again.json").read_text())
     assert (child.returncode, again) == (0, {**result, "ticks_per_s": 0.0})
 
@@ -259,9 +259,9 @@ def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
         assert client.returncode == 0, err
         assert open_run(tmp_path / f"j{number}").config.cameras[0].width_px == 32
     server.send_signal(signal.SIGINT)
-    _, err = server.communicate(timeout=60)
+    _, err = server.communicate(timeout=120)
     assert server.returncode == 0, err
     assert (tmp_path / "world" / "journal").is_file()
     client = start(tmp_path, "join", addresses[0], "--network", "small", "--wait", 1)
-    _, err = client.communicate(timeout=60)
+    _, err = client.communicate(timeout=120)
     assert (client.returncode, "nobody answered" in err) == (2, True), err

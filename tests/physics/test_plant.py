@@ -73,7 +73,7 @@ def test_mass_and_height_of_the_config_go_before_those_of_the_file():
     [
         ("user_kg = 80.0", "user_kg = 300.0", ["mass.user_kg", "300", "150"]),
         ("user_kg = 80.0", "", ["mass.user_kg"]),
-        ("user_kg = 80.0", "user_kg = nan", ["mass.user_kg", "NaN"]),
+        ("user_kg = 80.0", "user_kg = nan", ["user_kg", "nan", "finite"]),
         ("user_kg = 80.0", "user_kg = 80.0\ncolour = 3", ["mass.colour", "unknown key"]),
         ("com_x_m = 0.18", "com_x_m = 0.44", ["tips at rest", "0.44 m", "0.010 to 0.430 m"]),
         ("com_x_m = 0.18", "com_x_m = -0.05", ["tips at rest", "-0.05 m"]),

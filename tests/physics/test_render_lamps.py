@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-import time
 
 import numpy as np
 import pytest
 
 from tests.physics.render_oracle import actor
 from tests.samples import strip_street
+from tests.yardstick import multiple
 from wcsim.config import CameraConfig
 from wcsim.physics.camera import CameraRig, look_at
 from wcsim.physics.renderer import kernels
@@ -126,14 +127,10 @@ def test_three_hundred_heads_cost_next_to_nothing():
     places = np.c_[rng.uniform(-300, 300, (300, 2)), np.full(300, 2.7)]
     heads = [head(k % 12, p=p, yaw=rng.uniform(-3, 3), tls=f"t{k // 12:02}") for k, p in enumerate(places)]
     lamps = SignalLamps(heads)
-    times = []
-    for tick in range(60):
-        signals = tuple(SignalState(tls_id=f"t{k:02}", colours="rgyG" * 3) for k in range(25))
-        start = time.process_time()
-        shown = lamps.near(np.array(EYE), 40.0 + tick % 2, signals)
-        times.append(time.process_time() - start)
-    assert len(shown) < 30
-    assert np.median(times) < 5e-4  # 0.04 ms measured
+    ranges_m = itertools.cycle((40.0, 41.0))
+    signals = tuple(SignalState(tls_id=f"t{k:02}", colours="rgyG" * 3) for k in range(25))
+    assert len(lamps.near(np.array(EYE), 41.0, signals)) < 30
+    assert multiple(lambda: lamps.near(np.array(EYE), next(ranges_m), signals)) < 0.6  # about a tenth of that
 
 
 def test_the_kernel_s_numbers_are_those_of_the_paints():

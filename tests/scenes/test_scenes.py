@@ -9,8 +9,9 @@ import pytest
 from tests.scenes.planted import PLANTED, plant
 from wcsim.bridge.scene import GOLDEN, TRACE_EVERY, run_in_child
 from wcsim.bridge.scene_facts import facts_from_line, facts_line, faults
-from wcsim.bridge.trace import TickRecord, TraceWriter, read_trace
+from wcsim.bridge.trace import TickRecord, TraceWriter
 from wcsim.bridge.trace_diff import difference
+from wcsim.bridge.trace_file import read_trace
 from wcsim.config import read_toml
 from wcsim.scene_file import SceneExpect, SceneFile
 from wcsim.towns.scenes import find_scene, list_scenes

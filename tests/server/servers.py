@@ -24,13 +24,13 @@ from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
 STAND_IN = "wcsim.server.stand_in:StandInWorld"
-WAIT_S = 60.0
-QUICK = Patience(resend_s=0.3, reconnect_s=30.0, tick_s=30.0)
+WAIT_S = 120.0
+QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
 
 def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> ServerOrder:
     """A server with a stand-in for a world, all in `folder`."""
-    rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=5.0, notice_s=0.2))
+    rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
     order = ServerOrder(
         town="nowhere",
         config_json=quick_config().model_dump_json(),

@@ -161,7 +161,7 @@ def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
                     break
         finally:
             vandal.done.set()
-            vandal.join(10.0)
+            vandal.join(60.0)
         assert "ProtocolError" in vandal.told
         assert server.status(lambda s: s.tick == frame.tick).members == ("a",)
     facts = ledger_facts(read_ledger(tmp_path / "a"))

@@ -8,8 +8,9 @@ import pytest
 from tests.journals import JournaledWorld, eventful_run, nudged, rewritten
 from wcsim.bridge.fcd import write_fcd
 from wcsim.bridge.sumo import world_in_this_process
-from wcsim.bridge.trace import TraceHeader, TraceWriter, read_trace
+from wcsim.bridge.trace import TraceHeader, TraceWriter
 from wcsim.bridge.trace_diff import first_difference
+from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.server.journal import (
     Admitted,

@@ -64,8 +64,8 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", r"stick.csv:1: ''; expected the column names"),
-        ("a,b,c\n0,0,0\n", "expected the column names time_s,x,y"),
+        ("", r"stick.csv:1: other column names; expected the line time_s,x,y"),
+        ("a,b,c\n0,0,0\n", "stick.csv:1: other column names; expected the line time_s,x,y"),
         (HEAD, "0 samples; expected at least two"),
         (HEAD + "0,0,0\n", "1 samples; expected at least two"),
         (HEAD + "0,0,0\n0.1,nan,0\n", r"stick.csv:3: x is nan; expected -1 to 1"),
@@ -76,9 +76,10 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
         (HEAD + "0,0,0\n0.2,0,0\n0.1,0,0\n", r"stick.csv:4: time_s is 0.1 s after 0.2 s; expected later"),
         (HEAD + "0,0,0\n0.1,0,0\n0.7,0,0\n", r"stick.csv:4: time_s is 0.7 s after 0.1 s; .* by at most 0.5 s"),
         (HEAD + "3,0,0\n3.1,0,0\n", r"stick.csv:2: time_s is 3.0 s; expected the first sample at 0 to 0.5 s"),
-        (HEAD + "0,0,0\n\n0.1,up,0\n", r"stick.csv:4: x is 'up'; expected a number"),
+        (HEAD + "0,0,0\n\n0.1,up,0\n", r"stick.csv:4: x is no number; expected -1 to 1"),
         (HEAD + "0,0,0\n0.1,0\n", r"stick.csv:3: 2 values; expected time_s,x,y"),
-        (HEAD + "0,0,0\n0.1,0,0\udcff\n", "no table of comma-separated values"),
+        (HEAD + "0,0,0\n0.1,0,0\udcff\n", "is not in UTF-8"),
+        (HEAD + "0,0,0\n" + "1" * 200_000 + ",0,0\n", r"stick.csv:3: is no line of comma-separated values"),
     ],
 )
 def test_what_cannot_be_used_is_refused(tmp_path, text, says):
@@ -107,3 +108,16 @@ def test_a_name_is_a_profile_or_a_recording(tmp_path):
     assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), Recording)
     with pytest.raises(ConfigError, match=r"unknown user profile 'drunk'.*competent.*recorded:FILE"):
         find_user("drunk")
+
+
+@pytest.mark.parametrize("text", ["root:SECRET:0\n", "SECRET\n", HEAD + "SECRET\n", HEAD + "0,SECRET,0\n", "\0SECRET"])
+def test_nothing_of_a_file_that_is_no_recording_is_told(tmp_path, text):
+    with pytest.raises(ConfigError) as caught:
+        recorded(text, tmp_path)
+    assert "SECRET" not in str(caught.value) and "stick.csv" in str(caught.value)
+
+
+def test_more_samples_than_anybody_records_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("wcsim.supervisor.recorded.MOST_SAMPLES", 3)
+    with pytest.raises(ConfigError, match=r"stick.csv:5: more than 3 samples"):
+        recorded(HEAD + "".join(f"0.{k},0,0\n" for k in range(5)), tmp_path)

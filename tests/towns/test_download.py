@@ -67,7 +67,7 @@ def test_the_area_that_was_asked_for_arrives(tmp_path: Path) -> None:
 )
 def test_a_server_that_fails_is_named_in_one_line(tmp_path: Path, answer: Answer, told: str) -> None:
     with server(answer, []) as url, pytest.raises(TownError, match=told) as caught:
-        download(BOX, tmp_path, url, wait_s=3.0 if "within" in told else 20.0)
+        download(BOX, tmp_path, url, wait_s=3.0 if "within" in told else 60.0)
     assert "127.0.0.1" in str(caught.value) and "--osm FILE" in str(caught.value) and "\n" not in str(caught.value)
 
 

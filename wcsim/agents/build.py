@@ -74,7 +74,7 @@ def phase_plan(learn: LearnConfig) -> PhasePlan:
 def checked_device(name: str) -> str:
     """The device's name. Raises ConfigError for one that PyTorch does not know or this machine does not have."""
     try:
-        torch.zeros(1, device=name)
+        torch.zeros(1, device=name).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = str(error).splitlines()[0][:120]
         message = f"learn.device={name!r} cannot be used here ({reason}); expected cpu, or cuda with a card"
@@ -87,8 +87,16 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
 
     Raises:
         PolicyError: The network or the observation space does not fit.
-        ConfigError: `learn.mirror` with a camera that sees left and right differently.
+        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory.
     """
+    try:
+        return _built(config, env, seed)
+    except MemoryError:
+        frames = config.learn.replay_frames
+        raise ConfigError(f"learn.replay_frames={frames} do not fit into the memory; expected fewer") from None
+
+
+def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     learn, camera = config.learn, config.cameras[0]
     if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
         raise ConfigError(

@@ -5,6 +5,7 @@ All faces are made of this one piece, so what an agent sees and is paid does not
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
@@ -14,7 +15,8 @@ import numpy.typing as npt
 
 from wcsim.agents.window import FrameWindow
 from wcsim.config import RunConfig
-from wcsim.errors import ConfigMismatchError, ProtocolError
+from wcsim.errors import BadActionError, ConfigMismatchError, ProtocolError
+from wcsim.reading import shown_value
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
 from wcsim.supervisor.observation import Observation
@@ -98,19 +100,27 @@ class Chair:
             raise ProtocolError("the next episode is not there yet; expected one that has ended")
         return self.begin(self.now.first)
 
-    def check(self, action: int) -> None:
-        """Refuse what `send` cannot do. Raises ProtocolError between episodes and for an action out of the set."""
+    def checked(self, action: object) -> int:
+        """An action's index, of what a learner said.
+
+        Raises:
+            ProtocolError: No episode is on.
+            BadActionError: It is no integer, or not in the set.
+        """
         if not self.ready:
             raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
-        if not 0 <= action < len(self._actions):
-            raise ProtocolError(f"action {action} is not in the action set; expected 0 to {len(self._actions) - 1}")
+        index, most = _integer(action), len(self._actions) - 1
+        if index is None or not 0 <= index <= most:
+            got = shown_value(action)
+            raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
+        return index
 
-    def send(self, link: ChairLink, action: int) -> None:
-        """Say what to do in this tick; see `check`."""
-        self.check(action)
+    def send(self, link: ChairLink, action: object) -> None:
+        """Say what to do in this tick; see `checked`."""
+        index = self.checked(action)
         if self.now is not None:
-            self._action = action
-            x, y = self._actions.points[action]
+            self._action = index
+            x, y = self._actions.points[index]
             link.send(self.now.tick, Joystick(float(x), float(y)))
 
     def receive(self, link: ChairLink) -> Step:
@@ -167,3 +177,13 @@ class Chair:
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
+
+
+def _integer(value: object) -> int | None:
+    """The integer that a number or an array of one number is; None for anything else, 1.0 included."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(())[()]
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        return None

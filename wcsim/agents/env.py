@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.chair import Chair
-from wcsim.agents.face import RENDER_FPS, RENDER_MODES, SEED_LIMIT, drawn_seed, make_face
+from wcsim.agents.face import RENDER_FPS, RENDER_MODES, SEED_LIMIT, checked_seed, drawn_seed, make_face
 from wcsim.config import RunConfig
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
 from wcsim.server.link import Waits, WorldLink
@@ -69,7 +69,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         """
         self._face = make_face(town, config, preset, overrides, render_mode, run, hook)
         self._join = join
-        self._first_seed = seed
+        self._first_seed = checked_seed(seed)
         self._link: WorldLink | None = None
         self._chair = Chair(self._face.config, reward_terms)
         self.town, self.config, self.render_mode = town, self._face.config, render_mode
@@ -86,10 +86,12 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         the server's. A later one with a seed asks for the world to be begun again, which only the master may.
 
         Raises:
+            ConfigError: The seed is no integer from 0 on.
             TownError: The town cannot be used.
             NotMasterError: Others share the world, and this client is not its master.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
+        seed = checked_seed(seed)
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
 
@@ -100,7 +102,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         `info["reason"] == "world_restarted"`; the next reset hands out the new epoch's first frame.
 
         Raises:
-            ProtocolError: There is no such action, or no episode is on.
+            BadActionError: There is no such action.
+            ProtocolError: No episode is on.
             EvictedError: A server gave this client up; the next reset joins again.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
@@ -108,7 +111,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if link is None:
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
-            self._chair.send(link, int(action))
+            self._chair.send(link, action)
             return self._chair.receive(link)
         except WorldRestartedError:
             return self._chair.cut()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -9,22 +10,24 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
 from wcsim.agents import files, registry
 from wcsim.agents.networks import image_size, vector_size, window_size
 from wcsim.agents.policy import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
-from wcsim.agents.protocol import Observation
+from wcsim.agents.protocol import CLASS_KEY, Observation
 from wcsim.agents.seqdqn import SeqDQN
+from wcsim.agents.weights import checked_weights, read_weights
 from wcsim.agents.window import newest
-from wcsim.config import CameraConfig, PolicyFile
+from wcsim.config import CameraConfig
 from wcsim.errors import PolicyError
+from wcsim.reading import shown
+from wcsim.run_file import PolicyFile
 from wcsim.supervisor.actions import action_set
+from wcsim.types import ClassId
 
 WEIGHTS = "weights.safetensors"
-MAX_WEIGHTS_BYTES = 1 << 30
 JOYSTICK_SIZE = 2
 
 
@@ -50,12 +53,16 @@ class NetPolicy:
     def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:
         """Values of all actions (A,), in units of the scaled reward.
 
-        Raises PolicyError when the observation holds fewer images than the network was trained on.
+        Raises PolicyError when the observation holds fewer images than the network was trained on, or the network
+        leaves the finite numbers.
         """
         seen = newest(observation, self.file.window)
         with torch.inference_mode():
             batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
-            return np.asarray(self.net(batch)[0].numpy(), dtype=np.float32)
+            values = np.asarray(self.net(batch)[0].numpy(), dtype=np.float32)
+        if not np.isfinite(values).all():
+            raise PolicyError(f"policy {shown(self.name)!r} gives values that are not finite; train it again")
+        return values
 
 
 def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
@@ -83,22 +90,19 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     file = read_policy_file(path)
     spec = _spec(file, network)
     weights = path / WEIGHTS
-    if not weights.is_file() or weights.stat().st_size > MAX_WEIGHTS_BYTES:
-        raise PolicyError(f"{weights} is missing or larger than {MAX_WEIGHTS_BYTES} bytes; copy the policy again")
-    found = files.sha256(weights)
-    if found != file.weights_sha256:
-        raise PolicyError(
-            f"{weights} has SHA-256 {found[:12]}..., policy.json says {file.weights_sha256[:12]}...: "
-            "the file was damaged or exchanged; copy the whole policy folder again"
-        )
-    net = _empty_net(file, spec)
-    try:
-        tensors = load_file(weights)
-    except SafetensorError as error:
-        raise PolicyError(f"{weights} is not a safetensors file: {error}") from error
-    _check_shapes(weights, tensors, net)
-    net.load_state_dict(tensors)
-    return NetPolicy(net, path.name, file)
+    if registry.is_own(spec.network):
+        with torch.device("meta"):  # what the description asks for, before any memory is given to it
+            wanted = _empty_net(file, spec).state_dict()
+        data = read_weights(weights, file.weights_sha256, wanted)
+        net = _empty_net(file, spec)
+    else:
+        net = _empty_net(file, spec)
+        data = read_weights(weights, file.weights_sha256, net.state_dict())
+    net.load_state_dict(checked_weights(weights, data, net.state_dict()))
+    policy = NetPolicy(net, path.name, file)
+    for observation in _probes(file):
+        policy.values(observation)
+    return policy
 
 
 def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights_sha256: str) -> dict[str, Any]:
@@ -131,28 +135,25 @@ def _spec(file: PolicyFile, network: str | None) -> NetSpec:
 
 
 def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
+    return QNet(_space(file), spaces.Discrete(len(action_set(spec.actions))), spec)
+
+
+def _space(file: PolicyFile) -> spaces.Dict:
     height, width = file.image_hw_px
     image = spaces.Box(0, 255, (file.window, height, width), np.uint8)
-    space = spaces.Dict(
+    return spaces.Dict(
         seg=image,
         depth=image,
         imu=spaces.Box(-1.0, 1.0, (file.vector_size - JOYSTICK_SIZE,), np.float32),
         joystick=spaces.Box(-1.0, 1.0, (JOYSTICK_SIZE,), np.float32),
     )
-    return QNet(space, spaces.Discrete(len(action_set(spec.actions))), spec)
 
 
-def _check_shapes(path: Path, tensors: dict[str, torch.Tensor], net: QNet) -> None:
-    expected = {key: tuple(value.shape) for key, value in net.state_dict().items()}
-    got = {key: tuple(value.shape) for key, value in tensors.items()}
-    if got == expected:
-        finite = all(bool(torch.isfinite(value).all()) for value in tensors.values())
-        if not finite:
-            raise PolicyError(f"{path} holds numbers that are not finite; train this policy again")
-        return
-    odd = sorted(key for key in expected.keys() | got.keys() if expected.get(key) != got.get(key))
-    first = odd[0]
-    raise PolicyError(
-        f"{path} does not fit the network {net.spec.network!r}: {first} is {got.get(first, 'missing')}, "
-        f"expected {expected.get(first, 'nothing')} ({len(odd)} tensors differ); use the network it was trained with"
-    )
+def _probes(file: PolicyFile) -> Iterator[Observation]:
+    """Observations that a usable network has values for: nothing seen, and every number at its largest."""
+    for share in (0.0, 1.0):
+        yield {
+            key: np.full(box.shape, share * (ClassId.ROAD if key == CLASS_KEY else box.high.flat[0]), box.dtype)
+            for key, box in _space(file).spaces.items()
+            if isinstance(box, spaces.Box)
+        }

@@ -6,6 +6,7 @@ A face is a standard interface over the same links: Gymnasium's (`agents/env.py`
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from wcsim.agents.window import windowed_space
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
+from wcsim.reading import MAX_INTEGER, shown_value
 from wcsim.server.link import WorldOrder
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
@@ -101,6 +103,19 @@ def checked_chairs(chairs: int) -> int:
     if not 1 <= chairs <= MAX_CHAIRS:
         raise ConfigError(f"chairs={chairs}; expected 1 to {MAX_CHAIRS} in one world")
     return chairs
+
+
+def checked_seed(seed: object) -> int | None:
+    """A seed that somebody gave, or None. Raises ConfigError for one that is no integer from 0 on."""
+    if seed is None:
+        return None
+    try:
+        number = operator.index(seed)  # type: ignore[arg-type]
+    except TypeError:
+        number = -1
+    if not 0 <= number <= MAX_INTEGER:
+        raise ConfigError(f"seed {shown_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}")
+    return number
 
 
 def drawn_seed() -> int:

@@ -18,7 +18,7 @@ from pettingzoo import ParallelEnv
 from wcsim import seeding
 from wcsim.agents.chair import Info, Step
 from wcsim.agents.chairs import Chairs
-from wcsim.agents.face import checked_chairs, drawn_seed, make_face
+from wcsim.agents.face import checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.observation import Observation
@@ -61,7 +61,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         """
         face = make_face(town, config, preset, overrides, render_mode, run, hook)
         self._chairs = Chairs(face, checked_chairs(chairs), reward_terms)
-        self._seed = seed
+        self._seed = checked_seed(seed)
         self._resets = 0  # since the seed was given, the first of them included
         self.config, self.render_mode, self.metadata = face.config, render_mode, face.metadata
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
@@ -83,6 +83,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         """Begin with all agents in a world made anew; without a seed, with the next one that follows from the last.
 
         Raises:
+            ConfigError: The seed is no integer from 0 on.
             TownError: The town cannot be used.
         """
         del options
@@ -102,7 +103,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         self._check(actions)
         seats = {agent: self.possible_agents.index(agent) for agent in self.agents}
         for agent, seat in seats.items():
-            self._chairs.all[seat].send(self._chairs.link(seat), int(actions[agent]))
+            self._chairs.all[seat].send(self._chairs.link(seat), actions[agent])
         steps = {agent: self._chairs.all[seat].receive(self._chairs.link(seat)) for agent, seat in seats.items()}
         self._let_go(steps)
         return (
@@ -125,6 +126,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         self.agents = []
 
     def _next_seed(self, seed: int | None) -> int:
+        seed = checked_seed(seed)
         if seed is not None:
             self._seed, self._resets = seed, 0
         elif self._seed is None:
@@ -133,10 +135,11 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         return self._seed if self._resets == 1 else seeding.derive(self._seed, "reset", self._resets)
 
     def _check(self, actions: Mapping[str, np.int64 | int]) -> None:
-        if set(actions) != set(self.agents):
-            raise ProtocolError(f"actions of {sorted(actions)}; expected one of each of {self.agents}")
+        if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
+            got = sorted(map(str, actions)) if isinstance(actions, Mapping) else f"a {type(actions).__name__}"
+            raise ProtocolError(f"actions of {got}; expected one of each of {self.agents}")
         for agent, action in actions.items():
-            self._chairs.all[self.possible_agents.index(agent)].check(int(action))
+            self._chairs.all[self.possible_agents.index(agent)].checked(action)
 
     def _let_go(self, steps: Mapping[str, Step]) -> None:
         """Whose episode has ended leaves, and its chair the street before the next tick."""

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-from wcsim.config import PolicyFile, parse
+from wcsim.config import parse
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.reading import FileKind, is_file, read_json, shown
+from wcsim.run_file import PolicyFile
 
 POLICY_JSON = "policy.json"
-MAX_POLICY_JSON_BYTES = 1 << 20
+_KIND = FileKind(what="the policy.json of a policy folder", limit_bytes=1 << 20, error=PolicyError)
 
 
 def read_policy_file(path: Path) -> PolicyFile:
     """Read and check `policy.json` of a policy folder. Raises PolicyError."""
     file = path / POLICY_JSON
-    try:
-        if file.stat().st_size > MAX_POLICY_JSON_BYTES:
-            raise PolicyError(f"{file} is larger than {MAX_POLICY_JSON_BYTES} bytes; expected a small JSON file")
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
+    if not is_file(file):
         raise PolicyError(
-            f"{path} is not a policy folder: {POLICY_JSON} cannot be read ({error.strerror}); "
+            f"{shown(path)} is not a policy folder: it has no {POLICY_JSON}; "
             "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise PolicyError(f"{file} is not JSON: {error}") from None
-    if not isinstance(data, dict):
-        raise PolicyError(f"{file} holds a {type(data).__name__}; expected a JSON object")
+        )
     try:
-        return parse(PolicyFile, data, str(file))
+        return parse(PolicyFile, read_json(file, _KIND), shown(file))
     except ConfigError as error:
         raise PolicyError(str(error)) from None

@@ -26,6 +26,7 @@ from torch import nn
 from wcsim.agents.nets.impala import ImpalaNet
 from wcsim.agents.nets.strided import PatchNet, SmallNet
 from wcsim.agents.nets.windowed import Figure6Net, GruNet, StackNet
+from wcsim.agents.network_names import NETWORK_NAMES
 from wcsim.errors import PolicyError
 from wcsim.plugins import find_class
 
@@ -46,6 +47,11 @@ def register(name: str, network: NetworkClass) -> None:
     if ":" in name or NETWORKS.get(name, network) is not network:
         raise PolicyError(f"network name {name!r} is taken or holds a colon; expected a new plain name")
     NETWORKS[name] = network
+
+
+def is_own(name: str) -> bool:
+    """Whether a name stands for a network of wcsim itself."""
+    return name in NETWORK_NAMES and NETWORKS[name].__module__.startswith("wcsim.")
 
 
 def is_registered(name: str) -> bool:

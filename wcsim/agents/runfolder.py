@@ -22,16 +22,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wcsim.agents import files
-from wcsim.agents.policy_file import read_policy_file
+from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.plant_file import plant_text
+from wcsim.reading import FileKind, is_file, shown
+from wcsim.reading import read_json as read_bounded_json
+from wcsim.run_file import ManifestFile
 from wcsim.towns.scenario_overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
 PLANT = "plant.toml"
 CHECKPOINTS, POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
+_KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
 
@@ -52,10 +56,6 @@ class Manifest:
     steps: int = 0
     hook: str = ""
     overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
-
-
-def _overrides(rows: Sequence[dict[str, str]]) -> tuple[Override, ...]:
-    return tuple(Override(**row) for row in rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +139,7 @@ def open_run(path: Path) -> RunFolder:
     """Open an existing run. Raises PolicyError when the folder is not a run or a file in it is damaged."""
     data, config = read_json(path, MANIFEST), read_json(path, CONFIG)
     if "clients" in data:
-        names = ", ".join(str(path / str(name)) for name in data["clients"])
+        names = ", ".join(str(path / name) for name in data["clients"])
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
     manifest = manifest_of(data, path)
     try:
@@ -151,17 +151,21 @@ def open_run(path: Path) -> RunFolder:
 
 def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
     """The manifest that a run's file holds. Raises PolicyError when it is none."""
+    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude={"clients"})
+    fields["overrides"] = tuple(Override(**row) for row in fields["overrides"])
+    return Manifest(**fields)
+
+
+def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
     try:
-        fields = {**data, "command": tuple(data["command"]), "rewards": tuple(data["rewards"])}
-        fields["overrides"] = _overrides(data.get("overrides", ()))
-        return Manifest(**fields)
-    except (TypeError, KeyError) as error:
-        raise PolicyError(f"{path / MANIFEST} is not a manifest of this version ({error}); train again") from None
+        return parse(ManifestFile, data, shown(file))
+    except ConfigError as error:
+        raise PolicyError(f"{error}: this is no manifest of this version; train again") from None
 
 
 def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
     """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
-    if not (path / PLANT).is_file():
+    if not is_file(path / PLANT):
         return config
     chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
     return config.model_copy(update={"chair": chair})
@@ -173,19 +177,20 @@ def policy_path(name: str) -> Path:
     Raises PolicyError when there is no such policy.
     """
     path = Path(name)
-    if (path / "policy.json").is_file():
+    if is_file(path / POLICY_JSON):
         return path
     head, colon, stage = name.rpartition(":")
     if not colon:
         head, stage = name, "final"
     if stage not in STAGES:
-        raise PolicyError(f"policy {name!r}: unknown stage {stage!r}; expected RUN, RUN:{' or RUN:'.join(STAGES)}")
+        known = " or RUN:".join(STAGES)
+        raise PolicyError(f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}")
     run = open_run(Path(head))
     found = run.policy(stage)
-    if not (found / "policy.json").is_file():
-        have = ", ".join(s for s in STAGES if (run.policy(s) / "policy.json").is_file()) or "none"
+    if not is_file(found / POLICY_JSON):
+        have = ", ".join(s for s in STAGES if is_file(run.policy(s) / POLICY_JSON)) or "none"
         raise PolicyError(
-            f"run {head} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
+            f"run {shown(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
             "continue it with --resume"
         )
     return found
@@ -218,7 +223,7 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
 
 def _enclosing_run(policy: Path) -> RunFolder | None:
     folder = policy.resolve().parent.parent
-    return open_run(folder) if (folder / MANIFEST).is_file() else None
+    return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
 def git_revision() -> str:
@@ -242,14 +247,15 @@ def _version(package: str) -> str:
 
 
 def read_json(path: Path, name: str) -> dict[str, Any]:
-    """A JSON object among a run's files. Raises PolicyError when it is none."""
+    """A JSON object among a run's files; a manifest's entries are of the right types and within their bounds.
+
+    Raises:
+        PolicyError: There is no such file, or it is none.
+    """
     file = path / name
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except OSError:
-        raise PolicyError(f"{path} is not a run: it has no {name}; expected a folder that `wcsim train` made") from None
-    except ValueError as error:
-        raise PolicyError(f"{file} is damaged: {error}; restore it or train again") from None
-    if not isinstance(data, dict):
-        raise PolicyError(f"{file} holds a {type(data).__name__}; expected a JSON object")
+    if not is_file(file):
+        raise PolicyError(f"{shown(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
+    data = read_bounded_json(file, _KIND)
+    if name == MANIFEST:
+        return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)
     return data

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from wcsim.agents import baselines
 from wcsim.agents.evaluate import EvalRow, evaluate
@@ -68,7 +69,7 @@ class TestResult:
         if any(row.policy == baselines.UPPER_BOUND for row in self.rows):
             table.caption, table.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
         for row in self.rows:
-            table.add_row(row.policy, *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
+            table.add_row(Text(row.policy), *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
         return table
 
 

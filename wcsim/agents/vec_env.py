@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 
 from wcsim.agents.chair import Step
 from wcsim.agents.chairs import Chairs
-from wcsim.agents.face import checked_chairs, make_face
+from wcsim.agents.face import checked_chairs, checked_seed, make_face
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.link import Waits
@@ -50,14 +50,14 @@ class StreetVecEnv(VecEnv):
         """
         face = make_face(town, config, preset, overrides, render_mode, run, hook)
         self._chairs = Chairs(face, checked_chairs(chairs), reward_terms)
-        self._first_seed = seed
-        self._actions: npt.NDArray[np.int64] | None = None  # of the step that is under way
+        self._first_seed = checked_seed(seed)
+        self._waiting = False  # for what comes of a step
         self.config, self.render_mode = face.config, render_mode
         super().__init__(chairs, face.observation_space(), face.action_space())
 
     def reset(self) -> VecEnvObs:
         """Begin an episode in every chair: after `seed`, and for the first time, in a world made anew."""
-        if self._actions is not None:
+        if self._waiting:
             self.step_wait()  # what is under way must come to its end
         seed = self._seeds[0]
         if seed is None and self._chairs.open:
@@ -71,27 +71,26 @@ class StreetVecEnv(VecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Make the next reset begin the world again with this seed; the chairs' own seeds follow from it."""
-        self._seeds = [seed] * self.num_envs
+        self._seeds = [checked_seed(seed)] * self.num_envs
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Say what every chair does, (N,) indices of actions. Raises ProtocolError for one that is not in the set."""
-        if self._actions is not None:
+        """Say what every chair does, (N,) indices of actions. Raises BadActionError for one that is not in the set."""
+        if self._waiting:
             raise ProtocolError("step_async() came twice; call step_wait() first")
-        chosen = np.asarray(actions, dtype=np.int64).reshape(-1)
-        if len(chosen) != self.num_envs:
-            raise ProtocolError(f"{len(chosen)} actions; expected {self.num_envs}, one for each chair")
-        for chair, action in zip(self._chairs.all, chosen, strict=True):
-            chair.check(int(action))
+        said = list(np.asarray(actions, dtype=object).reshape(-1))
+        if len(said) != self.num_envs:
+            raise ProtocolError(f"{len(said)} actions; expected {self.num_envs}, one for each chair")
+        chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, said, strict=True)]
         for seat, chair in enumerate(self._chairs.all):
-            chair.send(self._chairs.link(seat), int(chosen[seat]))
-        self._actions = chosen
+            chair.send(self._chairs.link(seat), chosen[seat])
+        self._waiting = True
 
     def step_wait(self) -> VecEnvStepReturn:
         """What came of it: observations, rewards (N,) float32, dones (N,), infos."""
-        if self._actions is None:
+        if not self._waiting:
             raise ProtocolError("step_wait() came before step_async(); say first what the chairs do")
-        self._actions = None
+        self._waiting = False
         steps = [chair.receive(self._chairs.link(seat)) for seat, chair in enumerate(self._chairs.all)]
         infos = [{**step.info, "TimeLimit.truncated": step.truncated} for step in steps]
         observations = [self._shown(seat, step, infos[seat]) for seat, step in enumerate(steps)]
@@ -113,7 +112,7 @@ class StreetVecEnv(VecEnv):
     def close(self) -> None:
         """End the world; a second call does nothing."""
         self._chairs.close()
-        self._actions = None
+        self._waiting = False
 
     def waits(self, seat: int) -> Waits:
         """Where the time in a chair's link went so far."""

@@ -15,7 +15,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from wcsim import frames
-from wcsim.bridge.trace import TickRecord, TraceHeader, read_trace
+from wcsim.bridge.trace import TickRecord, TraceHeader
+from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import WcsimError
 from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import F64, ActorKind

@@ -1,8 +1,8 @@
 """One hash for golden scenes, journals and replay, and the trace: where everything was, tick by tick.
 
 A trace is a file of records (`bridge/records.py`); the first payload is the header (JSON), every other one is a tick:
-a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. A torn last record
-is left out on reading.
+a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. It is read by
+`bridge/trace_file.py`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from types import TracebackType
 
 import numpy as np
 
-from wcsim.bridge.records import framed, whole_records
-from wcsim.errors import WcsimError
+from wcsim.bridge.records import framed
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
 MAGIC = "wcsim-trace-1"
@@ -152,42 +151,5 @@ class TraceWriter:
         self._file.write(framed(payload))
 
 
-def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
-    """Read a trace. Raises WcsimError when the file is not one; a torn last record is left out."""
-    with path.open("rb") as file:
-        payloads = [record.payload for record in whole_records(file)]
-    try:
-        head = json.loads(payloads[0])
-        if head.pop("magic") != MAGIC:
-            raise KeyError(MAGIC)
-        head["origin_m"] = tuple(head.get("origin_m", (0.0, 0.0)))
-        told: dict[str, ActorBody] = {}
-        return TraceHeader(**head), tuple(_tick(payload, told) for payload in payloads[1:])
-    except (IndexError, KeyError, TypeError, ValueError):
-        raise WcsimError(f"{path}: is not a trace of this version; expected a file written by wcsim") from None
-
-
 def _as_list(body: ActorBody) -> tuple[str, str, tuple[float, float, float], int]:
     return body.id, body.kind.value, body.size_lwh_m, body.piece
-
-
-def _tick(payload: bytes, told: dict[str, ActorBody]) -> TickRecord:
-    line, _, raw = payload.partition(b"\n")
-    head = json.loads(line)
-    seats = int(head["seats"])
-    for name, kind, size_lwh_m, piece in head.get("bodies", ()):
-        told[name] = ActorBody(id=name, kind=ActorKind(kind), size_lwh_m=tuple(size_lwh_m), piece=piece)
-    numbers = np.frombuffer(raw, "<f8")
-    actors_at = seats * 17
-    return TickRecord(
-        epoch=head["epoch"],
-        tick=head["tick"],
-        commands=numbers[: seats * 2].reshape(-1, 2),
-        plants=numbers[seats * 2 : actors_at].reshape(-1, 15),
-        actor_ids=tuple(head["actors"]),
-        actors=numbers[actors_at:].reshape(-1, 8),
-        state_hash=head["hash"],
-        time_s=float(head.get("time_s", 0.0)),
-        bodies=tuple(told[name] for name in head["actors"]) if told else (),
-        seats=tuple(head.get("at", ())),
-    )

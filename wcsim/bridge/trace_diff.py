@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.trace import TickRecord, TraceHeader, read_trace
+from wcsim.bridge.trace import TickRecord, TraceHeader
+from wcsim.bridge.trace_file import read_trace
 
 SAME = ("seed", "tick_s", "seats", "origin_m", "origin_z_m")
 """What `first_difference` compares of the headers: equal runs may have other names, and other versions."""

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from wcsim.errors import ConfigError
+from wcsim.reading import is_folder, shown
 
 T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
@@ -93,7 +94,7 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
         return
     if suffix and path.suffix.lower() != suffix:
         raise ConfigError(f"{option} {path}: expected a file name that ends in {suffix}")
-    if path.is_dir():
+    if is_folder(path):
         raise ConfigError(f"{option} {path} is a folder; expected the name of a file")
     check_folder(option, path.parent)
 
@@ -101,10 +102,10 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
 def check_folder(option: str, folder: Path) -> None:
     """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
     place = folder.absolute()
-    while not place.exists() and place != place.parent:
+    while not os.path.lexists(place) and place != place.parent:
         place = place.parent
-    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigError(f"{option}: {place} is not a folder that can be written; choose another place")
+    if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"{option}: {shown(place)} is not a folder that can be written; choose another place")
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
 from wcsim.cli.common import OutFile, parse, write_json
 from wcsim.errors import WcsimError
@@ -63,7 +64,7 @@ def run(words: list[str]) -> int:
     findings = [check() for check in checks]
     table = Table("check", "", Column("found", overflow="fold"))
     for item in findings:
-        table.add_row(item.check, "ok" if item.ok else "FAILS", item.says)
+        table.add_row(item.check, "ok" if item.ok else "FAILS", Text(item.says))
     Console().print(table)
     if options.json is not None:
         write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})

@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from rich import box
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
+from wcsim.reading import shown
 from wcsim.towns.scenario_overrides import Override
+
+_MOST = 2000  # letters in a cell
 
 
 def print_overrides(console: Console, town: str, overrides: Sequence[Override], notes: Sequence[str] = ()) -> None:
@@ -24,7 +28,8 @@ def print_overrides(console: Console, town: str, overrides: Sequence[Override], 
         title_justify="left",
     )
     for row in overrides:
-        table.add_row(row.option, row.author or "-", row.wcsim, row.why)
+        cells = (row.option, row.author or "-", row.wcsim, row.why)
+        table.add_row(*(Text(shown(cell, _MOST)) for cell in cells))  # a scenario's own words are no markup
     console.print(table)
     for note in notes:
         console.print(f"note: {note}", markup=False, highlight=False)

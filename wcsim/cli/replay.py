@@ -12,6 +12,7 @@ import tyro
 
 from wcsim.cli.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
 from wcsim.errors import ConfigError, WcsimError
+from wcsim.reading import is_file, is_folder, shown
 
 TRACE: Final = "trace"
 JOURNAL: Final = "journal"
@@ -89,13 +90,13 @@ def _check(options: Options) -> None:
 def _find(run: Path, preferred: Kind, expected: str) -> Recording:
     """The recording of a run, of the preferred kind when there are both. Raises ConfigError."""
     order: tuple[Kind, Kind] = ("trace", "journal") if preferred == TRACE else ("journal", "trace")
-    if run.is_dir():
-        found = [Recording(path=run / kind, kind=kind) for kind in order if (run / kind).is_file()]
+    if is_folder(run):
+        found = [Recording(path=run / kind, kind=kind) for kind in order if is_file(run / kind)]
         if found:
             return found[0]
-        raise ConfigError(f"{run}: has no trace and no journal; expected {expected}")
-    if not run.is_file():
-        raise ConfigError(f"{run}: is not there; expected {expected}")
+        raise ConfigError(f"{shown(run)}: has no trace and no journal; expected {expected}")
+    if not is_file(run):
+        raise ConfigError(f"{shown(run)}: is not there; expected {expected}")
     return Recording(path=run, kind="journal" if _is_journal(run) else "trace")
 
 

@@ -11,14 +11,16 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from wcsim.bridge.scene import GOLDEN, run_in_child
 from wcsim.bridge.scene_facts import SceneFacts, facts_of, faults
-from wcsim.bridge.trace import read_trace
 from wcsim.bridge.trace_diff import difference
+from wcsim.bridge.trace_file import read_trace
 from wcsim.cli.common import OutFile, check_output, parse, subcommand, write_json
 from wcsim.config import read_toml
 from wcsim.errors import ConfigError
+from wcsim.reading import shown
 from wcsim.scene_file import SceneFile
 from wcsim.towns.scene_template import write_scene
 from wcsim.towns.scenes import NETCONVERT_FILES, find_scene, list_scenes
@@ -98,7 +100,7 @@ def _list() -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        table.add_row(scene.name, f"{scene.duration_s:g}", str(len(scene.seats)), scene.shows)
+        table.add_row(scene.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(shown(scene.shows, 2000)))
     Console().print(table)
     if broken:
         raise ConfigError("; ".join(broken))
@@ -114,7 +116,7 @@ def _run(options: RunOptions) -> int:
     table = Table("scene", "", "what happened")
     for outcome in outcomes:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
-        table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", told)
+        table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", Text(told))
     Console().print(table)
     if options.json is not None:
         write_json(

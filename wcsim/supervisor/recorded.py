@@ -7,14 +7,18 @@ the next one. Recording and episode begin together; when the recording is over t
 from __future__ import annotations
 
 import csv
+import io
 import math
 import tempfile
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from wcsim.errors import ConfigError
+from wcsim.reading import FileKind, read_text, shown
 from wcsim.supervisor.hand import on_disc
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import UserProfile, profile
@@ -24,7 +28,9 @@ from wcsim.types import F64, Joystick, Outline, Route, UserView
 PREFIX = "recorded:"
 COLUMNS = ("time_s", "x", "y")
 LONGEST_GAP_S = 0.5
-LARGEST_BYTES = 64 << 20
+MOST_SAMPLES = 2_000_000  # two hours of 240 a second
+_KIND = FileKind(what="a recorded joystick", limit_bytes=64 << 20)
+_BOUNDS = {"time_s": "seconds", "x": "-1 to 1", "y": "-1 to 1"}
 SAME_TIME_S = 1e-6
 
 
@@ -126,14 +132,17 @@ def read_recording(path: FilePath) -> Recording:
         ConfigError: The file cannot be read, has no samples, or one of them is no number, out of bounds, not later than
             the one before, or more than 0.5 s later; with the line, the value and what was expected.
     """
-    rows = _rows(path)
-    if len(rows) < 2:
-        raise ConfigError(f"{path}: {len(rows)} samples; expected at least two lines below {','.join(COLUMNS)}")
-    before_s = 0.0
-    for number, (line, row) in enumerate(rows):
-        _check(f"{path}:{line}", row, before_s, first=number == 0)
-        before_s = row[0]
-    table = np.array([row for _, row in rows])
+    numbers = array("d")
+    for line, row in _rows(path):
+        where = f"{shown(path)}:{line}"
+        if len(numbers) >= 3 * MOST_SAMPLES:
+            raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected a recorded joystick, cut it")
+        values = _values(where, row)
+        _check(where, values, numbers[-3] if numbers else 0.0, first=not numbers)
+        numbers.extend(values)
+    table = np.array(numbers).reshape(-1, 3)
+    if len(table) < 2:
+        raise ConfigError(f"{shown(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}")
     sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
     return Recording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
@@ -161,21 +170,18 @@ def write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
 
 
-def _rows(path: FilePath) -> list[tuple[int, tuple[float, float, float]]]:
-    """Line number and values of each sample."""
+def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each sample; nothing of a file that is no recording is told, it may be any file."""
+    reader = csv.reader(io.StringIO(read_text(path, _KIND), newline=""))
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise ConfigError(f"{path}: larger than {LARGEST_BYTES} bytes; expected a recorded joystick, cut it")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            head = tuple(word.strip() for word in next(reader, []))
-            if head != COLUMNS:
-                raise ConfigError(f"{path}:1: {','.join(head)[:80]!r}; expected the column names {','.join(COLUMNS)}")
-            return [(reader.line_num, _values(f"{path}:{reader.line_num}", row)) for row in reader if row]
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a recorded joystick") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: is no table of comma-separated values: {error}") from None
+        if tuple(word.strip() for word in next(reader, [])) != COLUMNS:
+            raise ConfigError(f"{shown(path)}:1: other column names; expected the line {','.join(COLUMNS)}")
+        for row in reader:
+            if row:
+                yield reader.line_num, row
+    except csv.Error:
+        message = f"{shown(path)}:{reader.line_num}: is no line of comma-separated values; expected {','.join(COLUMNS)}"
+        raise ConfigError(message) from None
 
 
 def _values(where: str, row: list[str]) -> tuple[float, float, float]:
@@ -186,7 +192,7 @@ def _values(where: str, row: list[str]) -> tuple[float, float, float]:
         try:
             values.append(float(text))
         except ValueError:
-            raise ConfigError(f"{where}: {name} is {text[:40]!r}; expected a number") from None
+            raise ConfigError(f"{where}: {name} is no number; expected {_BOUNDS[name]}") from None
     return values[0], values[1], values[2]
 
 
