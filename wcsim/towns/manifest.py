@@ -8,11 +8,13 @@ from pathlib import Path
 
 from wcsim.config import TownFile, read_toml
 from wcsim.errors import ConfigError, TownError
+from wcsim.reading import FileKind, read_bytes
 from wcsim.towns.town import Town
 from wcsim.towns.xmlio import content_digest
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
 BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
+_DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
 AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
@@ -81,4 +83,4 @@ def _path(town: Town, kind: str) -> Path:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.suffix == ".tif" else content_digest(path)
+    return hashlib.sha256(read_bytes(path, _DEM)).hexdigest() if path.suffix == ".tif" else content_digest(path)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 from wcsim.config import TownFile, read_toml
 from wcsim.errors import ConfigError, TownError
+from wcsim.reading import is_file, is_folder
+from wcsim.towns.border import require_file, require_inside
 from wcsim.towns.scenario_options import Configuration, read_configuration
-from wcsim.towns.xmlio import content_digest, is_folder, is_there, read_head, read_root, shown
+from wcsim.towns.xmlio import content_digest, read_head, read_root
 
 log = logging.getLogger("wcsim.towns")
 
@@ -33,6 +35,7 @@ class Town:
     poly: Path | None
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
+    border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
 
     @property
     def address(self) -> str:
@@ -43,11 +46,15 @@ class Town:
             return str(self.sumocfg)
 
 
-def find_town(name_or_path: str) -> Town:
+def find_town(name_or_path: str, *, outside: bool = False) -> Town:
     """The town of that name (in ./scenarios/sumo, then in the package), or at that path (a folder or a .sumocfg).
 
+    Args:
+        name_or_path: The one or the other.
+        outside: Whether a scenario at a path may name files outside of its folder.
+
     Raises:
-        TownError: no such town, or its files are missing or broken.
+        TownError: no such town, or its files are missing, broken, or elsewhere.
     """
     if not name_or_path:
         raise TownError("a town has no name; give one of: " + _known() + ", or a path to a folder with a .sumocfg")
@@ -56,8 +63,8 @@ def find_town(name_or_path: str) -> Town:
         if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
             return open_town(folder)
     path = Path(name_or_path).expanduser()
-    if is_folder(path) or is_there(path):
-        return open_town(path)
+    if is_folder(path) or is_file(path):
+        return open_town(path, outside=outside)
     raise TownError(
         f"unknown town {name_or_path[:160]!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
     )
@@ -86,19 +93,28 @@ def town_roots() -> tuple[Path, ...]:
     return tuple(dict.fromkeys(place for place in places if place.is_dir()))
 
 
-def open_town(path: Path) -> Town:
-    """The town in a folder, or of a .sumocfg file. Raises TownError with the cure when a file is missing."""
+def open_town(path: Path, *, outside: bool = False) -> Town:
+    """The town in a folder, or of a .sumocfg file.
+
+    Args:
+        path: The one or the other.
+        outside: Whether it may name files outside of its folder.
+
+    Raises:
+        TownError: A file is missing, broken, or elsewhere; with the cure.
+    """
     sumocfg = path if path.is_file() else _main_config(path)
+    folder = path.parent if path.is_file() else path
+    border = None if outside else folder
+    require_inside(sumocfg, border, sumocfg)
     config = read_configuration(sumocfg)
     nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
     routes, additional = config.files("route-files"), config.files("additional-files")
-    missing = [shown(item) for item in (*nets, *routes, *additional) if not is_there(item)]
-    if missing:
-        raise TownError(f"{sumocfg}: names a file that is not there: {missing[0]}; restore it or correct the sumocfg")
+    for item in (*nets, *routes, *additional):
+        require_file(item, border, sumocfg)
     poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
-    folder = path.parent if path.is_file() else path
     file = town_file(folder, config)
     return Town(
         name=file.name,
@@ -110,6 +126,7 @@ def open_town(path: Path) -> Town:
         poly=poly,
         routes=routes,
         additional=additional,
+        border=border,
     )
 
 
@@ -165,7 +182,8 @@ def _main_config(folder: Path) -> Path:
     named_by_toml = read_toml(toml, TownFile).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
-        if not path.is_file():
+        require_inside(path, folder, toml)
+        if not is_file(path):
             raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
         return path
     if (folder / "scene.toml").is_file():
