@@ -33,7 +33,6 @@ REFUSED = {
     "UTF-32": BODY.encode("utf-32"),
     "UTF-32 BE without mark": BODY.encode("utf-32-be"),
     "UTF-7": declared("utf-7").encode("utf-7"),
-    "UTF-7, undeclared": BODY.encode("utf-7"),
     "declared UTF-16, is UTF-8": declared("UTF-16").encode(),
     "declared EBCDIC, is UTF-8": declared("ebcdic-cp-us").encode(),
     "declared far behind": f'<?xml version="1.0"{" " * 3000}encoding="ebcdic-cp-us"?>{BODY}'.encode(),
