@@ -77,8 +77,15 @@ NAMES = (
 BESIDE = ("good.xml", "hidden.xml", "hidden.xml.gz", "./good.xml", "folder/../hidden.xml")
 """Names of what lies beside the files of the scenario."""
 
+PRIVATE = ("private", "../canary/precious.xml", "link/precious.xml", "{canary}/precious.xml", "folder/../private")
+"""Names of what is there, and not the scenario's."""
+
 _FLOW = '<flow begin="0" end="9" vehsPerHour="900" speed="8"/>'
 _ENDS = '<detEntry lane="{lane}" pos="2"/><detExit lane="{lane}" pos="8"/>'
+_WATCHED = (
+    '<vehicle id="k{n}" depart="0"><route edges="{edge}"/>'
+    '<param key="has.ssm.device" value="true"/><param key="{0}" value="{1}"/></vehicle>'
+)
 WRITERS = (
     ("file", '<edgeData id="k{n}" {0}="{1}" period="1"/>'),
     ("file", '<laneData id="k{n}" {0}="{1}" period="1"/>'),
@@ -96,6 +103,7 @@ WRITERS = (
         "device.ssm.file",
         '<vType id="k{n}"><param key="has.ssm.device" value="true"/><param value="{1}" key="{0}"/></vType>',
     ),
+    ("device.ssm.file", _WATCHED),
     ("device.toc.file", '<vType id="k{n}"><param key="{0}" value="{1}"/></vType>'),
     ("file", '<tlLogic id="C" programID="p{n}" type="actuated"><param key="{0}" value="{1}"/></tlLogic>'),
 )
@@ -169,6 +177,10 @@ class Theirs:
     done: list[str] = field(default_factory=list)
     count: int = 0
 
+    def kind(self, reads: bool) -> tuple[str, ...]:
+        """Of what is read most must be there, or it is refused for that alone."""
+        return pick(self.rng, (BESIDE, BESIDE, PRIVATE, NAMES)) if reads else NAMES
+
     def name(self, names: tuple[str, ...] = NAMES) -> str:
         """A nasty name for a file."""
         return pick(self.rng, names).format(canary=self.canary, theirs=self.folder)
@@ -179,7 +191,7 @@ class Theirs:
         reads = self.rng.random() < 0.25
         key, text = pick(self.rng, READERS if reads else WRITERS)
         value = escape(
-            self.name(BESIDE if reads and self.rng.random() < 0.7 else NAMES),
+            self.name(self.kind(reads)),
             {'"': "&quot;", "\n": "&#10;", "\t": "&#9;"},
         )
         if value and self.rng.random() < 0.15:
@@ -199,7 +211,7 @@ class Theirs:
         """An option with a nasty name as its value, spelt in any way."""
         spelling = pick(self.rng, _file_options() if self.rng.random() < 0.8 else _text_options())
         reads = sumo_options()[spelling].treatment is Treatment.INPUT
-        name = self.name(BESIDE if reads and self.rng.random() < 0.7 else NAMES)
+        name = self.name(self.kind(reads))
         value = escape(name, {'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
         self.done.append(f"<{spelling}>={value[:50]!r}")
         form = pick(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -37,7 +38,7 @@ MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each 
 MAX_BANDS = 8
 _GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=TownError)
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_GRIDS = re.compile(r"(?i)(grids|catalog|init|file)\s*=(?!\s*@?null)")
+_GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
 _WANTED = "expected a GeoTIFF of heights in metres with a coordinate system, as gdalwarp writes"
 
 
@@ -152,6 +153,20 @@ def _require_usable(path: Path, file: DatasetReader) -> None:
 
 
 @contextmanager
+def _quiet() -> Iterator[None]:
+    """Let nothing be printed of a broken file but the one error: GDAL quotes its bytes, which may be no text."""
+    unraisable, raised = sys.unraisablehook, sys.excepthook
+    sys.unraisablehook = lambda _: None  # called where rasterio cannot put such words into its log
+    sys.excepthook = lambda *_: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of files without a place, which are refused below
+            yield
+    finally:
+        sys.unraisablehook, sys.excepthook = unraisable, raised
+
+
+@contextmanager
 def _opened(path: Path) -> Iterator[DatasetReader]:
     """A GeoTIFF out of this process's memory, where nothing lies beside it that could be taken for a part of it."""
     from rasterio import Env
@@ -167,29 +182,28 @@ def _opened(path: Path) -> Iterator[DatasetReader]:
 
 def _read(path: Path, area: Box, max_grade: float) -> Dem:
     import rasterio
-    from rasterio.errors import CRSError, RasterioError
     from rasterio.transform import from_bounds
     from rasterio.warp import Resampling, reproject, transform_bounds
 
     shape = _shape(area)
     found = np.full(shape, np.nan, np.float32)
     try:
-        with own_projections(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of files without a place, which are refused below
-            with _opened(path) as file:
-                _require_usable(path, file)
-                if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
-                    return _taken_as_it_is(path, file)
-                place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
-                reproject(
-                    rasterio.band(file, 1),
-                    found,
-                    dst_transform=from_bounds(*area, shape[1], shape[0]),
-                    dst_crs="EPSG:4326",
-                    dst_nodata=np.nan,
-                    resampling=Resampling.bilinear,
-                )
-    except (RasterioError, CRSError, OSError, ValueError) as error:
+        with own_projections(), _quiet(), _opened(path) as file:
+            _require_usable(path, file)
+            if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
+                return _taken_as_it_is(path, file)
+            place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
+            reproject(
+                rasterio.band(file, 1),
+                found,
+                dst_transform=from_bounds(*area, shape[1], shape[0]),
+                dst_crs="EPSG:4326",
+                dst_nodata=np.nan,
+                resampling=Resampling.bilinear,
+            )
+    except TownError:
+        raise
+    except Exception as error:  # GDAL's errors have no base in common
         raise TownError(f"--dem {path}: cannot be read ({_one_line(error)}); {_WANTED}") from None
     height_m = np.where(np.isfinite(found) & (np.abs(found) < HIGHEST_M), found, np.nan).astype(np.float64)
     known = float(np.isfinite(height_m).mean())

@@ -6,10 +6,10 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.config import TownFile, read_toml
+from wcsim.config import TownFile
 from wcsim.errors import ConfigError, TownError
 from wcsim.reading import FileKind, read_bytes
-from wcsim.towns.town import Town
+from wcsim.towns.town import Town, read_town_file
 from wcsim.towns.xmlio import content_digest
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
@@ -52,8 +52,8 @@ def changes_of(town: Town) -> Changes:
 def own_work(folder: Path) -> tuple[str, ...]:
     """What somebody did to a town's folder since its import, as paths in it: changed files and added ones, sorted."""
     try:
-        file = read_toml(folder / "town.toml", TownFile)
-    except ConfigError:
+        file = read_town_file(folder / "town.toml")
+    except (ConfigError, TownError):
         return ("town.toml",)
     name = file.name
     written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()

@@ -13,7 +13,7 @@ _PICTURES = ("imgFile", "osgFile", "href")
 _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
-_GRIDS = re.compile(r"(?i)(grids|catalog|init|file)\s*=(?!\s*(@?null|epsg:))")
+_GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
 
 
 class NamesFiles:

@@ -122,13 +122,13 @@ class FilteredFiles:
                 self.pictures[there.absolute()] = None
             elif writes(key) and value not in NOWHERE:
                 element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
-        if element.tag == "param" and before.get("value", "") not in NOWHERE:
+        if element.tag == "param" and before.get("value"):
             self._change_parameter(element, path, above)
         return before != element.attrib
 
     def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
         key, value = element.get("key", ""), element.attrib["value"]
-        if writes_parameter(key):
+        if writes_parameter(key) and value not in NOWHERE:
             element.set("value", str(self._names.place(value, path.parent, f"{key.strip()}.xml")))
         elif reads_parameter(key):
             found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from wcsim.config import read_toml
+from wcsim.config import parse
 from wcsim.errors import SumoError, TownError
+from wcsim.reading import FileKind, read_toml, shown
 from wcsim.scene_file import SceneFile
 from wcsim.towns.adopt_files import copy_file
 from wcsim.towns.border import require_file
@@ -21,6 +22,7 @@ NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
 """Options of netconvert and netedit, and the kinds of files that they take."""
 
 _MORE_FILES = ("add", "poly")
+_SCENE_TOML = FileKind(what="a scene.toml", limit_bytes=1 << 20, error=TownError)
 # normalisation off: the net keeps the coordinates that the author wrote
 _OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
 
@@ -48,6 +50,12 @@ def find_scene(name_or_path: str) -> Path:
     )
 
 
+def scene_of(folder: Path) -> SceneFile:
+    """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
+    toml = folder / "scene.toml"
+    return parse(SceneFile, read_toml(toml, _SCENE_TOML), shown(toml))
+
+
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
     """Build a scene's net into `work` and return it as a town; net coordinates are world coordinates.
 
@@ -55,7 +63,7 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
         TownError: a file of the scene is missing, broken, or elsewhere.
         SumoError: netconvert refuses it.
     """
-    scene = read_toml(folder / "scene.toml", SceneFile)
+    scene = scene_of(folder)
     work.mkdir(parents=True, exist_ok=True)
     _build_net(scene, folder, work)
     additional = []

@@ -8,9 +8,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.config import TownFile, read_toml
+from wcsim.config import TownFile, parse
 from wcsim.errors import ConfigError, TownError
-from wcsim.reading import is_file, is_folder
+from wcsim.reading import FileKind, is_file, is_folder, read_toml, shown
 from wcsim.towns.border import require_file, require_inside
 from wcsim.towns.scenario_options import Configuration, read_configuration
 from wcsim.towns.xmlio import content_digest, read_head, read_root
@@ -20,6 +20,7 @@ log = logging.getLogger("wcsim.towns")
 NOT_TOWNS = ("scenes",)
 _BOUNDARY = re.compile(rb"""<location\b[^>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
+_TOWN_TOML = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,11 +135,16 @@ def town_file(folder: Path, config: Configuration) -> TownFile:
     """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
     toml = folder / "town.toml"
     if toml.is_file():
-        return read_toml(toml, TownFile)
+        return read_town_file(toml)
     place, alone = folder.resolve(), len(_configs(folder)) == 1
     words = place.name if alone else f"{place.name}-{config.path.stem}"
     name = re.sub(r"(-|[^A-Za-z0-9_])+", "-", words).strip("-")[:64] or "town"
     return TownFile(name=name, split="train", origin_m=net_middle(config.files("net-file")[0]))
+
+
+def read_town_file(toml: Path) -> TownFile:
+    """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
+    return parse(TownFile, read_toml(toml, _TOWN_TOML), shown(toml))
 
 
 def net_middle(net: Path) -> tuple[int, int]:
@@ -179,7 +185,7 @@ def streets_hash(town: Town) -> str:
 def _main_config(folder: Path) -> Path:
     """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
     toml = folder / "town.toml"
-    named_by_toml = read_toml(toml, TownFile).sumocfg if toml.is_file() else ""
+    named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
         require_inside(path, folder, toml)
