@@ -12,6 +12,7 @@ from tests.towns import hostile
 from tests.worlds import quick_config
 from wcsim.bridge.stage import RunPlace
 from wcsim.bridge.world import World
+from wcsim.cli.main import main
 from wcsim.errors import TownError
 from wcsim.towns.adopt import adopt_scenario
 from wcsim.towns.scenario import stage_scenario
@@ -125,6 +126,33 @@ def test_nothing_of_the_user_is_taken_along(corner_town: Town, tmp_path: Path, p
             stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
     if place in ("include", "link", "parent"):
         stage_scenario(open_town(sumocfg, outside=True), SETTINGS, tmp_path / "run2")
+
+
+def test_a_flag_trusts_a_scenario_and_an_import_that_fails_leaves_nothing(
+    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "theirs" / "a.rou.xml").rename(tmp_path / "parts" / "b.rou.xml")
+    sumocfg.write_text(sumocfg.read_text().replace("a.rou.xml", "../parts/b.rou.xml"))
+    words = ["town", "import", "--name", "mine", "--sumocfg", str(sumocfg), "--out", "made"]
+    run = ["town", "run", str(sumocfg), "--seconds", "1", "--chairs", "0", "--out", "run"]
+    for command in (words, run):
+        assert main(command) == 2
+        assert "b.rou.xml, which lies outside of" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "made").exists() and not (tmp_path / "run").exists()
+    assert main([*run, "--allow-outside"]) == 0
+    assert main([*words, "--allow-outside"]) == 0
+    assert "look through made before you share it" in capsys.readouterr().out
+    assert (tmp_path / "made" / "parts" / "b.rou.xml").is_file()
+    assert find_town("made").border == Path("made")
+    (tmp_path / "parts" / "b.rou.xml").write_text('<routes><vType id="t" accel="much"/></routes>', encoding="utf-8")
+    words[-1] = "other"
+    assert main([*words, "--allow-outside"]) == 2
+    told = capsys.readouterr()
+    assert "demand cannot be checked" in told.err and "wrote" not in told.out
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(
