@@ -58,8 +58,9 @@ UNASKED = """
 """
 
 
+@pytest.mark.parametrize("names", [("one", "two", "three"), ("one", "a/b", "stdout")])
 def test_with_every_device_on_the_current_folder_stays_empty(
-    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
 ) -> None:
     edge = hostile.lane_of(corner_town).rpartition("_")[0]
     lane = f"{edge}_1"
@@ -72,7 +73,7 @@ def test_with_every_device_on_the_current_folder_stays_empty(
     cars = "".join(
         f'<vehicle id="{name}" type="x" depart="0" departPos="{10 * k}"><route edges="{edge}"/>'
         '<param key="has.ssm.device" value="true"/></vehicle>'
-        for k, name in enumerate(("one", "a/b", "stdout"))
+        for k, name in enumerate(names)
     )
     town = open_town(hostile.scenario(corner_town, tmp_path / "theirs", UNASKED, more, cars))
     theirs = sorted((tmp_path / "theirs").iterdir())

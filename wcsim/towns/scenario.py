@@ -19,7 +19,7 @@ from wcsim.towns.scenario_options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario_overrides import Override, Settings, author_scale, forced, overrides_of
+from wcsim.towns.scenario_overrides import AGGREGATED, Override, Settings, author_scale, forced, overrides_of
 from wcsim.towns.town import Town
 
 COPIES = "inputs"
@@ -161,7 +161,7 @@ def unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]
     if saves and not config.value("save-state.prefix"):
         found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
     if config.value("elechybrid-output"):
-        found["elechybrid-output.aggregated"] = "true"
+        found[AGGREGATED] = "true"
     return found
 
 
