@@ -14,7 +14,8 @@ import pytest
 
 from wcsim.errors import TownError
 from wcsim.towns.packed import MAX_MEMBERS, bunzip2, gunzip
-from wcsim.towns.xmlio import MAX_NESTING, parse_root, read_bytes, read_root, scan
+from wcsim.towns.town import net_middle
+from wcsim.towns.xmlio import MAX_NESTING, parse_root, read_bytes, read_root, scan, without_comments
 
 BODY = '<additional><edgeData id="x" file="/anywhere"/></additional>'
 
@@ -100,3 +101,30 @@ def test_unpacking_is_bounded_in_size_and_pieces() -> None:
         with pytest.raises(EOFError, match="pieces"):
             unpack(io.BytesIO(pack(b"") * (MAX_MEMBERS * 20)), 100)
         assert time.process_time() - begun_s < 4 * few_s + 0.5  # of the same number of pieces
+
+
+def test_comments_are_taken_out() -> None:
+    for text, left in (
+        (b"<!-- a -->\n <a/><!----><b/>", b"<a/><b/>"),
+        (b"<a/><!-- <!-- --> --><b/>", b"<a/>--><b/>"),
+        (b"<!--><a/>-->", b""),
+        (b"<a/><!-- open", b"<a/><!-- open"),
+        (b"<a/>", b"<a/>"),
+    ):
+        assert without_comments(text) == left
+
+
+def test_what_is_looked_for_in_a_file_takes_a_time_in_proportion_to_its_length(tmp_path: Path) -> None:
+    def cost_s(size: int) -> float:
+        net = tmp_path / "a.net.xml"
+        net.write_bytes(b"<location " * size + b"<net/>")
+        costs_s = []
+        for _ in range(3):
+            begun_s = time.process_time()
+            without_comments(b"<!--" * size)
+            with pytest.raises(TownError):
+                net_middle(net)
+            costs_s.append(time.process_time() - begun_s)
+        return min(costs_s)
+
+    assert cost_s(80_000) < 60 * cost_s(5_000)  # 16 for a proportion, 256 for a square

@@ -34,7 +34,7 @@ _EXPECTED = {
     "STR": "letters, digits, . _ -",
 }
 _BOOLS = ("1", "yes", "true", "on", "x", "t", "0", "no", "false", "off", "-", "f")
-_VARIABLE = re.compile(r"\$\{([^}]*)\}")
+_VARIABLE = re.compile(r"\$\{([^${}]*)\}")
 
 
 class Content(Enum):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wcsim.config import parse
 from wcsim.errors import SumoError, TownError
-from wcsim.reading import FileKind, read_toml, shown
+from wcsim.reading import FileKind, is_file, read_toml, shown
 from wcsim.scene_file import SceneFile
 from wcsim.towns.adopt_files import copy_file
 from wcsim.towns.border import require_file
@@ -15,7 +15,7 @@ from wcsim.towns.folder import sumocfg_text, town_toml_text
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.tools import run_tool
-from wcsim.towns.town import Town, open_town, town_roots
+from wcsim.towns.town import Town, expanded, open_town, town_roots
 from wcsim.towns.xmlio import without_comments, write_gzip
 
 NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
@@ -41,8 +41,8 @@ def find_scene(name_or_path: str) -> Path:
     scenes = {folder.name: folder for folder in list_scenes()}
     if name_or_path in scenes:
         return scenes[name_or_path]
-    path = Path(name_or_path).expanduser()
-    if name_or_path and (path / "scene.toml").is_file():
+    path = expanded(name_or_path)
+    if name_or_path and is_file(path / "scene.toml"):
         return path
     known = ", ".join(scenes) or "(no scene is installed)"
     raise TownError(

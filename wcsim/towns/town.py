@@ -18,7 +18,7 @@ from wcsim.towns.xmlio import content_digest, read_head, read_root
 log = logging.getLogger("wcsim.towns")
 
 NOT_TOWNS = ("scenes",)
-_BOUNDARY = re.compile(rb"""<location\b[^>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
+_BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
 _TOWN_TOML = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
@@ -63,12 +63,20 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
         folder = root / name_or_path
         if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
             return open_town(folder)
-    path = Path(name_or_path).expanduser()
+    path = expanded(name_or_path)
     if is_folder(path) or is_file(path):
         return open_town(path, outside=outside)
     raise TownError(
         f"unknown town {name_or_path[:160]!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
     )
+
+
+def expanded(path: str) -> Path:
+    """A path that somebody wrote, with their home in place of ~; one of nobody's home stays as it is."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
 
 
 def list_towns() -> tuple[Town, ...]:

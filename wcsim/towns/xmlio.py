@@ -25,7 +25,7 @@ MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
 MAX_TAG_BYTES = 1 << 20  # of one tag, comment or text; parsers that get a file in pieces begin each of them anew
 XML = FileKind(what="an XML file, plain or gzip-compressed", limit_bytes=MAX_XML_BYTES, error=TownError)
-_COMMENT = re.compile(rb"<!--.*?-->\s*", re.DOTALL)
+_SPACE = re.compile(rb"\s*")
 _DECLARATION = re.compile(
     rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""
     rb"""(?:\s+standalone\s*=\s*(["'])(?:yes|no)\4)?\s*\?>"""
@@ -33,7 +33,6 @@ _DECLARATION = re.compile(
 _ENCODING = re.compile(r"utf-?8|(us-)?ascii|iso-?8859-\d{1,2}|latin-?1|windows-125\d", re.IGNORECASE)
 _DECLARED = re.compile(rb"<\?[xX][mM][lL][\s?]")
 _BLANKS = b" \t\r\n"
-_HEAD_BYTES = 1 << 16
 Visit = Callable[[str, list[str]], None]
 
 
@@ -104,7 +103,7 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
         raise _malformed(where, error) from None
 
 
-def require_plain(data: bytes, where: str) -> None:
+def require_plain(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     """Refuse what one parser may read in another way than the next one, or only in a very long time.
 
     That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the declaration says; another
@@ -114,9 +113,9 @@ def require_plain(data: bytes, where: str) -> None:
         TownError: It is so.
     """
     start = data.removeprefix(codecs.BOM_UTF8)
-    head = start[:_HEAD_BYTES].lstrip(_BLANKS)
+    head = start[:MAX_TAG_BYTES].lstrip(_BLANKS)
     if head[:1] != b"<" or b"\0" in data:
-        raise TownError(f"{where}: is not well-formed XML in UTF-8, with a < as its first letter; save it so")
+        raise TownError(f"{where}: is not well-formed XML in UTF-8, expected to begin with <; export or build it again")
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
         if found is None or not _ENCODING.fullmatch((found["encoding"] or b"utf-8").decode("ascii")):
@@ -124,13 +123,15 @@ def require_plain(data: bytes, where: str) -> None:
             raise TownError(f"{where}: begins with {told}; expected XML 1.0 in UTF-8: save it so")
     if b"<!DOCTYPE" in data:
         raise TownError(f"{where}: has a document type definition; expected plain UTF-8 XML: remove it")
-    if data.count(b"<") > MAX_TAGS:
-        raise TownError(f"{where}: has more than {MAX_TAGS} tags; expected fewer: clip it to a smaller area")
+    if data.count(b"<") > most_tags:
+        raise TownError(f"{where}: has more than {most_tags} tags; expected fewer: clip it to a smaller area")
     if any(
         data.find(b">", place, place + MAX_TAG_BYTES) < 0
         for place in range(0, len(start) - MAX_TAG_BYTES, MAX_TAG_BYTES)
     ):
-        raise TownError(f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; expected shorter ones")
+        raise TownError(
+            f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; expected shorter ones: remove it"
+        )
 
 
 def _malformed(where: str, error: Exception) -> TownError:
@@ -143,7 +144,12 @@ def _too_deep(where: str) -> TownError:
 
 def without_comments(data: bytes) -> bytes:
     """XML text without comments: SUMO's tools write the date and their options into one."""
-    return _COMMENT.sub(b"", data)
+    parts, place = list[bytes](), 0
+    while (begin := data.find(b"<!--", place)) >= 0 and (end := data.find(b"-->", begin + 4)) >= 0:
+        parts.append(data[place:begin])
+        found = _SPACE.match(data, end + 3)
+        place = found.end() if found else end + 3
+    return b"".join((*parts, data[place:]))
 
 
 def write_gzip(path: Path, data: bytes) -> None:
