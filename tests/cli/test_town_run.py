@@ -118,8 +118,11 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
     summary = "<summary value='s.xml'/><lateral-resolution value='0.4'/>"
     town = find_town(str(corner))
     sumocfg = tmp_path / "theirs.sumocfg"
+    for file in (town.net, *town.routes):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
     parts = "".join(
-        f"<{name} value='{','.join(map(str, files))}'/>" for name, files in (("n", [town.net]), ("r", town.routes))
+        f"<{name} value='{','.join(file.name for file in files)}'/>"
+        for name, files in (("n", [town.net]), ("r", town.routes))
     )
     sumocfg.write_text(f"<c>{parts}{summary}</c>", encoding="utf-8")
     out = tmp_path / "run"

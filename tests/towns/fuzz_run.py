@@ -282,7 +282,7 @@ def main() -> int:
     return 0
 
 
-def _nameless(net: Path) -> None:
+def _nameless(net: Path, *, border: Path | None = None) -> None:
     raise TownError("something is wrong")
 
 
@@ -291,7 +291,7 @@ def _plant(fault: str) -> None:
     from wcsim.bridge import stage, world
 
     if fault == "unchecked":  # SUMO meets in this process what was not tried in a child
-        world.validate_net = lambda net: None
+        world.validate_net = lambda net, *, border=None: None
         stage.try_scenario = lambda town, settings, digest: None
     elif fault == "leaky":
         real = stage.stage_scenario
@@ -302,9 +302,9 @@ def _plant(fault: str) -> None:
 
         stage.stage_scenario = leaky  # type: ignore[assignment]
     elif fault == "stuck":
-        world.validate_net = lambda net: time.sleep(60.0)
+        world.validate_net = lambda net, *, border=None: time.sleep(60.0)
     elif fault == "blunt":
-        world.validate_net = lambda net: {}["a"]
+        world.validate_net = lambda net, *, border=None: {}["a"]
     elif fault == "nameless":
         world.validate_net = _nameless
     elif fault:

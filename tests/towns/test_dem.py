@@ -55,6 +55,52 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
         assert name in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_only_a_geotiff_of_a_size_that_can_be_read_is_one(tmp_path: Path) -> None:
+    sound = write_tiff(tmp_path / "sound.tif", "EPSG:32632")
+    (tmp_path / "virtual.tif").write_text(
+        f"""<VRTDataset rasterXSize="240" rasterYSize="240"><SRS>EPSG:32632</SRS>
+        <GeoTransform>371495,10,0,4845700,0,-10</GeoTransform><VRTRasterBand dataType="Float32" band="1">
+        <SimpleSource><SourceFilename>{sound}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>
+        </VRTRasterBand></VRTDataset>""",
+        encoding="utf-8",
+    )
+    place = Affine(1e-6, 0.0, 7.3, 0.0, -1e-6, 43.8)
+    shape = {"width": 60_000, "height": 60_000, "count": 1, "dtype": "float32", "transform": place, "SPARSE_OK": True}
+    with (
+        own_projections(),
+        rasterio.open(tmp_path / "giant.tif", "w", driver="GTiff", crs="EPSG:4326", **shape) as file,
+    ):
+        file.update_tags(WCSIM_MAX_GRADE="0")
+    shape |= {"width": 200, "height": 200, "count": 40}
+    with own_projections(), rasterio.open(tmp_path / "bands.tif", "w", driver="GTiff", crs="EPSG:4326", **shape):
+        pass
+    (tmp_path / "link.tif").symlink_to("/dev/zero")
+    cases = {
+        "virtual.tif": "does not begin as a TIFF file",
+        "giant.tif": "60000 x 60000 cells in 1 bands",
+        "bands.tif": "in 40 bands",
+        "link.tif": "is no regular file",
+    }
+    for name, told in cases.items():
+        with pytest.raises(TownError, match=told):
+            make_dem(Heights(dem=tmp_path / name), BOX, 0)
+
+
+def test_what_lies_beside_a_geotiff_is_left_alone(tmp_path: Path) -> None:
+    path = write_tiff(tmp_path / "a.tif", "EPSG:32632")
+    wanted = make_dem(Heights(dem=path), BOX, 0)
+    (tmp_path / "a.tif.aux.xml").write_text(
+        '<PAMDataset><SRS>EPSG:4326</SRS><GeoTransform>0,1,0,0,0,-1</GeoTransform><PAMRasterBand band="1">'
+        "<NoDataValue>5</NoDataValue></PAMRasterBand></PAMDataset>",
+        encoding="utf-8",
+    )
+    (tmp_path / "a.tfw").write_text("1\n0\n0\n-1\n0\n0\n", encoding="utf-8")
+    (tmp_path / "a.tif.ovr").write_bytes(b"II*\0 no overview")
+    (tmp_path / "a.tif.msk").write_bytes(b"II*\0 no mask")
+    found = make_dem(Heights(dem=path), BOX, 0)
+    assert wanted is not None and found is not None and np.array_equal(found.height_m, wanted.height_m)
+
+
 def test_a_hill_is_smooth_seeded_and_as_high_as_ordered() -> None:
     hills = [make_dem(Heights(hill_m=20.0), BOX, seed) for seed in (1, 1, 2)]
     first, same, other = (hill.height_m for hill in hills if hill is not None)

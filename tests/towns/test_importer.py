@@ -140,7 +140,7 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
         '<person id="p" depart="2"><walk from="WC" to="nope"/></person></routes>',
         encoding="utf-8",
     )
-    assert unroutable_trips(replace(corner_town, routes=(routes,))) == 2
+    assert unroutable_trips(replace(corner_town, routes=(routes,), border=None)) == 2
 
 
 @pytest.mark.shared

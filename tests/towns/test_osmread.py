@@ -132,3 +132,18 @@ def test_elements_that_are_no_map_are_left_out(tiny: Path) -> None:
     assert "include" in text
     tiny.write_text(text, encoding="utf-8")
     assert {child.tag for item in read_extract(tiny).root for child in item} == {"nd", "tag"}
+
+
+def test_a_small_file_that_unpacks_to_a_large_one_is_refused_at_once(tmp_path: Path) -> None:
+    packer = bz2.BZ2Compressor()
+    blanks = b"".join(packer.compress(b" " * (1 << 20)) for _ in range(220)) + packer.flush()
+    (tmp_path / "a.osm.bz2").write_bytes(blanks)
+    (tmp_path / "b.osm.bz2").write_bytes(bz2.compress(b"<osm") + blanks)
+    (tmp_path / "c.osm.gz").write_bytes(gzip.compress(b"<osm>" + b" " * (220 << 20)))
+    (tmp_path / "d.osm").write_bytes(b"<osm>" + b" " * (60 << 20))
+    with (tmp_path / "e.osm").open("wb") as sparse:
+        sparse.write(b"<osm>")
+        sparse.truncate(20 << 30)
+    for path in sorted(tmp_path.iterdir()):  # libosmium would look for the end of the tag until it is stopped
+        with pytest.raises(TownError, match=r"MiB of XML|not well-formed|a tag"):
+            read_extract(path, None if path.name.startswith("c") else BOX)

@@ -153,6 +153,18 @@ def test_broken_files_are_refused_by_name(corner_town: Town, tmp_path: Path, mor
         stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
 
 
+def test_files_with_odd_names_are_read_from_copies_with_plain_ones(corner_town: Town, tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs"
+    sumocfg = hostile.scenario(corner_town, theirs, "", '<include href="weg \u00e4%41.xml"/>')
+    (theirs / "weg \u00e4%41.xml").write_text('<additional><poi id="x" x="1" y="1"/></additional>', encoding="utf-8")
+    (theirs / "a.rou.xml").rename(theirs / "r&\u00fc.rou.xml")
+    text = sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", "r&amp;\u00fc.rou.xml")
+    sumocfg.write_text(text, encoding="utf-8")
+    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+    run_staged(staged.sumocfg, 1.0)
+    assert {path.name for path in (tmp_path / "run" / "inputs").iterdir()} == {"a.add.xml", "weg_41.xml", "r_.rou.xml"}
+
+
 def test_an_entity_bomb_is_refused(corner_town: Town, tmp_path: Path) -> None:
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
     bomb = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;">]><additional>&c;</additional>'

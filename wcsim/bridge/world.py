@@ -68,7 +68,7 @@ class World:
         camera inside the chair's body, WorldInUseError while another world lives in this process.
         """
         refuse_second_world()
-        validate_net(town.net)
+        validate_net(town.net, border=town.border)
         self.town = town
         self.config = config
         self.street = load_street(town)

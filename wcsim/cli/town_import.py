@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.place import Box
 from wcsim.towns.street import load_street
 
-_ADOPTED = ("name", "sumocfg", "split", "out", "source", "json")  # options that a ready scenario knows
+_ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 
@@ -40,6 +41,8 @@ class ImportOptions:
     """What to keep of it, in degrees: west,south,east,north; without --osm that area is downloaded."""
     sumocfg: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Instead of a map: somebody's ready scenario; its files are copied as they are."""
+    allow_outside: Flag = False
+    """Copy what a ready scenario names outside of its own folder too."""
     url: str = ""
     """Overpass server to download from; default those that SUMO knows."""
     split: Literal["train", "test"] = "train"
@@ -95,9 +98,18 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
         raise ConfigError(
             f"--sumocfg takes a scenario as it is, and {', '.join(idle)} cannot be joined with it: leave one out"
         )
-    town = adopt_scenario(sumocfg, options.name, out, options.split, options.source)
+    if options.allow_outside:
+        print(
+            f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it"
+        )
+    town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
+    try:
+        report = check_town(town)
+    except BaseException:  # what cannot be read is no town
+        shutil.rmtree(town.folder, ignore_errors=True)
+        raise
     print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
-    return check_town(town)
+    return report
 
 
 def _build(options: ImportOptions, out: Path) -> TownReport:
@@ -105,6 +117,8 @@ def _build(options: ImportOptions, out: Path) -> TownReport:
         raise ConfigError(
             "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, or --sumocfg FILE"
         )
+    if options.allow_outside:
+        raise ConfigError("--allow-outside is for --sumocfg: a map names no files; leave it out")
     box = _bbox(options.bbox) if options.bbox else None
     if options.osm is not None and not options.osm.is_file():
         raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract")

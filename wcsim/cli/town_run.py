@@ -43,6 +43,8 @@ class RunOptions:
     """Wheelchairs, each doing what its user asks for; with 0 the traffic is that of plain sumo."""
     outputs: str = ""
     """More of SUMO's outputs than the scenario asks for, joined by commas: fcd, tripinfo, summary, ..."""
+    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let a .sumocfg name files outside of its own folder, which SUMO then reads."""
     hook: str = ""
     """Your own step hook as module:Class; it gets the libsumo module, and before_step(time_s), after_step(time_s)."""
     preset: str = "quick"
@@ -58,7 +60,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     in_bounds("--seconds", options.seconds, 0.1, 1e7)
     in_bounds("--chairs", options.chairs, 0, MAX_CHAIRS)
     config = _config(options)
-    town = find_town(options.town)
+    town = find_town(options.town, outside=options.allow_outside)
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import tempfile
 from pathlib import Path
 
 from wcsim.errors import TownError
+from wcsim.reading import is_file
+from wcsim.towns.adopt_files import copy_file, copy_notices, is_picture, require_kind, require_root
+from wcsim.towns.border import require_file, require_inside
 from wcsim.towns.folder import foreign_license_text, town_toml_text
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
-from wcsim.towns.scenario_options import Configuration, Treatment, read_configuration
+from wcsim.towns.scenario_options import Configuration, Content, Treatment, read_configuration
 from wcsim.towns.town import NOT_TOWNS, Town, net_middle, open_town
-from wcsim.towns.xmlio import content_digest, is_folder, is_there
+from wcsim.towns.xmlio import content_digest
 
 MAX_FILES = 500
-NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
-NOTICE_BYTES = 1 << 20
 _SETTINGS = ("gui-settings-file",)  # not needed, but it makes the town look as its author likes it
 
 
-def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", source: str = "") -> Town:
+def adopt_scenario(
+    sumocfg: Path, name: str, out: Path, split: str = "train", source: str = "", *, outside: bool = False
+) -> Town:
     """Copy a scenario and all the files it names into the new folder `out`, its structure kept, and open it.
+
+    What is copied are files that SUMO reads, of its own kinds, and the licence and the readme beside them.
 
     Args:
         sumocfg: The author's configuration; it and its files stay as they are.
@@ -32,9 +36,10 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", so
         out: A folder that is not there yet, or is empty.
         split: "train" or "test".
         source: Where it comes from; default: that it is somebody else's.
+        outside: Whether it may name files outside of its own folder.
 
     Raises:
-        TownError: a file is missing or broken, lies where a copy cannot name it, or `out` is in the way.
+        TownError: a file is missing, broken, elsewhere, or of no kind of SUMO's, or `out` is in the way.
     """
     if not sumocfg.is_file():
         raise TownError(f"{sumocfg}: there is no such file; expected somebody's .sumocfg")
@@ -46,8 +51,10 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", so
         raise TownError(f"{out} is there already; remove it, or choose another place")
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)
-    validate_net(_net_of(config))
-    files = files_of(config)
+    border = None if outside else start.parent
+    require_inside(start, border, start)
+    validate_net(_net_of(config, border), border=border)
+    files = files_of(config, border)
     base = Path(os.path.commonpath([path.parent for path in files]))
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
@@ -55,8 +62,8 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", so
         for path in files:
             place = work / path.relative_to(base)
             place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, place)
-        notices = _copy_notices(start.parent, work / start.relative_to(base).parent)
+            copy_file(path, place)
+        notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
         if not (work / "LICENSE-DATA").exists():
             told = foreign_license_text(start.name, notices)
             (work / "LICENSE-DATA").write_text(told, encoding="utf-8")
@@ -68,38 +75,42 @@ def adopt_scenario(sumocfg: Path, name: str, out: Path, split: str = "train", so
     return open_town(out)
 
 
-def _copy_notices(source: Path, out: Path) -> tuple[str, ...]:
-    """Copy the licence and the readme that lie beside a scenario; returns their names."""
-    found = [path for mask in NOTICES for path in source.glob(mask) if path.is_file()]
-    found = [path for path in found if path.stat().st_size <= NOTICE_BYTES]
-    for path in found:
-        if not (out / path.name).exists():
-            shutil.copyfile(path, out / path.name)
-    return tuple(sorted({path.name for path in found}))
+def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
+    """The configuration and every file that SUMO reads because of it, absolute, sorted.
 
-
-def files_of(config: Configuration) -> tuple[Path, ...]:
-    """The configuration and every file that SUMO reads because of it, absolute, sorted. Raises TownError."""
+    Raises:
+        TownError: One is missing, broken, outside of `border`, or of no kind of SUMO's.
+    """
     with tempfile.TemporaryDirectory(prefix="wcsim-adopt-") as folder:
         names = OutputNames(Path(folder))
-        met = FilteredFiles(names, Path(folder))
+        met = FilteredFiles(names, Path(folder), border)
         for item in config.given:
-            if item.option.treatment is Treatment.INPUT:
+            if item.option.treatment is Treatment.INPUT and item.value:
+                if item.option.reads is not Content.XML and not item.option.name.endswith("input-file"):
+                    raise TownError(
+                        f"{config.path}: sets <{item.option.name}>, which no copy can hold; remove that option"
+                    )
                 for path in item.files(config.path.parent):
-                    if not is_folder(path):
-                        met.place(path, config.path)
-        found = {config.path, *met.read}
+                    met.place_option(item.option, path, config.path)
+        for path in met.read:
+            require_kind(path, text=path in met.texts)
+        found = {config.path, *met.read, *(path for path in met.pictures if is_picture(path, border))}
     for name in _SETTINGS:
-        found.update(path for path in config.files(name) if is_there(path))
+        for path in config.files(name):
+            require_inside(path, border, config.path)
+            if is_file(path):
+                require_root(path)
+                found.add(path)
     if len(found) > MAX_FILES:
         raise TownError(f"{config.path}: names {len(found)} files; expected at most {MAX_FILES}")
     return tuple(sorted({Path(os.path.normpath(path.absolute())) for path in found}))
 
 
-def _net_of(config: Configuration) -> Path:
+def _net_of(config: Configuration, border: Path | None) -> Path:
     nets = config.files("net-file")
-    if len(nets) != 1 or not is_there(nets[0]):
+    if len(nets) != 1:
         raise TownError(f"{config.path}: expected one <net-file value=...> that is there, got {_listed(nets)}")
+    require_file(nets[0], border, config.path)
     return nets[0]
 
 
@@ -108,7 +119,7 @@ def _town_toml(config: Configuration, name: str, told: tuple[str, str], base: Pa
     text = town_toml_text(
         name=name,
         split=split,
-        origin_m=net_middle(_net_of(config)),
+        origin_m=net_middle(_net_of(config, None)),
         source=source or f"scenario {config.path.name} of somebody else; ask its author for the licence",
         hashes={str(path.relative_to(base)): content_digest(path) for path in files},
     )
@@ -121,10 +132,10 @@ def _toml(path: Path) -> str:
 
 def _stay_inside(config: Configuration, folder: Path) -> None:
     """Raise TownError when the copy still names a file elsewhere: by an absolute path, or through the environment."""
-    outside = [path for path in files_of(config) if not path.is_relative_to(folder.absolute())]
-    if outside:
+    elsewhere = [path for path in files_of(config, None) if not path.is_relative_to(folder.absolute())]
+    if elsewhere:
         raise TownError(
-            f"{config.path.name}: names {outside[0]} by a path that a copy cannot follow; name it relative to the "
+            f"{config.path.name}: names {elsewhere[0]} by a path that a copy cannot follow; name it relative to the "
             f"{config.path.suffix} file"
         )
 

@@ -21,6 +21,8 @@ from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.overlaps import overlaps_of
 from wcsim.towns.plane import length_of
 from wcsim.towns.relief import on_land, relief_of
+from wcsim.towns.scenario_files import FilteredFiles
+from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.street import load_street
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town
@@ -64,7 +66,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
     net = read_net(town.net, town.file.origin_m)
     if wrong := projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
-    validate_net(town.net)
+    validate_net(town.net, border=town.border)
     street = load_street(town)
     found = Findings(
         crossings=len(net.lanes(LaneKind.CROSSING)),
@@ -118,8 +120,11 @@ def unroutable_trips(town: Town) -> int:
     if not town.routes:
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        options = ["-n", str(town.net.resolve()), "-r", ",".join(str(path.resolve()) for path in town.routes)]
-        types = [str(path.resolve()) for path in town.additional if _has_types(path)]
+        names = OutputNames(Path(folder))
+        met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
+        routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
+        types = [str(met.place(path, town.sumocfg)) for path in town.additional if _has_types(path)]
+        options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         options += ["-a", ",".join(types)] if types else []
         options += [
             "-o",

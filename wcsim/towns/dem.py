@@ -6,24 +6,39 @@
 from __future__ import annotations
 
 import os
+import re
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from wcsim.errors import TownError
+from wcsim.reading import FileKind, read_bytes, shown
 from wcsim.seeding import generator
 from wcsim.towns.place import Box, grown, size_m
 from wcsim.types import F64
 
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
 CELL_M = 10.0
+HIGHEST_M = 9000.0
 MARGIN_M = 400.0  # around the box: streets reach out of it, and smoothing needs neighbours
 _PROJ_PLACES = ("PROJ_LIB", "PROJ_DATA")
 _DONE = "WCSIM_MAX_GRADE"  # tag of a file that this module wrote: it is taken as it is
+MAX_CELLS = 200_000_000
+MAX_OWN_CELLS = 10_000_000  # of a file that is taken as it is
+MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each of its cells
+MAX_BANDS = 8
+_GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=TownError)
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
 _WANTED = "expected a GeoTIFF of heights in metres with a coordinate system, as gdalwarp writes"
 
 
@@ -121,34 +136,76 @@ def own_projections() -> Iterator[None]:
         os.environ.update(kept)
 
 
+def _require_usable(path: Path, file: DatasetReader) -> None:
+    """Raise TownError for a grid that is too large to be read, or whose place on the globe another file must say."""
+    cells, block = file.width * file.height, max(rows * cols for rows, cols in file.block_shapes)
+    if file.count > MAX_BANDS or cells > MAX_CELLS or block > MAX_BLOCK_CELLS:
+        raise TownError(
+            f"--dem {path}: has {file.width} x {file.height} cells in {file.count} bands, {block} in a block; expected "
+            f"at most {MAX_CELLS} cells, {MAX_BANDS} bands, {MAX_BLOCK_CELLS} in a block: cut it with gdalwarp -te"
+        )
+    if np.dtype(file.dtypes[0]).kind not in "iuf":
+        raise TownError(f"--dem {path}: holds cells of {file.dtypes[0]}; {_WANTED}")
+    if file.crs is None:
+        raise TownError(f"--dem {path}: has no coordinate system; {_WANTED}")
+    if _GRIDS.search(file.crs.to_wkt()):
+        raise TownError(f"--dem {path}: its coordinate system names a file; {_WANTED}")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let nothing be printed of a broken file but the one error: GDAL quotes its bytes, which may be no text."""
+    unraisable, raised = sys.unraisablehook, sys.excepthook
+    sys.unraisablehook = lambda _: None  # called where rasterio cannot put such words into its log
+    sys.excepthook = lambda *_: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of files without a place, which are refused below
+            yield
+    finally:
+        sys.unraisablehook, sys.excepthook = unraisable, raised
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[DatasetReader]:
+    """A GeoTIFF out of this process's memory, where nothing lies beside it that could be taken for a part of it."""
+    from rasterio import Env
+    from rasterio.io import MemoryFile
+
+    data = read_bytes(path, _GEOTIFF)
+    if not data.startswith(_MAGIC):
+        raise TownError(f"--dem {path}: cannot be read (it does not begin as a TIFF file does); {_WANTED}")
+    alone = Env(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
+    with alone, MemoryFile(data) as memory, memory.open(driver="GTiff") as file:
+        yield file
+
+
 def _read(path: Path, area: Box, max_grade: float) -> Dem:
     import rasterio
-    from rasterio.errors import RasterioError
     from rasterio.transform import from_bounds
     from rasterio.warp import Resampling, reproject, transform_bounds
 
     shape = _shape(area)
     found = np.full(shape, np.nan, np.float32)
     try:
-        with own_projections(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of files without a place, which are refused below
-            with rasterio.open(path) as file:
-                if file.crs is None:
-                    raise TownError(f"--dem {path}: has no coordinate system; {_WANTED}")
-                if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
-                    return Dem(height_m=file.read(1).astype(np.float64), box=tuple(file.bounds), smooth=True)
-                place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
-                reproject(
-                    rasterio.band(file, 1),
-                    found,
-                    dst_transform=from_bounds(*area, shape[1], shape[0]),
-                    dst_crs="EPSG:4326",
-                    dst_nodata=np.nan,
-                    resampling=Resampling.bilinear,
-                )
-    except (RasterioError, OSError, ValueError) as error:
-        raise TownError(f"--dem {path}: cannot be read ({error}); {_WANTED}") from None
-    height_m = np.where(np.isfinite(found) & (np.abs(found) < 9000.0), found, np.nan).astype(np.float64)
+        with own_projections(), _quiet(), _opened(path) as file:
+            _require_usable(path, file)
+            if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
+                return _taken_as_it_is(path, file)
+            place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
+            reproject(
+                rasterio.band(file, 1),
+                found,
+                dst_transform=from_bounds(*area, shape[1], shape[0]),
+                dst_crs="EPSG:4326",
+                dst_nodata=np.nan,
+                resampling=Resampling.bilinear,
+            )
+    except TownError:
+        raise
+    except Exception as error:  # GDAL's errors have no base in common
+        raise TownError(f"--dem {path}: cannot be read ({_one_line(error)}); {_WANTED}") from None
+    height_m = np.where(np.isfinite(found) & (np.abs(found) < HIGHEST_M), found, np.nan).astype(np.float64)
     known = float(np.isfinite(height_m).mean())
     if known < 0.5:
         raise TownError(
@@ -156,6 +213,22 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
             f"{_told(area)}: give one that covers the town"
         )
     return Dem(height_m=_filled(height_m), box=area)
+
+
+def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
+    """The heights of a file that this module wrote, or that says so."""
+    if file.width * file.height > MAX_OWN_CELLS or min(file.width, file.height) < 2:
+        raise TownError(
+            f"--dem {path}: has {file.width} x {file.height} cells; expected 2 x 2 to {MAX_OWN_CELLS} in all"
+        )
+    height_m = file.read(1).astype(np.float64)
+    if not (np.abs(height_m) < HIGHEST_M).all():
+        raise TownError(f"--dem {path}: holds heights that are none; {_WANTED}")
+    return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
+
+
+def _one_line(error: Exception) -> str:
+    return shown(" ".join(str(error).split()), 300)
 
 
 def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:

@@ -6,13 +6,15 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.config import TownFile, read_toml
+from wcsim.config import TownFile
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.town import Town
+from wcsim.reading import FileKind, read_bytes
+from wcsim.towns.town import Town, read_town_file
 from wcsim.towns.xmlio import content_digest
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
 BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
+_DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
 AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
@@ -50,8 +52,8 @@ def changes_of(town: Town) -> Changes:
 def own_work(folder: Path) -> tuple[str, ...]:
     """What somebody did to a town's folder since its import, as paths in it: changed files and added ones, sorted."""
     try:
-        file = read_toml(folder / "town.toml", TownFile)
-    except ConfigError:
+        file = read_town_file(folder / "town.toml")
+    except (ConfigError, TownError):
         return ("town.toml",)
     name = file.name
     written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()
@@ -81,4 +83,4 @@ def _path(town: Town, kind: str) -> Path:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.suffix == ".tif" else content_digest(path)
+    return hashlib.sha256(read_bytes(path, _DEM)).hexdigest() if path.suffix == ".tif" else content_digest(path)

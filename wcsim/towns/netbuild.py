@@ -78,8 +78,7 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
 
 
 def _converted(order: NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
-    for way in [way for way in root.iterfind("way") if way.get("id", "").lstrip("-") in dropped]:
-        root.remove(way)
+    root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
     net = _read(convert_net(order, EXTRACT, folder))

@@ -25,8 +25,12 @@ STRETCHED, STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says,
 _NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
 
 
-def validate_net(net: Path) -> None:
+def validate_net(net: Path, *, border: Path | None = None) -> None:
     """Return when SUMO can open a net, from memory of an equal net where there is one.
+
+    Args:
+        net: The file.
+        border: The folder outside of which nothing is opened; by default the net's own.
 
     Raises:
         TownError: it is not a net, or SUMO refuses it or dies of it; the message says why in one or two lines.
@@ -37,7 +41,7 @@ def validate_net(net: Path) -> None:
         return
     scan_net(parse_root(data, str(net)), str(net))
     with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
-        files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs")
+        files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs", border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
         options = ["-n", str(safe.resolve()), "--end", "1", "--no-step-log", "--no-warnings"]
         try:

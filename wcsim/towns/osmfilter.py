@@ -18,12 +18,9 @@ _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    for way in [way for way in root.iterfind("way") if _is_hidden(_tags(way))]:
-        root.remove(way)
+    root[:] = [item for item in root if item.tag != "way" or not _is_hidden(_tags(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
-        for tag in item.findall("tag"):
-            if _is_senseless(tag.get("k", ""), tag.get("v", "")):
-                item.remove(tag)
+        item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
     mark_buildings(root)
     quicken_motorways(root)
@@ -38,9 +35,8 @@ def strip_orphans(root: Element) -> None:
         for node in way.iterfind("nd")
     }
     for node in root.iterfind("node"):
-        for item in node.findall("tag"):
-            if item.get("k") == "highway" and item.get("v") == "crossing" and node.get("id") not in on_street:
-                node.remove(item)
+        if node.get("id") not in on_street:
+            node[:] = [tag for tag in node if (tag.get("k"), tag.get("v")) != ("highway", "crossing")]
 
 
 def _is_senseless(key: str, value: str) -> bool:

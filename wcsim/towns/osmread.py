@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import math
 import os
 import sys
@@ -13,14 +12,17 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
+from wcsim.reading import FileKind, opened, regular_size, shown
+from wcsim.towns.packed import bunzip2
 from wcsim.towns.place import LONGEST_M, Box, check_box, grown, size_m
 from wcsim.towns.tools import Limits, run_child
-from wcsim.towns.xmlio import MAX_XML_BYTES, parse_root, read_bytes
+from wcsim.towns.xmlio import MAX_TAG_BYTES, MAX_TAGS, MAX_XML_BYTES, parse_root, read_bytes, require_plain
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
 MARGIN_M = 150.0  # kept around the box: buildings and trees beside streets that reach out of it
 FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
 EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf"
+_EXTRACT = FileKind(what=EXPECTED.removeprefix("expected "), limit_bytes=1 << 40, error=TownError)
 _OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
 _LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
 _CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
@@ -67,26 +69,23 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
 
 def _xml_of(path: Path, box: Box | None) -> bytes:
     kind = _kind(path)
-    if kind == "bz2":
-        data = _unpack_bz2(path)
-    elif kind == "pbf":
+    if kind == "pbf":
         return _cut_by_osmium(path, "pbf", box)
-    elif path.stat().st_size > SMALL_BYTES and kind == "osm":
+    if kind == "osm" and regular_size(path, _EXTRACT) > SMALL_BYTES:
+        _require_tags(path)
         return _cut_by_osmium(path, kind, box)
-    else:
-        data = read_bytes(path, 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES)
+    most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
+    data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
     if len(data) > SMALL_BYTES and box is not None:
+        require_plain(data, shown(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
     return data
 
 
 def _kind(path: Path) -> str:
     """How a file is packed, by its first bytes: names say it wrongly too often. Raises TownError."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(64)
-    except OSError as error:
-        raise TownError(f"{path}: cannot be read ({error.strerror}); {EXPECTED}") from None
+    with opened(path, _EXTRACT) as file:
+        head = file.read(64)
     if b"OSMHeader" in head:
         return "pbf"
     for magic, name in _OTHERS.items():
@@ -97,15 +96,25 @@ def _kind(path: Path) -> str:
     return "gz" if head.startswith(b"\x1f\x8b") else "bz2" if head.startswith(b"BZh") else "osm"
 
 
-def _unpack_bz2(path: Path) -> bytes:
+def _unpack_bz2(path: Path, most: int) -> bytes:
     try:
-        with bz2.open(path, "rb") as file:
-            data = file.read(4 * MAX_XML_BYTES + 1)
-    except (OSError, EOFError, ValueError) as error:
-        raise TownError(f"{path}: cannot be read ({error}); {EXPECTED}") from None
-    if len(data) > 4 * MAX_XML_BYTES:
-        raise TownError(f"{path}: more than {4 * MAX_XML_BYTES >> 20} MiB of XML; clip it to a smaller area")
+        with opened(path, _EXTRACT) as file:
+            data = bunzip2(file, most + 1)
+    except (EOFError, ValueError) as error:
+        raise TownError(f"{shown(path)}: cannot be read ({error}); {EXPECTED}") from None
+    if len(data) > most:
+        raise TownError(f"{shown(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
     return data
+
+
+def _require_tags(path: Path) -> None:
+    """Raise TownError for a large file that libosmium would take minutes to find no XML in."""
+    with opened(path, _EXTRACT) as file:
+        while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
+            if b">" not in part or b"\0" in part:
+                raise TownError(
+                    f"{shown(path)}: is no XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
+                )
 
 
 def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
@@ -123,15 +132,17 @@ def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
 def _places(root: Element) -> dict[str, tuple[float, float]]:
     """Longitude and latitude of nodes; those without a proper one are left out, as are doubles and deleted ones."""
     places: dict[str, tuple[float, float]] = {}
-    for item in list(root):
+    kept = []
+    for item in root:
         if item.get("action") == "delete" or item.get("visible") == "false" or not _is_number(item.get("id", "0")):
-            root.remove(item)
-        elif item.tag == "node":
+            continue
+        if item.tag == "node":
             place = _place(item)
             if place is None or item.get("id", "") in places or "id" not in item.attrib:
-                root.remove(item)
-            else:
-                places[item.attrib["id"]] = place
+                continue
+            places[item.attrib["id"]] = place
+        kept.append(item)
+    root[:] = kept
     return places
 
 
@@ -185,35 +196,34 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
     near, far = grown(box, MARGIN_M), grown(box, FAR_M)
     inside = {key for key, place in places.items() if _within(place, near)}
     reachable = {key for key, place in places.items() if _within(place, far)}
-    needed, ways = set(inside), set()
-    for way in list(root.iterfind("way")):
-        for nd in [nd for nd in way.iterfind("nd") if nd.get("ref") not in reachable]:
-            way.remove(nd)
+    needed, ways, elsewhere = set(inside), set(), set()
+    for way in root.iterfind("way"):
+        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
         refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
         if len(refs) < 2 or refs.isdisjoint(inside) or way.get("id") in ways or "id" not in way.attrib:
-            root.remove(way)
+            elsewhere.add(way)
         else:
             needed |= refs
             ways.add(way.attrib["id"])
-    for item in list(root):
-        if item.tag == "node":
-            kept = item.attrib["id"] in needed
-        elif item.tag == "relation":
-            kept = any(m.get("type") == "way" and m.get("ref") in ways for m in item.iterfind("member"))
-        else:
-            kept = item.tag == "way"
-        if not kept:
-            root.remove(item)
+    root[:] = [item for item in root if item not in elsewhere and _is_needed(item, needed, ways)]
+    for item in root:
         for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
             item.attrib.pop(key, None)
-        for child in [child for child in item if child.tag not in _CHILDREN]:
-            item.remove(child)
+        item[:] = [child for child in item if child.tag in _CHILDREN]
         if item.tag == "node":
             longitude, latitude = places[item.attrib["id"]]
             item.attrib |= {"lat": f"{latitude:.7f}", "lon": f"{longitude:.7f}"}
     root.attrib.clear()
     root.set("version", "0.6")
     ElementTree.indent(root, "")
+
+
+def _is_needed(item: Element, nodes: set[str], ways: set[str]) -> bool:
+    if item.tag == "node":
+        return item.attrib["id"] in nodes
+    if item.tag == "relation":
+        return any(m.get("type") == "way" and m.get("ref") in ways for m in item.iterfind("member"))
+    return item.tag == "way"
 
 
 def _within(place: tuple[float, float], box: Box) -> bool:

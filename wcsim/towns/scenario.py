@@ -19,10 +19,9 @@ from wcsim.towns.scenario_options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario_overrides import Override, Settings, author_scale, forced, overrides_of
+from wcsim.towns.scenario_overrides import AGGREGATED, Override, Settings, author_scale, forced, overrides_of
 from wcsim.towns.town import Town
 
-_FILTERED = ("net-file", "route-files", "additional-files", "load-state")
 COPIES = "inputs"
 
 
@@ -57,15 +56,17 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     names = OutputNames(folder.absolute())
     for taken in (town.sumocfg.name, COPIES):
         names.unique(taken)
-    files = FilteredFiles(names, names.folder / COPIES)
+    files = FilteredFiles(names, names.folder / COPIES, town.border)
     _make(folder)
     set_here = dict(forced(settings, author_scale(config)))
-    kept = [(item.option, _value(item, config, names, files)) for item in config.given if _stays(item, set_here)]
+    unasked = unasked_outputs(config, names)
+    kept = [
+        (item.option, _value(item, config, names, files))
+        for item in config.given
+        if _stays(item, set_here) and item.option.name not in unasked
+    ]
     kept += _asked_for(outputs, config, names)
-    kept += [(sumo_options()[name], value) for name, value in set_here.items()]
-    if config.value("save-state.period") or config.value("save-state.times"):
-        prefix = sumo_options()["save-state.prefix"]
-        kept += [] if config.value(prefix.name) else [(prefix, str(names.place("state", folder, "state")))]
+    kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
     text = _configuration_text(kept)
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
@@ -143,10 +144,25 @@ def _value(item: GivenOption, config: Configuration, names: OutputNames, files: 
         instead = f"{item.option.name}.xml"
         return ",".join(part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written)
     if item.option.treatment is Treatment.INPUT:
-        if item.option.name in _FILTERED:
-            return ",".join(_quoted(files.place(path, config.path)) for path in item.files(folder))
-        return ",".join(_quoted(path.absolute()) for path in item.files(folder))
+        return ",".join(_quoted(files.place_option(item.option, path, config.path)) for path in item.files(folder))
     return item.value
+
+
+def unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
+    """Options, and their values, that lead what SUMO writes where its author names no file.
+
+    Safety devices write beside the configuration or into the current folder; so do states; and electric vehicles write
+    files that are called by their ids, which may hold a path.
+    """
+    found = {}
+    if not config.value("device.ssm.file"):
+        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))  # made when the first such device is
+    saves = config.value("save-state.period") or config.value("save-state.times")
+    if saves and not config.value("save-state.prefix"):
+        found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
+    if config.value("elechybrid-output"):
+        found[AGGREGATED] = "true"
+    return found
 
 
 def _asked_for(outputs: Sequence[str], config: Configuration, names: OutputNames) -> list[tuple[SumoOption, str]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.errors import TownError
 
-NOWHERE = ("", "NUL", "NULL", "/dev/null")
+NOWHERE = ("", "NUL", "nul", "/dev/null")  # "NULL" is a file of that name to SUMO
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names

@@ -23,9 +23,26 @@ _DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
 _DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
 _INPUTS = ("astar.all-distances", "astar.landmark-distances", "phemlight-path", "device.fcd-replay.files")
 _WRITES = re.compile(r"[.-](file|files|output|log)$|^log$")
-_EXPECTED = {"BOOL": "true or false", "TIME": "a time", "FLOAT": "a number", "INT": "a whole number"}
+_TEXTS = tuple(name for name in _INPUTS if name.startswith("astar."))
+_FOLDERS = ("phemlight-path",)
+_NAME_PARTS = ("save-state.suffix",)  # a part of the names of files
+_EXPECTED = {
+    "BOOL": "true or false",
+    "TIME": "a time",
+    "FLOAT": "a number",
+    "INT": "a whole number",
+    "STR": "letters, digits, . _ -",
+}
 _BOOLS = ("1", "yes", "true", "on", "x", "t", "0", "no", "false", "off", "-", "f")
-_VARIABLE = re.compile(r"\$\{([^}]*)\}")
+_VARIABLE = re.compile(r"\$\{([^${}]*)\}")
+
+
+class Content(Enum):
+    """What lies where an option names something to be read."""
+
+    XML = "xml"
+    TEXT = "text"
+    FOLDER = "folder"
 
 
 class Treatment(Enum):
@@ -55,6 +72,13 @@ class SumoOption:
             return Treatment.KEEP
         reads = self.topic == "input" or self.name.endswith("input-file") or self.name in _INPUTS
         return Treatment.INPUT if reads else Treatment.OUTPUT
+
+    @property
+    def reads(self) -> Content:
+        """What an INPUT names; whatever is not known to be something else must be XML."""
+        if self.name in _FOLDERS:
+            return Content.FOLDER
+        return Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,15 +151,18 @@ def read_configuration(sumocfg: Path) -> Configuration:
             raise TownError(f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it")
         if option.name in given:
             raise TownError(f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values")
-        if value and not _fits(option.kind, value):
+        if value and not _fits(option, value):
             raise TownError(f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}")
         given[option.name] = GivenOption(option=option, value=value)
     return Configuration(path=sumocfg, given=tuple(given.values()))
 
 
-def _fits(kind: str, value: str) -> bool:
+def _fits(option: SumoOption, value: str) -> bool:
     """Whether a value is of its option's kind: SUMO passes over one that is not, with a message that nobody reads."""
-    if "${" in value or kind not in _EXPECTED:
+    kind = option.kind
+    if option.name in _NAME_PARTS:
+        return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None
+    if "${" in value or kind not in ("BOOL", "TIME", "FLOAT", "INT"):
         return True
     if kind == "BOOL":
         return value.lower() in _BOOLS

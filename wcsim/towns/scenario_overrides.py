@@ -78,6 +78,12 @@ DROP_WHY = {
     "traci_server": "no other program steers this simulation",
 }
 PREFIX_WHY = "outputs keep their names"
+AGGREGATED = "elechybrid-output.aggregated"
+UNASKED_WHY = {
+    "device.ssm.file": "SUMO's own choice is the current folder",
+    "save-state.prefix": "SUMO's own choice lies beside the configuration",
+    AGGREGATED: "else the ids of vehicles would name files",
+}
 
 
 def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, str], ...]:
@@ -105,6 +111,9 @@ def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tu
             rows.append(Override(option=name, author=author or "", wcsim=value, why=_WHY[name]))
     for name, value in outputs:
         rows.append(Override(option=name, author=config.value(name) or "", wcsim=value, why=OUTPUT_WHY))
+    if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
+        author = config.value(AGGREGATED) or ""
+        rows.append(Override(option=AGGREGATED, author=author, wcsim="true", why=UNASKED_WHY[AGGREGATED]))
     for item in config.given:
         if item.option.treatment is Treatment.DROP:
             why = DROP_WHY.get(item.option.topic, PREFIX_WHY if item.option.topic == "output" else _WHY["no-step-log"])
@@ -129,6 +138,14 @@ def overrides_markdown() -> str:
         ("`end`", "kept, but it does not end the run", END_WHY),
         ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they are the traffic"),
         ("every option that writes a file", "a file of the same name in `RUN/sumo/`", OUTPUT_WHY),
+        *(
+            (f"`{name}`", told, UNASKED_WHY[name])
+            for name, told in (
+                ("device.ssm.file", "`RUN/sumo/ssm.xml`, unless the author names a file"),
+                ("save-state.prefix", "`RUN/sumo/state`, unless the author names one"),
+                (AGGREGATED, "true where there is such an output"),
+            )
+        ),
         ("`output-prefix`, `output-suffix`", "left out", PREFIX_WHY),
         ("options of sumo-gui", "left out", DROP_WHY["gui_only"]),
         ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
@@ -143,6 +160,12 @@ _PAGE = """# What wcsim overrides of a SUMO scenario
 A `.sumocfg` and the files it names stay as they are. A world runs filtered copies of them from `RUN/sumo/`: a file that
 writes nothing is read where it lies; one that names outputs (detectors, `edgeData`, `timedEvent`, `<param>` of devices
 and signals, at any depth of `<include>`) is copied with those names led to `RUN/sumo/`. Everything else in it stays.
+
+Every file that SUMO reads because of a scenario is looked through first, whichever option or element names it. It must
+lie in the folder of the `.sumocfg`, or of the `town.toml`, links followed; `--allow-outside` of `wcsim town run` and
+`wcsim town import` trusts a scenario with files elsewhere. It must be XML 1.0 in UTF-8, ASCII or a relative of theirs
+(ISO-8859, Windows), plain or gzip, without a document type, of at most 200 MiB, nested at most 100 deep; a list of
+edges may be text. A file whose name SUMO may spell in another way, as one with an umlaut, is read from a copy.
 
 {table}
 

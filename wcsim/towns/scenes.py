@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
-from wcsim.config import read_toml
+from wcsim.config import parse
 from wcsim.errors import SumoError, TownError
+from wcsim.reading import FileKind, is_file, read_toml, shown
 from wcsim.scene_file import SceneFile
+from wcsim.towns.adopt_files import copy_file
+from wcsim.towns.border import require_file
 from wcsim.towns.folder import sumocfg_text, town_toml_text
+from wcsim.towns.scenario_files import FilteredFiles
+from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.tools import run_tool
-from wcsim.towns.town import Town, open_town, town_roots
+from wcsim.towns.town import Town, expanded, open_town, town_roots
 from wcsim.towns.xmlio import without_comments, write_gzip
 
 NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
 """Options of netconvert and netedit, and the kinds of files that they take."""
 
 _MORE_FILES = ("add", "poly")
+_SCENE_TOML = FileKind(what="a scene.toml", limit_bytes=1 << 20, error=TownError)
 # normalisation off: the net keeps the coordinates that the author wrote
 _OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
 
@@ -36,8 +41,8 @@ def find_scene(name_or_path: str) -> Path:
     scenes = {folder.name: folder for folder in list_scenes()}
     if name_or_path in scenes:
         return scenes[name_or_path]
-    path = Path(name_or_path).expanduser()
-    if name_or_path and (path / "scene.toml").is_file():
+    path = expanded(name_or_path)
+    if name_or_path and is_file(path / "scene.toml"):
         return path
     known = ", ".join(scenes) or "(no scene is installed)"
     raise TownError(
@@ -45,21 +50,27 @@ def find_scene(name_or_path: str) -> Path:
     )
 
 
+def scene_of(folder: Path) -> SceneFile:
+    """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
+    toml = folder / "scene.toml"
+    return parse(SceneFile, read_toml(toml, _SCENE_TOML), shown(toml))
+
+
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
     """Build a scene's net into `work` and return it as a town; net coordinates are world coordinates.
 
     Raises:
-        TownError: a file of the scene is missing.
+        TownError: a file of the scene is missing, broken, or elsewhere.
         SumoError: netconvert refuses it.
     """
-    scene = read_toml(folder / "scene.toml", SceneFile)
+    scene = scene_of(folder)
     work.mkdir(parents=True, exist_ok=True)
     _build_net(scene, folder, work)
     additional = []
     for kind in ("rou", *_MORE_FILES):
         source = _only(folder, kind, needed=kind == "rou")
         if source is not None:
-            shutil.copyfile(source, work / f"{scene.name}.{kind}.xml")
+            copy_file(source, work / f"{scene.name}.{kind}.xml")
             additional += [f"{scene.name}.{kind}.xml"] if kind != "rou" else []
     text = sumocfg_text(scene.name, scene.seed, routes=f"{scene.name}.rou.xml", additional=tuple(additional))
     (work / f"{scene.name}.sumocfg").write_text(text, encoding="utf-8")
@@ -71,10 +82,11 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
 def _build_net(scene: SceneFile, folder: Path, work: Path) -> None:
     name = scene.name
     options = ["--lefthand"] if scene.lefthand else []
+    files = FilteredFiles(OutputNames(work.absolute()), work.absolute() / "inputs", folder)
     for option, kind in NETCONVERT_FILES:
         source = _only(folder, kind, needed=kind in ("nod", "edg"))
         if source is not None:
-            options += [option, str(source.resolve())]
+            options += [option, str(files.place(source.resolve(), folder))]
     plain = work / f"{name}.net.xml"
     run = run_tool("netconvert", [*options, *_OPTIONS, "-o", plain.name], work)
     if run.returncode:
@@ -89,4 +101,6 @@ def _only(folder: Path, kind: str, *, needed: bool) -> Path | None:
         raise TownError(
             f"scene {folder}: has {len(found)} files *.{kind}.xml; expected {'one' if needed else 'at most one'}"
         )
+    for path in found:
+        require_file(path, folder, folder)
     return found[0] if found else None

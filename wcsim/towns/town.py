@@ -8,16 +8,19 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.config import TownFile, read_toml
+from wcsim.config import TownFile, parse
 from wcsim.errors import ConfigError, TownError
+from wcsim.reading import FileKind, is_file, is_folder, read_toml, shown
+from wcsim.towns.border import require_file, require_inside
 from wcsim.towns.scenario_options import Configuration, read_configuration
-from wcsim.towns.xmlio import content_digest, is_folder, is_there, read_head, read_root, shown
+from wcsim.towns.xmlio import content_digest, read_head, read_root
 
 log = logging.getLogger("wcsim.towns")
 
 NOT_TOWNS = ("scenes",)
-_BOUNDARY = re.compile(rb"""<location\b[^>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
+_BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
+_TOWN_TOML = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +36,7 @@ class Town:
     poly: Path | None
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
+    border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
 
     @property
     def address(self) -> str:
@@ -43,11 +47,15 @@ class Town:
             return str(self.sumocfg)
 
 
-def find_town(name_or_path: str) -> Town:
+def find_town(name_or_path: str, *, outside: bool = False) -> Town:
     """The town of that name (in ./scenarios/sumo, then in the package), or at that path (a folder or a .sumocfg).
 
+    Args:
+        name_or_path: The one or the other.
+        outside: Whether a scenario at a path may name files outside of its folder.
+
     Raises:
-        TownError: no such town, or its files are missing or broken.
+        TownError: no such town, or its files are missing, broken, or elsewhere.
     """
     if not name_or_path:
         raise TownError("a town has no name; give one of: " + _known() + ", or a path to a folder with a .sumocfg")
@@ -55,12 +63,20 @@ def find_town(name_or_path: str) -> Town:
         folder = root / name_or_path
         if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
             return open_town(folder)
-    path = Path(name_or_path).expanduser()
-    if is_folder(path) or is_there(path):
-        return open_town(path)
+    path = expanded(name_or_path)
+    if is_folder(path) or is_file(path):
+        return open_town(path, outside=outside)
     raise TownError(
         f"unknown town {name_or_path[:160]!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
     )
+
+
+def expanded(path: str) -> Path:
+    """A path that somebody wrote, with their home in place of ~; one of nobody's home stays as it is."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
 
 
 def list_towns() -> tuple[Town, ...]:
@@ -86,19 +102,28 @@ def town_roots() -> tuple[Path, ...]:
     return tuple(dict.fromkeys(place for place in places if place.is_dir()))
 
 
-def open_town(path: Path) -> Town:
-    """The town in a folder, or of a .sumocfg file. Raises TownError with the cure when a file is missing."""
+def open_town(path: Path, *, outside: bool = False) -> Town:
+    """The town in a folder, or of a .sumocfg file.
+
+    Args:
+        path: The one or the other.
+        outside: Whether it may name files outside of its folder.
+
+    Raises:
+        TownError: A file is missing, broken, or elsewhere; with the cure.
+    """
     sumocfg = path if path.is_file() else _main_config(path)
+    folder = path.parent if path.is_file() else path
+    border = None if outside else folder
+    require_inside(sumocfg, border, sumocfg)
     config = read_configuration(sumocfg)
     nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
     routes, additional = config.files("route-files"), config.files("additional-files")
-    missing = [shown(item) for item in (*nets, *routes, *additional) if not is_there(item)]
-    if missing:
-        raise TownError(f"{sumocfg}: names a file that is not there: {missing[0]}; restore it or correct the sumocfg")
+    for item in (*nets, *routes, *additional):
+        require_file(item, border, sumocfg)
     poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
-    folder = path.parent if path.is_file() else path
     file = town_file(folder, config)
     return Town(
         name=file.name,
@@ -110,6 +135,7 @@ def open_town(path: Path) -> Town:
         poly=poly,
         routes=routes,
         additional=additional,
+        border=border,
     )
 
 
@@ -117,11 +143,16 @@ def town_file(folder: Path, config: Configuration) -> TownFile:
     """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
     toml = folder / "town.toml"
     if toml.is_file():
-        return read_toml(toml, TownFile)
+        return read_town_file(toml)
     place, alone = folder.resolve(), len(_configs(folder)) == 1
     words = place.name if alone else f"{place.name}-{config.path.stem}"
     name = re.sub(r"(-|[^A-Za-z0-9_])+", "-", words).strip("-")[:64] or "town"
     return TownFile(name=name, split="train", origin_m=net_middle(config.files("net-file")[0]))
+
+
+def read_town_file(toml: Path) -> TownFile:
+    """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
+    return parse(TownFile, read_toml(toml, _TOWN_TOML), shown(toml))
 
 
 def net_middle(net: Path) -> tuple[int, int]:
@@ -162,10 +193,11 @@ def streets_hash(town: Town) -> str:
 def _main_config(folder: Path) -> Path:
     """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
     toml = folder / "town.toml"
-    named_by_toml = read_toml(toml, TownFile).sumocfg if toml.is_file() else ""
+    named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
-        if not path.is_file():
+        require_inside(path, folder, toml)
+        if not is_file(path):
             raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
         return path
     if (folder / "scene.toml").is_file():
