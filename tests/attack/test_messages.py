@@ -58,3 +58,10 @@ def test_the_siege_sees_a_server_that_lets_an_honest_client_go(tmp_path: Path) -
     siege.say(b"Lhonest", m.encode(m.Leave(b"h" * 16)))
     assert not siege.attack(b"")
     siege.close()
+
+
+@pytest.mark.proof
+def test_forty_thousand_hostile_messages(tmp_path: Path) -> None:
+    tally = Tally().run(cases(20_000, 1, tmp_path))
+    tally.run(siege_cases(20_000, 1, tmp_path))
+    assert tally.defects == []
