@@ -178,7 +178,7 @@ class LearnConfig(Model):
     batch_size: Annotated[int, Field(ge=1, le=4096)] = 32
     replay_frames: Annotated[int, Field(ge=100, le=10**7)] = 50_000
     learning_starts: StepsOrNone = 500
-    train_every: Annotated[int, Field(ge=1, le=10**6)] = 4
+    train_every: Annotated[int, Field(ge=1, le=10**4)] = 4
     gradient_steps: Annotated[int, Field(ge=1, le=10**4)] = 1
     n_step: Annotated[int, Field(ge=1, le=50)] = 5
     tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
