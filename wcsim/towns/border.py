@@ -25,7 +25,7 @@ def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
         raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
     raise TownError(
         f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
-        f"correct the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and wcsim town run)"
+        f"correct the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and run)"
     )
 
 
