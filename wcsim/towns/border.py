@@ -22,10 +22,10 @@ def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{named_by}: names {shown(path)} ({error}); correct that name") from None
+        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
     raise TownError(
-        f"{named_by}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and correct "
-        f"the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and wcsim town run)"
+        f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
+        f"correct the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and run)"
     )
 
 
@@ -34,7 +34,8 @@ def require_file(path: Path, border: Path | None, named_by: Path) -> None:
     require_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{named_by}: names a file that is not there: {shown(path)}; restore it or correct {named_by.name}"
+            f"{shown(named_by)}: names a file that is not there: {shown(path)}; restore it or correct "
+            f"{shown(named_by.name)}"
         )
     if "," in str(path):
-        raise TownError(f"{path}: SUMO splits file names at commas; rename the file or its folder")
+        raise TownError(f"{shown(path)}: SUMO splits file names at commas; rename the file or its folder")

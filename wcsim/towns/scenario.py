@@ -32,7 +32,7 @@ class Scenario:
     sumocfg: Path  # the filtered copy, to be opened with sumo or sumo-gui as it is
     overrides: tuple[Override, ...]
     notes: tuple[str, ...]  # what its users should know
-    outputs: tuple[Path, ...]  # files that it may write
+    outputs: tuple[Path, ...]  # files that it may write, besides ssm.xml of safety devices
     author_scale: float
     begin_s: float
     digest: str  # SHA-256 over everything SUMO reads, without seed and place
