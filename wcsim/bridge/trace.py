@@ -17,11 +17,13 @@ from types import TracebackType
 
 import numpy as np
 
-from wcsim.bridge.records import framed, whole_records
-from wcsim.errors import WcsimError
+from wcsim.bridge.records import framed, torn_bytes, whole_records
+from wcsim.errors import JournalError
+from wcsim.reading import FileKind, opened
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
 MAGIC = "wcsim-trace-1"
+_KIND = FileKind(what="a trace", limit_bytes=1 << 62, error=JournalError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,9 +155,13 @@ class TraceWriter:
 
 
 def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
-    """Read a trace. Raises WcsimError when the file is not one; a torn last record is left out."""
-    with path.open("rb") as file:
-        payloads = [record.payload for record in whole_records(file)]
+    """Read a trace; a torn last record is left out. Raises JournalError for another file, or one with damage in it."""
+    with opened(path, _KIND) as file:
+        records = list(whole_records(file))
+        torn = torn_bytes(file, records[-1].end) if records else 0
+    if torn is None:
+        raise JournalError(f"{path}: is damaged after {records[-1].end} bytes, and more follows; record it again")
+    payloads = [record.payload for record in records]
     try:
         head = json.loads(payloads[0])
         if head.pop("magic") != MAGIC:
@@ -164,7 +170,7 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
         told: dict[str, ActorBody] = {}
         return TraceHeader(**head), tuple(_tick(payload, told) for payload in payloads[1:])
     except (IndexError, KeyError, TypeError, ValueError):
-        raise WcsimError(f"{path}: is not a trace of this version; expected a file written by wcsim") from None
+        raise JournalError(f"{path}: is not a trace of this version; expected a file written by wcsim") from None
 
 
 def _as_list(body: ActorBody) -> tuple[str, str, tuple[float, float, float], int]:
