@@ -10,11 +10,8 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import secrets
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -89,22 +86,6 @@ def open_clients_folder(path: Path) -> ClientsFolder:
         raise PolicyError(str(error)) from None
     manifest = manifest_of(data, path)
     return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(map(str, clients)))
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Keep a run folder to this process while open. Raises PolicyError when another one has it."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PolicyError(
-                f"{path} is being trained in by another process; wait for its end, or choose another --out"
-            ) from None
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _written(folder: ClientsFolder) -> ClientsFolder:

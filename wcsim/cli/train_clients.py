@@ -13,7 +13,8 @@ from pathlib import Path
 from rich.console import Console
 
 from wcsim import seeding
-from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, locked, open_clients_folder
+from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, open_clients_folder
+from wcsim.agents.files import locked
 from wcsim.agents.network_names import NETWORK_NAMES
 from wcsim.agents.runfolder import Status, make_manifest
 from wcsim.cli.clients_report import TickRate, print_report, report_of
