@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wcsim.errors import WcsimError
+from wcsim.server.limits import NO_ROOM, told_limit
 from wcsim.server.orders import ClientOrder, read_order
 from wcsim.server.parent import die_with_parent, outlive_parent_by
 from wcsim.server.states import ClientExit
@@ -42,10 +43,16 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
         sys.stderr.write(f"wcsim: {error}\n")
         return ClientExit.USER_ERROR
     try:
-        learn(order, resume, status_fd)
+        learn(order, resume, status_fd, lambda text: sys.stderr.write(f"{text}\n"))
     except WcsimError as error:
         sys.stderr.write(f"wcsim: {error}\n")
         return exit_of(error)
+    except Exception as error:
+        told = told_limit(error)
+        if not told:
+            raise
+        sys.stderr.write(f"wcsim: {told}\n")
+        return ClientExit.DISK_FULL if getattr(error, "errno", None) in NO_ROOM else ClientExit.USER_ERROR
     except KeyboardInterrupt:
         sys.stderr.write("wcsim: interrupted\n")
         return ClientExit.STOPPED

@@ -18,11 +18,13 @@ from wcsim.errors import DiskFullError, PolicyError
 FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, mode: int = FILE_MODE) -> None:
     """Replace a file in one step: written beside it, flushed to disk, renamed. Raises DiskFullError; it stays then."""
     beside = path.with_name(f".{path.name}.tmp")
     try:
-        with beside.open("wb") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.unlink(missing_ok=True)
+        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
