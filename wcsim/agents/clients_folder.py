@@ -11,12 +11,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from wcsim.agents import files
 from wcsim.agents.runfolder import CONFIG, MANIFEST, METRICS, Manifest, Status, manifest_of, read_json
@@ -25,6 +27,8 @@ from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.reading import FileKind, read_text
 from wcsim.server.journal import JOURNAL, Ticked, iter_journal
 
+_SEAL, _FILES = "seal", "files_sha256"
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
 
@@ -117,20 +121,44 @@ def write_client_configs(path: Path, clients: Mapping[str, RunConfig]) -> None:
 def open_clients_folder(path: Path) -> ClientsFolder:
     """Open an existing folder. Raises PolicyError when it is none."""
     data = read_json(path, MANIFEST)
+    _require_sealed(path, data)
     clients = data.pop("clients", None)
-    if not isinstance(clients, list):
+    if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
         raise PolicyError(f"{path} is a run of one client; expected one made with --clients: leave that option out")
     try:
         config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     manifest = manifest_of(data, path)
-    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(map(str, clients)))
+    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
 
 
 def _written(folder: ClientsFolder) -> ClientsFolder:
-    files.write_json(folder.path / MANIFEST, {**asdict(folder.manifest), "clients": list(folder.clients)})
+    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself."""
+    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
+    hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
+    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    files.write_json(folder.path / MANIFEST, {**data, _SEAL: _seal(data)})
     return folder
+
+
+def _require_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Take seal and hashes out of a manifest; one of an older version has none.
+
+    Raises:
+        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
+    """
+    seal, hashes = data.pop(_SEAL, None), data.get(_FILES, {})
+    if seal is not None and seal != _seal(data):
+        raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
+    data.pop(_FILES, None)
+    for name, digest in hashes.items() if seal is not None else ():
+        if not (path / name).is_file() or files.sha256(path / name) != digest:
+            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _seal(data: dict[str, Any]) -> str:
+    return files.sha256_text(json.dumps(data, sort_keys=True))
 
 
 def _ticked(journal: Path) -> bool:
