@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 
 import pytest
 
@@ -120,6 +122,20 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
     assert [newest.name in line and "not JSON" in line for line in told] == [True]
     assert newest.with_name(f"{newest.name}.damaged").is_dir()
     assert any(json.loads(line)["event"] == "passed_over" for line in (out / "events.jsonl").read_text().splitlines())
+
+
+def test_a_storm_of_signals_leaves_a_run_that_can_be_resumed(tmp_path):
+    out, before = tmp_path / "run", signal.getsignal(signal.SIGTERM)
+
+    def storm():
+        for _ in range(2 if signal.getsignal(signal.SIGTERM) is not before else 0):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(InterruptedRunError):
+        train(config(), street, out, 5, lambda now: now.step >= 60 and storm(), progress_every=10)
+    assert open_run(out).manifest.status == "interrupted"
+    train(config(), street, out, 5, resume=True)
+    assert open_run(out).manifest.status == "done"
 
 
 def test_a_run_without_a_checkpoint_begins_again(tmp_path):

@@ -147,7 +147,7 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
         run = begun(folder, corner)
         for number in range(count):
             rng = np.random.default_rng((seed, number))
-            before = limit(int(rng.integers(0, 60)))
+            before = limit(int(rng.integers(0, 24)))
             child = start(folder, "--out", "run", "--resume", before=before)
             try:
                 _, err = child.communicate(timeout=120)

@@ -104,6 +104,12 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
     assert child.returncode == 0, err
     assert "\nrun folder: run" in out
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+    config = (tmp_path / "run" / "config.json").read_text()
+    (tmp_path / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
+    child = start(tmp_path, "train", "--out", "run", "--resume")
+    _, err = child.communicate(timeout=60)
+    assert (child.returncode, "damaged" in err) == (Exit.REFUSED, True), err
+    (tmp_path / "run" / "config.json").write_text(config)
     child = start(tmp_path, *words, "--resume", "--steps", total + 20)
     _, err = child.communicate(timeout=120)
     assert child.returncode == 0, err

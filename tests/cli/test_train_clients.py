@@ -177,6 +177,15 @@ def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
+    camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
+    (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
+    child = start(tmp_path, "train", "--town", corner, "--clients", "small", "--config", "many.toml", "--out", "run")
+    _, err = child.communicate(timeout=90)
+    assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.proof
 def test_equal_seeds_give_equal_worlds(tmp_path, corner):
     hashes = []

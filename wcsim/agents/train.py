@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -144,7 +145,9 @@ class _Session:
                 self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
         except KeyboardInterrupt:
             if self.request.asked and not self.request.forced:
-                self._checkpoint()
+                with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
+                    self._checkpoint()
+            self.request.ending = True
             self._finish("interrupted")
             raise InterruptedRunError(
                 f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "

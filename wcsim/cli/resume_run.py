@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 from wcsim.agents.extend import extend
-from wcsim.agents.runfolder import MANIFEST, Manifest, open_run, read_json, with_kept_plant
+from wcsim.agents.runfolder import CONFIG, MANIFEST, Manifest, open_run, read_json, with_kept_plant
 from wcsim.cli.run_config import learning
-from wcsim.config import RunConfig, with_file, with_overrides
+from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.errors import PolicyError, TownError
 from wcsim.plant_file import plant_text
 from wcsim.towns.town import Town, find_town, streets_hash
@@ -107,6 +108,16 @@ def require_same_config(path: Path, config: RunConfig, typed: Typed, files: Sequ
         _require_equal(path, config, with_overrides(config, (text,)), said)
 
 
+def _require_own_config(path: Path, manifest: Manifest) -> None:
+    """Raise PolicyError when a run's configuration is not the one that its manifest has the hash of.
+
+    Another version of wcsim may know more settings, and so have another hash of the same file.
+    """
+    own = manifest.versions.get("wcsim") == metadata.version("wcsim")
+    if own and parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() != manifest.config_sha256:
+        raise PolicyError(f"{path / CONFIG} is not what the run was made with: changed or damaged; restore it")
+
+
 def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -> None:
     same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
     kept = learning(with_kept_plant(other, path)) if same else other
@@ -133,6 +144,7 @@ def resumed(path: Path, typed: Typed) -> tuple[Manifest, RunConfig, Town]:
         ConfigError: An option cannot be used.
     """
     run = open_run(path)
+    _require_own_config(path, run.manifest)
     require_same(path, run.manifest, typed)
     town = town_of(path, run.manifest, typed)
     steps = steps_of(path, run.config, typed)

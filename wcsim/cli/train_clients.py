@@ -237,8 +237,16 @@ def _opened(
         group.hook,
         overrides,
     )
-    folder = create_clients_folder(group.out, clients[0].config, wanted, configs)
-    with locked(folder.path):
+    made = not group.out.exists()
+    if made:
+        group.out.mkdir(parents=True)
+    with locked(group.out):
+        try:
+            folder = create_clients_folder(group.out, clients[0].config, wanted, configs)
+        except WcsimError:
+            if made:
+                shutil.rmtree(group.out, ignore_errors=True)
+            raise
         try:
             yield folder
         except (WcsimError, NothingKept) as error:

@@ -70,6 +70,10 @@ class JournalWriter:
             raise ConfigError(f"{path}: a journal cannot be begun ({error.strerror}); choose a new folder") from None
         try:
             self._open(path, file, 0)
+        except BaseException:  # another process begins it
+            file.close()
+            raise
+        try:
             file.truncate(0)
             self._put(header_bytes(header))
             self._sync()

@@ -112,18 +112,13 @@ class LedgerWriter:
             self._file.seek(scan.end)
 
 
-def iter_ledger(path: Path) -> Iterator[LedgerEntry]:
-    """The entries of a ledger one by one, up to the last whole one; its client may be writing it.
+def read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
+    """All whole entries of a ledger; its client may be writing it.
 
     Raises:
-        JournalError: It cannot be read, or, at the place of it, there is a damage that is no torn end.
+        JournalError: It cannot be read, or is damaged before its end.
     """
-    return _Scan(path).entries()
-
-
-def read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
-    """All whole entries of a ledger. Raises JournalError as `iter_ledger`."""
-    return tuple(iter_ledger(path))
+    return tuple(_Scan(path).entries())
 
 
 class _Scan:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import resource
 
 from wcsim.errors import ConfigError
@@ -22,6 +24,15 @@ def told_limit(error: BaseException) -> str:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return f"{soft} files may be open at once, and that is too few ({error}); try again after: ulimit -n 1024"
     return ""
+
+
+def last_words(text: str) -> None:
+    """A line on standard error, which may be a file on a disk that is full: the exit code counts all the same.
+
+    What Python keeps in a buffer would fail again in its end, with another code.
+    """
+    with contextlib.suppress(OSError):
+        os.write(2, f"{text}\n".encode(errors="replace"))
 
 
 def require_files(clients: int) -> None:

@@ -19,22 +19,19 @@ def keep_torn(path: Path, data: bytes) -> Path:
     """
     if not any(data):
         return path
-    for number in count(1):
-        kept = path.with_name(f"{path.name}.torn" if number == 1 else f"{path.name}.torn-{number}")
-        try:
-            with kept.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-        except FileExistsError:
-            continue
-        except OSError as error:
-            kept.unlink(missing_ok=True)
-            raise DiskFullError(
-                f"{path}: its torn end of {len(data)} bytes could not be kept beside it ({error.strerror}); make room"
-            ) from None
-        return kept
-    raise AssertionError("unreachable")
+    names = (path.with_name(f"{path.name}.torn{'' if k == 1 else f'-{k}'}") for k in count(1))
+    kept = next(name for name in names if not os.path.lexists(name))
+    try:
+        with kept.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        kept.unlink(missing_ok=True)
+        raise DiskFullError(
+            f"{path}: its torn end of {len(data)} bytes could not be kept beside it ({error.strerror}); make room"
+        ) from None
+    return kept
 
 
 def told_torn(path: Path, cut_bytes: int) -> str:

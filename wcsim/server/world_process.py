@@ -19,7 +19,7 @@ from wcsim.errors import ConfigError, DiskFullError, HookError, JournalError, To
 from wcsim.server.doors import Doors
 from wcsim.server.journal_records import Ended, JournalRecord
 from wcsim.server.lifeline import Lifelines
-from wcsim.server.limits import NO_ROOM, told_limit
+from wcsim.server.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.opening import Opened, open_server
 from wcsim.server.orders import ServerOrder, read_order
 from wcsim.server.parent import die_with_parent
@@ -126,7 +126,7 @@ class _Ends:
 
 def _failed(error: WcsimError, quiet: bool = False) -> int:
     if not quiet:
-        sys.stderr.write(f"wcsim: {type(error).__name__}: {error}\n")
+        last_words(f"wcsim: {type(error).__name__}: {error}")
     if isinstance(error, DiskFullError):
         return WorldExit.DISK_FULL
     return WorldExit.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExit.FAILED
