@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
+from tests.framing import chained, record_ends
 from tests.worlds import quick_config
 from wcsim.bridge.fingerprint import fingerprint
 from wcsim.bridge.record import as_recorded
-from wcsim.bridge.records import framed, whole_records
 from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
 from wcsim.server.journal import (
@@ -133,9 +133,8 @@ def rewritten(journal: Path, out: Path, change: dict[int, JournalRecord]) -> Pat
     """A copy of a journal with other records at some places."""
     records = [change.get(number, record) for number, record in enumerate(iter_journal(journal))]
     out.parent.mkdir(exist_ok=True)
-    out.write_bytes(b"".join(map(framed, [header_bytes(read_header(journal)), *map(record_bytes, records)])))
-    with out.open("rb") as file:
-        assert len(list(whole_records(file))) == len(records) + 1
+    out.write_bytes(chained([header_bytes(read_header(journal)), *map(record_bytes, records)]))
+    assert len(record_ends(out)) == len(records) + 1
     return out
 
 

@@ -31,7 +31,8 @@
     │       ├── StaleTickError, FutureTickError
     │       ├── BarrierNotFullError a tick was asked for before everybody acted
     │       ├── BadActionError      no action of the set or joystick position, or a second one for a tick
-    │       └── OverloadedError     more, or larger, messages than the server takes
+    │       ├── OverloadedError     more, or larger, messages than the server takes
+    │       └── PicturesError       shared memory is there, and holds no pictures of this version
     └── InterruptedRunError         the user stopped the run; what was done is saved
 
 A message says what was wrong, what was got, what was expected, and what to do.
@@ -168,6 +169,10 @@ class BadActionError(ProtocolError):
 
 class OverloadedError(ProtocolError):
     """Raised when a client sends more, or larger, messages than the server takes."""
+
+
+class PicturesError(ProtocolError):
+    """Raised when the shared memory of a seat is no ring of pictures as this version makes them."""
 
 
 class PolicyError(FileError):

@@ -20,7 +20,7 @@ from wcsim.agents.export import load_policy
 from wcsim.agents.mirror import mirrored
 from wcsim.agents.policy_file import POLICY_JSON
 from wcsim.agents.replay import FrameReplay
-from wcsim.agents.replay_state import replay_arrays, restore_replay
+from wcsim.agents.replay_state import replay_arrays, require_fit, restore_replay
 from wcsim.agents.runfolder import config_of, open_run, policy_path
 from wcsim.agents.testing import open_policy, window_for
 from wcsim.agents.train import train
@@ -241,8 +241,8 @@ def test_a_checkpoint_of_other_windows_is_refused():
     buffer, streets = replay(400), [Street()]
     for _ in range(5):
         add(buffer, streets, ["go"])
-    with pytest.raises(ValueError, match="36 bytes a step, not 12"):
-        restore_replay(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
+    with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
+        require_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():

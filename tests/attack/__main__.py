@@ -1,4 +1,4 @@
-"""The whole attack with its counts by area and outcome: `python -m tests.attack [share]`; a share of 1 is 130,000 inputs."""
+"""The whole attack, counted by area and outcome: `python -m tests.attack [SHARE]`; a share of 1 is 130,000 inputs."""
 
 from __future__ import annotations
 

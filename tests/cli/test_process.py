@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.cli.exit_codes import Exit
+
 COMMAND = (sys.executable, "-m", "wcsim")
 
 
@@ -86,15 +88,29 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
     out, err = child.communicate(timeout=200)
-    assert child.returncode == 0, err
+    assert child.returncode == Exit.STOPPED, err
     assert "Traceback" not in err
     assert "--resume" in err
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (tmp_path / "run" / "policies" / "final" / "policy.json").is_file()
-    child = start(tmp_path, *words, "--resume")
+    for other in (("--seed", 1), ("--set", "learn.gamma=0.5"), ("--network", "gru"), ("--steps", 299)):
+        child = start(tmp_path, "train", "--out", "run", "--resume", *other)
+        _, err = child.communicate(timeout=200)
+        assert (child.returncode, err.count("\n"), str(other[1]) in err) == (Exit.REFUSED, 1, True), err
+    child = start(tmp_path, "train", "--out", "run", "--resume")
     out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
     assert "\nrun folder: run" in out
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+    config = (tmp_path / "run" / "config.json").read_text()
+    (tmp_path / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
+    child = start(tmp_path, "train", "--out", "run", "--resume")
+    _, err = child.communicate(timeout=60)
+    assert (child.returncode, "damaged" in err) == (Exit.REFUSED, True), err
+    (tmp_path / "run" / "config.json").write_text(config)
+    child = start(tmp_path, *words, "--resume", "--steps", total + 20)
+    _, err = child.communicate(timeout=120)
+    assert child.returncode == 0, err
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["steps"] >= total + 20

@@ -17,6 +17,7 @@ from wcsim.agents.clients_folder import open_clients_folder
 from wcsim.agents.network_names import NETWORK_NAMES
 from wcsim.agents.registry import NETWORKS
 from wcsim.agents.runfolder import open_run
+from wcsim.cli.exit_codes import Exit
 from wcsim.cli.run_config import learning, steps_note, with_steps
 from wcsim.cli.train_clients import Group, client_names, resolved
 from wcsim.config import RunConfig
@@ -176,6 +177,15 @@ def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
+    camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
+    (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
+    child = start(tmp_path, "train", "--town", corner, "--clients", "small", "--config", "many.toml", "--out", "run")
+    _, err = child.communicate(timeout=90)
+    assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.proof
 def test_equal_seeds_give_equal_worlds(tmp_path, corner):
     hashes = []
@@ -221,7 +231,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     waited(lambda: len((tmp_path / "run" / "gru" / "metrics.csv").read_text().splitlines()) > 1)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=200)
-    assert child.returncode == 0, err
+    assert child.returncode == Exit.STOPPED, err
     assert "--resume" in err
     assert places(child) == []
     assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
@@ -230,11 +240,15 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     child = start(tmp_path, *words, "--resume", "--seed", 1)
     _, err = child.communicate(timeout=200)
     assert (child.returncode, "another seed" in err) == (2, True), err
-    child = start(tmp_path, *words, "--resume", "--json", "x.json")
+    with (tmp_path / "run" / "journal").open("ab") as file:
+        file.write(b"torn")
+    child = start(tmp_path, "train", "--out", "run", "--resume", "--json", "x.json")
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
+    assert "the last 4 bytes were no whole record" in err
+    assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
     child = start(tmp_path, *words, "--resume", "--json", "again.json")
     child.communicate(timeout=120)
     again = json.loads((tmp_path / "again.json").read_text())

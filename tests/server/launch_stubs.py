@@ -91,6 +91,8 @@ def world(order_file: str) -> int:
             say(order["status_fd"], json.dumps(status).encode() + b"\nnoise\n")
             tick += 1
             status |= {"stage": "collect", "tick": tick, "ticks": tick}
+            if "idle" in words:
+                status |= {"stage": "empty", "tick": 0, "ticks": 0}
             time.sleep(TICK_S)
     except (Asked, BrokenPipeError):
         Path(order["run"], "ended").touch()

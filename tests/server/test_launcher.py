@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,7 +35,7 @@ QUICK = LaunchRules(
 )
 
 
-def launcher(folder, clients, world="", members=None, show=None, rules=QUICK):
+def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False):
     """A launcher of stubs; `clients` maps names to their words."""
     place = folder / "place"
     place.mkdir(parents=True, mode=0o700)
@@ -56,6 +57,8 @@ def launcher(folder, clients, world="", members=None, show=None, rules=QUICK):
             argv=(*STUB, "client", str(folder / name), *words.split()),
             log=folder / "logs" / f"{name}.log",
             folder=folder / name,
+            order=b"{}" if orders else b"",
+            order_file=place / f"{name}.json" if orders else None,
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
@@ -177,6 +180,41 @@ def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
     assert standings(outcome)["a"] == "stopped"
     stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")
     assert stopped["code"] == -signal.SIGKILL
+
+
+def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):
+    outcome = launcher(tmp_path, {"a": "exit6=5 steps=99", "b": "steps=80"}).run()
+    assert outcome.code == 1
+    assert standings(outcome) == {"a": "given up", "b": "done"}
+    assert "no room" in outcome.message and "a fault of kind 6" in outcome.message
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_world_without_room_has_failed_and_was_not_refused(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="exit4=40").run()
+    assert (outcome.code, standings(outcome)) == (1, {"a": "stopped"})
+    assert "--resume" in outcome.message
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up(tmp_path):
+    """As one whose pictures do not fit; the world waits for it for ever."""
+    outcome = launcher(tmp_path, {"a": "steps=99 exit4=1", "b": "steps=400"}, world="idle").run()
+    assert standings(outcome)["a"] == "given up"
+    assert counted(tmp_path, "death") == ["a"] * 5
+
+
+def test_orders_are_there_again_when_somebody_removed_them(tmp_path):
+    def rob(state):
+        if state.clients[0].status and state.clients[0].status.step > 5 and not (tmp_path / "robbed").exists():
+            (tmp_path / "robbed").touch()
+            shutil.rmtree(tmp_path / "place")
+
+    it = launcher(tmp_path, {"a": "steps=300 die=30x1"}, show=rob, orders=True)
+    outcome = it.run()
+    assert outcome.code == 0, outcome.message
+    assert counted(tmp_path, "place lost") == ["world"]
+    assert counted(tmp_path, "restart").count("world") == 1
 
 
 # --- signals, in a process of its own ---

@@ -2,19 +2,24 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.worlds import quick_config
+from wcsim.agents.client import exit_of
 from wcsim.config import CameraConfig
-from wcsim.errors import DiskFullError, ProtocolError
+from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server import messages as m
 from wcsim.server.link import WorldOrder
 from wcsim.server.ring import RingSink, RingView, pictures_of
-from wcsim.server.ring_folder import make_ring_folder, remove_ring_folder, remove_stale_rings
+from wcsim.server.ring_folder import LOCK, RingFolder, remove_stale_rings
 from wcsim.server.stand_in import StandInWorld
+from wcsim.server.states import ClientExit
 from wcsim.types import Command, Joystick, SeatSpec
 
 ONE = quick_config("cameras.0.rgb=true")
@@ -133,15 +138,72 @@ def test_no_room_is_said_at_once(tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
-def test_folders_of_dead_owners_go_and_others_stay():
-    mine, dead = make_ring_folder(), make_ring_folder(owner_pid=(1 << 22) + 1)  # beyond the largest process number
+def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, monkeypatch):
+    camera = CONFIG.cameras[0].model_copy(update={"width_px": 16, "height_px": 12})
+    most = pictures_of((camera,) * 64)
+    assert len(RingView(RingSink(tmp_path, 1, most).path(0)).pictures(0, first=True)) == 64
+    more = pictures_of((camera,) * 65)
+    with pytest.raises(ConfigError, match="65 of them; expected 64 at most"):
+        RingSink(tmp_path, 1, more)
+    monkeypatch.setattr("wcsim.server.ring._fault", lambda pictures: "")
+    path = RingSink(tmp_path, 1, more).path(0)
+    monkeypatch.undo()
+    with pytest.raises(PicturesError, match="65 cameras"):
+        RingView(path)
+
+
+def test_pictures_that_will_never_fit_are_not_asked_for_again():
+    assert exit_of(PicturesError("65 cameras")) == ClientExit.USER_ERROR
+    assert exit_of(ProtocolError("the pictures cannot be opened")) == ClientExit.SERVER_GONE
+    assert exit_of(DiskFullError("no room")) == ClientExit.DISK_FULL
+
+
+OWNER = """
+import sys, time
+from pathlib import Path
+from wcsim.server.ring_folder import RingFolder
+print(RingFolder(Path(sys.argv[1])).path, flush=True)
+time.sleep(60)
+"""
+
+
+def owned(home):
+    """A folder of another process, and that process."""
+    child = subprocess.Popen([sys.executable, "-c", OWNER, str(home)], stdout=subprocess.PIPE, text=True)
+    return Path(child.stdout.readline().strip()), child
+
+
+def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
+    mine, (theirs, child) = RingFolder(tmp_path), owned(tmp_path)
     try:
-        assert stat.S_IMODE(mine.stat().st_mode) == 0o700
-        assert remove_stale_rings() >= 1
-        assert mine.is_dir()
-        assert not dead.exists()
+        assert stat.S_IMODE(mine.path.stat().st_mode) == 0o700
+        (theirs / "seat-0").write_bytes(b"picture")
+        assert remove_stale_rings(tmp_path) == 0
+        assert (theirs / "seat-0").exists()
     finally:
-        remove_ring_folder(mine)
-        remove_ring_folder(mine)
-        remove_ring_folder(dead)
-    assert not mine.exists()
+        child.kill()
+        child.communicate()
+    assert remove_stale_rings(tmp_path) == 1
+    assert [path.name for path in tmp_path.iterdir()] == [mine.path.name]
+    mine.close()
+    mine.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_who_cannot_see_a_process_leaves_its_folder_alone(tmp_path, monkeypatch):
+    """As in a container that shares the place: there, no number means the same process."""
+    monkeypatch.setattr(os, "kill", lambda pid, number: (_ for _ in ()).throw(ProcessLookupError()))
+    mine = RingFolder(tmp_path)
+    other = tmp_path / mine.path.name.replace(f"-{os.getpid()}-", "-4194305-")
+    mine.path.rename(other)
+    assert remove_stale_rings(tmp_path) == 0
+    assert (other / LOCK).exists()
+
+
+def test_a_folder_without_a_lock_goes_when_it_is_empty(tmp_path):
+    for name in ("wcsim-ring-12-empty", "wcsim-ring-13-full"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "wcsim-ring-13-full" / "seat-0").touch()
+    (tmp_path / "wcsim-ring-14-link").symlink_to(tmp_path / "wcsim-ring-13-full")
+    assert remove_stale_rings(tmp_path) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"wcsim-ring-13-full", "wcsim-ring-14-link"}

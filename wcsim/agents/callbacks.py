@@ -182,6 +182,7 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.asked, self.forced = False, False
+        self.ending = False  # the last files are being written: what is asked for again is under way
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequest:
@@ -199,7 +200,7 @@ class StopRequest:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         del number, frame
-        if self.asked:
+        if self.asked and not self.ending:
             self.forced = True
             raise KeyboardInterrupt
         self.asked = True

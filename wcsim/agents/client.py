@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
@@ -14,15 +16,18 @@ from wcsim.agents.callbacks import TrainProgress
 from wcsim.agents.env import WheelchairEnv
 from wcsim.agents.plugins import find_reward_term
 from wcsim.agents.registry import find_network
+from wcsim.agents.runfolder import MANIFEST
 from wcsim.agents.time_shares import TimeShares
 from wcsim.agents.train import train
 from wcsim.config import RunConfig
 from wcsim.errors import (
     AccessError,
     ConfigMismatchError,
+    DiskFullError,
     EvictedError,
     InterruptedRunError,
     LinkError,
+    PicturesError,
     StaleSessionError,
     VersionMismatchError,
     WcsimError,
@@ -32,7 +37,7 @@ from wcsim.server.states import ClientExit
 
 SAY_S = 0.5  # shortest time between two status lines
 TIMES = "times.json"
-_LASTING = (AccessError, ConfigMismatchError, VersionMismatchError)  # another try would end in the same way
+_LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
 
 
 class StatusPipe:
@@ -72,13 +77,16 @@ class StatusPipe:
                 self._descriptor = -1  # and a second request from here would cut the saving short
 
 
-def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
+def learn(
+    order: ClientOrder, resume: bool, status_fd: int = -1, say: Callable[[str], object] = lambda text: None
+) -> None:
     """Train as ordered, into the run folder.
 
     Args:
         order: The client.
         resume: Go on from a checkpoint, or begin again when a life before left none.
         status_fd: Where status lines go; -1 for nowhere.
+        say: Told what a person should know.
 
     Raises:
         InterruptedRunError: It was asked to end; the work is saved.
@@ -88,8 +96,8 @@ def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
     find_network(net_spec(config).network)
     terms = tuple(find_reward_term(name) for name in order.rewards)
     out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
-    goes_on = resume and any(out.glob("checkpoints/step-*"))
-    if resume and not goes_on and out.is_dir():
+    goes_on = resume and (out / MANIFEST).is_file()
+    if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         shutil.rmtree(out)
     env = WheelchairEnv(order.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()
@@ -111,6 +119,7 @@ def learn(order: ClientOrder, resume: bool, status_fd: int = -1) -> None:
             progress_every=1,
             callbacks=(shares,),
             alive=lambda: env.beat(next(beats)),  # else a server that hears nothing gives the seat away
+            say=say,
         )
     finally:
         env.close()
@@ -122,24 +131,25 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
     if not out.is_dir():
         return
     known_s = last.simulation_s + last.barrier_s + last.inference_s + last.learning_s
-    files.write_json(
-        out / TIMES,
-        {
-            "step": last.step,
-            "elapsed_s": elapsed_s,
-            "simulation_s": last.simulation_s,
-            "barrier_s": last.barrier_s,
-            "inference_s": last.inference_s,
-            "learning_s": last.learning_s,
-            "other_s": max(0.0, elapsed_s - known_s),
-        },
-    )
+    times = {
+        "step": last.step,
+        "elapsed_s": elapsed_s,
+        "simulation_s": last.simulation_s,
+        "barrier_s": last.barrier_s,
+        "inference_s": last.inference_s,
+        "learning_s": last.learning_s,
+        "other_s": max(0.0, elapsed_s - known_s),
+    }
+    with contextlib.suppress(DiskFullError):  # why this life ends is of more weight
+        files.write_json(out / TIMES, times)
 
 
 def exit_of(error: WcsimError) -> ClientExit:
     """How a client ends that met this error."""
     if isinstance(error, InterruptedRunError):
         return ClientExit.STOPPED
+    if isinstance(error, DiskFullError):
+        return ClientExit.DISK_FULL
     if isinstance(error, EvictedError | StaleSessionError):
         return ClientExit.EVICTED
     if isinstance(error, LinkError) and not isinstance(error, _LASTING):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wcsim.errors import WcsimError
+from wcsim.server.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.orders import ClientOrder, read_order
 from wcsim.server.parent import die_with_parent, outlive_parent_by
 from wcsim.server.states import ClientExit
@@ -39,15 +40,21 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
         order = read_order(ClientOrder, file)
         from wcsim.agents.client import exit_of, learn  # torch takes its time, and the launcher is watched by now
     except WcsimError as error:
-        sys.stderr.write(f"wcsim: {error}\n")
+        last_words(f"wcsim: {error}")
         return ClientExit.USER_ERROR
     try:
-        learn(order, resume, status_fd)
+        learn(order, resume, status_fd, last_words)
     except WcsimError as error:
-        sys.stderr.write(f"wcsim: {error}\n")
+        last_words(f"wcsim: {error}")
         return exit_of(error)
+    except Exception as error:
+        told = told_limit(error)
+        if not told:
+            raise
+        last_words(f"wcsim: {told}")
+        return ClientExit.DISK_FULL if getattr(error, "errno", None) in NO_ROOM else ClientExit.USER_ERROR
     except KeyboardInterrupt:
-        sys.stderr.write("wcsim: interrupted\n")
+        last_words("wcsim: interrupted")
         return ClientExit.STOPPED
     return ClientExit.DONE
 

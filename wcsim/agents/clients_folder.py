@@ -2,6 +2,7 @@
 
 - manifest.json: what the run was made with, its clients, and its status
 - config.json: the configuration of the world
+- configs/NAME.json: that of each client
 - journal: everything that happened to the world
 - ledgers/NAME.ledger: every frame that a client has seen
 - events.jsonl, logs/: what the processes did and said
@@ -10,20 +11,26 @@
 
 from __future__ import annotations
 
-import fcntl
+import json
 import os
+import re
 import secrets
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from wcsim.agents import files
 from wcsim.agents.runfolder import CONFIG, MANIFEST, METRICS, Manifest, Status, manifest_of, read_json
 from wcsim.config import RunConfig, parse
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import ConfigError, PolicyError, WcsimError
+from wcsim.reading import FileKind, read_text
+from wcsim.server.journal import JOURNAL, Ticked, iter_journal
 
-LEDGERS, LOGS = "ledgers", "logs"
+_SEAL, _FILES = "seal", "files_sha256"
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_CLAIM = re.compile(r"[0-9a-f]{32}")
+LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,24 +49,43 @@ class ClientsFolder:
     def claim(self, name: str) -> str:
         """The secret by which a client is known again, also by a world that was made again from its journal."""
         path = self.path / LEDGERS / f"{name}.claim"
-        if not path.is_file():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch(mode=0o600)
-            path.write_text(secrets.token_hex(16), encoding="ascii")
-        return path.read_text(encoding="ascii")
+        if not os.path.lexists(path):
+            files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
+        claim = read_text(path, FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError))
+        if not _CLAIM.fullmatch(claim):
+            raise PolicyError(f"{path}: is damaged; remove it, and the client is a new one to its world")
+        return claim
 
     def log(self, name: str) -> Path:
         """Where a client's log is."""
         return self.path / LOGS / f"{name}.log"
 
-    def done(self, name: str) -> bool:
-        """Whether a client has learned all that it was to."""
+    def done(self, name: str, steps: int) -> bool:
+        """Whether a client has learned for so many steps in all."""
         folder = self.path / name
-        return (folder / MANIFEST).is_file() and read_json(folder, MANIFEST).get("status") == "done"
+        manifest = read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
+        done = manifest.get("steps", 0)
+        return manifest.get("status") == "done" and isinstance(done, int) and done >= steps
 
     def fruitless(self) -> bool:
-        """Whether no client has finished an episode, or saved anything."""
-        return not any(_has_work(self.path / name) for name in self.clients)
+        """Whether nothing was done: no tick of the world, no frame of a client, no episode, nothing saved."""
+        frames = (self.ledger(name) for name in self.clients)
+        seen = any(ledger.is_file() and ledger.stat().st_size for ledger in frames)
+        return not (seen or _ticked(self.path / JOURNAL) or any(_has_work(self.path / name) for name in self.clients))
+
+    def client_config(self, name: str) -> RunConfig:
+        """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
+        folder, file = self.path / CONFIGS, f"{name}.json"
+        if not (folder / file).is_file():  # a run of an older version
+            folder, file = self.path / name, CONFIG
+        try:
+            return parse(RunConfig, read_json(folder, file), str(folder / file))
+        except ConfigError as error:
+            raise PolicyError(str(error)) from None
+
+    def kept_torn(self) -> list[Path]:
+        """What was cut off the ends of journal and ledgers, and is kept."""
+        return sorted([*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")])
 
     def with_status(self, status: Status, steps: int) -> ClientsFolder:
         """Write a new status into the manifest."""
@@ -67,53 +93,86 @@ class ClientsFolder:
 
 
 def create_clients_folder(
-    path: Path, config: RunConfig, manifest: Manifest, clients: Sequence[str]
+    path: Path, config: RunConfig, manifest: Manifest, clients: Mapping[str, RunConfig]
 ) -> ClientsFolder:
-    """Make a new folder. Raises PolicyError when it exists and is not empty."""
+    """Make a new folder. Raises PolicyError when it exists and is not empty, DiskFullError.
+
+    Args:
+        path: Where.
+        config: Of the world.
+        manifest: What it is made with.
+        clients: The configuration of each, in seat order.
+    """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    write_client_configs(path, clients)
     return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
+
+
+def write_client_configs(path: Path, clients: Mapping[str, RunConfig]) -> None:
+    """Write down what each client is made with. Raises DiskFullError."""
+    (path / CONFIGS).mkdir(exist_ok=True)
+    for name, config in clients.items():
+        files.write_bytes(path / CONFIGS / f"{name}.json", config.model_dump_json(indent=2).encode())
 
 
 def open_clients_folder(path: Path) -> ClientsFolder:
     """Open an existing folder. Raises PolicyError when it is none."""
     data = read_json(path, MANIFEST)
+    _require_sealed(path, data)
     clients = data.pop("clients", None)
-    if not isinstance(clients, list):
+    if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
         raise PolicyError(f"{path} is a run of one client; expected one made with --clients: leave that option out")
     try:
         config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     manifest = manifest_of(data, path)
-    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(map(str, clients)))
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Keep a run folder to this process while open. Raises PolicyError when another one has it."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PolicyError(
-                f"{path} is being trained in by another process; wait for its end, or choose another --out"
-            ) from None
-        yield
-    finally:
-        os.close(descriptor)
+    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
 
 
 def _written(folder: ClientsFolder) -> ClientsFolder:
-    files.write_json(folder.path / MANIFEST, {**asdict(folder.manifest), "clients": list(folder.clients)})
+    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself."""
+    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
+    hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
+    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    files.write_json(folder.path / MANIFEST, {**data, _SEAL: _seal(data)})
     return folder
+
+
+def _require_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Take seal and hashes out of a manifest; one of an older version has none.
+
+    Raises:
+        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
+    """
+    seal, hashes = data.pop(_SEAL, None), data.get(_FILES, {})
+    if seal is not None and seal != _seal(data):
+        raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
+    data.pop(_FILES, None)
+    for name, digest in hashes.items() if seal is not None else ():
+        if not (path / name).is_file() or files.sha256(path / name) != digest:
+            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _seal(data: dict[str, Any]) -> str:
+    return files.sha256_text(json.dumps(data, sort_keys=True))
+
+
+def _ticked(journal: Path) -> bool:
+    """Whether the world of a journal has done a tick, or may have: one that cannot be read is somebody's work too."""
+    if not journal.exists():
+        return False
+    try:
+        return any(isinstance(record, Ticked) for record in iter_journal(journal))
+    except WcsimError:
+        return True
 
 
 def _has_work(run: Path) -> bool:
     metrics = run / METRICS
     episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
     steps = read_json(run, MANIFEST).get("steps", 0) if (run / MANIFEST).is_file() else 0
-    return episodes > 0 or steps > 0 or any(run.glob("checkpoints/*"))
+    return episodes > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))

@@ -5,16 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from wcsim.agents import files
 from wcsim.errors import DiskFullError, PolicyError
+from wcsim.reading import FileKind, read_text, shown
 
 COLUMNS = (
     "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
     "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
 )  # fmt: skip
+_STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
+_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 Value = float | int | str | None
 
 
@@ -39,16 +43,23 @@ class MetricsFile:
 
 
 def read_metrics(path: Path) -> list[dict[str, str]]:
-    """All complete rows of a metrics file. Raises PolicyError when it is not one."""
+    """All complete rows of a metrics file. Raises PolicyError when it is not one, or a row in it is damaged."""
+    text = read_text(path, _KIND)
+    whole = text[: text.rfind("\n") + 1]  # a process that was killed can leave a torn last line
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
-    except OSError as error:
-        raise PolicyError(f"{path} cannot be read ({error.strerror}); expected the metrics.csv of a run") from None
+        rows = list(csv.reader(io.StringIO(whole, newline="")))
+    except csv.Error as error:
+        raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the metrics.csv of a run") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         got = ", ".join(rows[0]) if rows else "none"
-        raise PolicyError(f"{path} has columns {got}; expected those of this version: {', '.join(COLUMNS)}")
-    # A process that was killed can leave a torn last line.
-    return [dict(zip(COLUMNS, row, strict=True)) for row in rows[1:] if len(row) == len(COLUMNS)]
+        raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(COLUMNS)}")
+    last = 0
+    for number, row in enumerate(rows[1:], start=2):
+        step = int(row[0]) if len(row) == len(COLUMNS) and _STEP.fullmatch(row[0]) else -1
+        if step < last:
+            raise PolicyError(f"{path}:{number}: is damaged; expected {len(COLUMNS)} values, the first a growing step")
+        last = step
+    return [dict(zip(COLUMNS, row, strict=True)) for row in rows[1:]]
 
 
 def _text(value: Value) -> str:

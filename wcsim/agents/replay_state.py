@@ -55,16 +55,48 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
     return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
 
 
+def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    told = arrays["total"]
+    if told.dtype != np.int64 or told.shape != (2,):
+        raise ValueError(f"replay has counts {told.dtype} {told.shape}; expected two numbers")
+    total, size = (int(value) for value in told)
+    if not 0 <= size <= total or size != min(total, replay.buffer_size):
+        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
+    layout, seats = replay.layout, replay.n_envs
+    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
+    arrays.setdefault("whole_images", np.zeros((0, layout.image_bytes), np.uint8))
+    ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
+    shapes = {
+        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in PER_STEP},
+        "end_at": ((ends, 2), np.int64),
+        "end_images": ((ends, layout.image_bytes), np.uint8),
+        "end_vectors": ((ends, layout.vector_size), np.float32),
+        "whole_at": ((whole, 2), np.int64),
+        "whole_images": ((whole, layout.image_bytes), np.uint8),
+        "next_images": ((coming, layout.image_bytes), np.uint8),
+        "next_vectors": ((coming, layout.vector_size), np.float32),
+        "frames": (arrays["frames"].shape, np.uint8),
+        "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
+    }
+    for name, (shape, kind) in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype != kind:
+            raise ValueError(f"replay: {name} is {arrays[name].dtype} {arrays[name].shape}; expected {kind} {shape}")
+    if coming not in (0, seats) or arrays["frames"].ndim != 1 or arrays["blob_bytes"].ndim != 1:
+        raise ValueError("replay: its images do not go together")
+    if (arrays["blob_bytes"] < 0).any() or int(arrays["blob_bytes"].sum()) != len(arrays["frames"]):
+        raise ValueError("replay: its frames have other lengths than it says")
+
+
 def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
-    """Put the arrays of `replay_arrays` into an empty memory of the same size. Raises ValueError when they do not fit.
+    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`require_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
+
+    Raises:
+        ValueError: Their frames are not those of their steps; the memory has to be reset then.
     """
     total, size = (int(value) for value in arrays["total"])
-    if size > replay.buffer_size or arrays["vectors"].shape[1:] != replay.vectors.shape[1:]:
-        raise ValueError(f"replay holds {arrays['vectors'].shape} vectors; expected at most {replay.vectors.shape}")
-    if arrays["end_images"].shape[1] != replay.layout.image_bytes:
-        raise ValueError(f"replay holds {arrays['end_images'].shape[1]} bytes a step, not {replay.layout.image_bytes}")
     replay.reset()
     index = total - size + np.arange(size)
     rows = index % replay.buffer_size
@@ -73,9 +105,8 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     if replay.advice is not None:
         replay.advice.restore(arrays, index)
     _restore_frames(replay, arrays, index)
-    if "whole_at" in arrays:
-        for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
-            replay.windows.whole[int(step), int(seat)] = window
+    for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
+        replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
         replay.after_end[int(step), int(seat)] = (image, vector)
     for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
@@ -98,3 +129,5 @@ def _restore_frames(replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.i
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
         at += len(frames)
+    if at != len(index):
+        raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,9 +16,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim import seeding
+from wcsim.agents import files
 from wcsim.agents.build import build_model, checked_device, with_window
 from wcsim.agents.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
-from wcsim.agents.checkpoint import load_checkpoint, save_checkpoint
+from wcsim.agents.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
+from wcsim.agents.checkpoint_file import set_aside
 from wcsim.agents.export import save_policy
 from wcsim.agents.metrics import MetricsFile
 from wcsim.agents.phases import PhaseSwitch
@@ -51,6 +54,7 @@ def train(
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
     alive: Callable[[], object] = lambda: None,
+    say: Callable[[str], object] = lambda text: None,
 ) -> Path:
     """Learn both phases and leave a run folder.
 
@@ -66,10 +70,12 @@ def train(
         command: The command that started the run.
         hook: Name of the user's own step hook, for the manifest.
         overrides: What the run overrides of the town's own SUMO options, for the manifest.
-        resume: Go on from the newest sound checkpoint; the environment begins a new episode.
+        resume: Go on from the newest sound checkpoint; the environment begins a new episode. A run that was ended
+            before its first checkpoint begins again.
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
         alive: Called now and then while something is done that takes long and no step of the environment.
+        say: Told what a person should know, such as checkpoints that could not be used.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
@@ -77,16 +83,18 @@ def train(
     Raises:
         InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
         LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room for it.
-        PolicyError: The folder is not empty, or cannot be resumed.
+        PolicyError: The folder is not empty, cannot be resumed, or another process learns in it.
         ConfigError: The device cannot be used.
     """
     checked_device(config.learn.device)
     manifest = make_manifest(config, seed, town, town_sha256, rewards, command, hook, overrides)
     run = _open(out, config, manifest, resume)
-    with _torch_settings(config), StopRequest() as request:
+    with files.locked(run.path), _torch_settings(config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
-            session = _Session(run, build_model(config, env, seed), request, progress, resume, progress_every, alive)
+            model = build_model(config, env, seed)
+            loaded = _loaded(run, model, say) if resume else None
+            session = _Session(run, model, request, progress, resume, loaded, progress_every, alive)
             session.callbacks.extend(callbacks)
             return session.learn()
         finally:
@@ -103,13 +111,14 @@ class _Session:
         request: StopRequest,
         progress: Progress | None,
         resume: bool,
+        loaded: Loaded | None,
         progress_every: int,
         alive: Callable[[], object],
     ) -> None:
         self.run, self.model, self.progress, self.request, self.alive = run, model, progress, request, alive
         self.learn_config = run.config.learn
-        extra = load_checkpoint(run.checkpoints, model) if resume else {}
-        if resume:
+        extra = {} if loaded is None else loaded.extra
+        if loaded is not None:
             self._new_segment()
         plan = model.plan
         if plan is None:
@@ -136,7 +145,9 @@ class _Session:
                 self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
         except KeyboardInterrupt:
             if self.request.asked and not self.request.forced:
-                self._checkpoint()
+                with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
+                    self._checkpoint()
+            self.request.ending = True
             self._finish("interrupted")
             raise InterruptedRunError(
                 f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
@@ -160,7 +171,7 @@ class _Session:
         path = self.run.policy(stage)
         try:
             save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
-        except (OSError, SafetensorError) as error:
+        except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 
     def _finish(self, status: Literal["done", "interrupted"]) -> None:
@@ -175,7 +186,7 @@ class _Session:
         extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
         try:
             save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
-        except (OSError, SafetensorError) as error:  # a full disk: those before are whole, and learning goes on
+        except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
             self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
             return
         self.run.event("checkpoint", step=self.model.num_timesteps)
@@ -209,6 +220,26 @@ class _Session:
             self.model.env.seed(segment)
         self.run = self.run.with_status("running", self.model.num_timesteps)
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
+
+
+def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Loaded | None:
+    """The newest sound checkpoint, restored; None for a run that has none yet and begins again.
+
+    What was passed over is set aside: it belongs to work that is done again, with another outcome.
+    """
+    if newest_step(run.checkpoints) < 0:
+        say(f"{run.path} was ended before its first checkpoint; it begins again")
+        run.event("begin_again")
+        return None
+    loaded = load_checkpoint(run.checkpoints, model)
+    for item in loaded.passed_over:
+        kept = set_aside(item.path)
+        say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")
+        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
+    if not loaded.sealed:
+        say(f"{loaded.path}: of an older version; its counters and random states have no hash, and are taken as sound")
+        run.event("unsealed", checkpoint=loaded.path.name)
+    return loaded
 
 
 def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFolder:

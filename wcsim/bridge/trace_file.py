@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.bridge.records import whole_records
+from wcsim.bridge.records import torn_bytes, whole_records
 from wcsim.bridge.trace import MAGIC, ActorBody, TickRecord, TraceHeader
 from wcsim.errors import JournalError
 from wcsim.reading import FileKind, opened, parse_json, shown
@@ -26,7 +26,7 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
     """Read a trace; a torn last record is left out.
 
     Raises:
-        JournalError: The file is none, or what it says cannot be.
+        JournalError: The file is none, what it says cannot be, or there is damage in it.
     """
     payloads = _payloads(path)
     told: dict[str, ActorBody] = {}
@@ -39,16 +39,18 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
 
 
 def _payloads(path: Path) -> Iterator[bytes]:
-    unpacked = 0
+    unpacked = end = 0
     with opened(path, _KIND) as file:
         size = os.fstat(file.fileno()).st_size
         if size > _KIND.limit_bytes:
             raise JournalError(f"{shown(path)}: larger than {_KIND.limit_bytes} bytes; expected {_KIND.what}")
         for record in whole_records(file):
-            unpacked += len(record.payload)
+            unpacked, end = unpacked + len(record.payload), record.end
             if unpacked > FREE_BYTES + MAX_RATIO * size:
                 raise JournalError(f"{shown(path)}: {size} bytes unpack to {unpacked}; expected {_KIND.what}")
             yield record.payload
+        if end and torn_bytes(file, end) is None:
+            raise JournalError(f"{shown(path)}: is damaged after {end} bytes, and more follows; record it again")
 
 
 def _header(payload: bytes, where: str) -> TraceHeader:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from wcsim.cli.common import OutFile, OutFolder, in_bounds, write_json
+from wcsim.cli.exit_codes import Exit
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.soak import SoakFacts, SoakOrder, soak
@@ -64,7 +65,9 @@ def run(options: SoakOptions) -> int:
         write_json(options.json, result(facts))
     if facts.outcome.code:
         raise WcsimError(f"the soak ended early: {facts.outcome.message}")
-    return int(bool(faults_of(facts)))
+    if facts.outcome.by_signal:
+        return Exit.STOPPED
+    return Exit.FAILED if faults_of(facts) else Exit.DONE
 
 
 def result(facts: SoakFacts) -> dict[str, int | float | None]:

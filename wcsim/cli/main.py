@@ -12,9 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
-from wcsim.errors import InterruptedRunError, WcsimError
-
-EXIT_OK, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 0, 2, 130, 141, 143
+from wcsim.cli.exit_codes import Exit, exit_of
+from wcsim.errors import WcsimError
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +46,17 @@ class Terminated(KeyboardInterrupt):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code: one of EXIT_*."""
+    """Run the command line; returns the exit code, see `cli/exit_codes.py`."""
     try:
         with _orderly_end():
             code = _run(sys.argv[1:] if arguments is None else arguments)
+            if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
+                _end_undisturbed()
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # whoever read the output, as `head` does, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_BROKEN_PIPE
+        return Exit.BROKEN_PIPE
 
 
 @contextmanager
@@ -69,7 +70,8 @@ def _orderly_end() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -82,35 +84,49 @@ def _run(words: list[str]) -> int:
     if chosen is None:
         return _no_subcommand(words)
     try:
-        return int(importlib.import_module(chosen.module).run(words[1:]) or EXIT_OK)
-    except InterruptedRunError as stop:
-        print(f"wcsim: {stop}", file=sys.stderr)
-        return EXIT_OK
+        return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
     except WcsimError as error:
         print(f"wcsim: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        return exit_of(error)
     except Terminated:
         print("wcsim: terminated", file=sys.stderr)
-        return EXIT_TERMINATED
-    except KeyboardInterrupt:
-        print("wcsim: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return Exit.TERMINATED
+    except KeyboardInterrupt as stop:
+        print(f"wcsim: {str(stop) or 'interrupted'}", file=sys.stderr)
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        from wcsim.server.limits import told_limit
+
+        told = told_limit(error)
+        if not told:
+            raise
+        print(f"wcsim: {told}", file=sys.stderr)
+        return Exit.FAILED
     except SystemExit as leave:  # from the parser of options: 0 after --help, 2 after a mistake
-        return leave.code if isinstance(leave.code, int) else EXIT_BAD_INPUT
+        return leave.code if isinstance(leave.code, int) else Exit.REFUSED
+
+
+def _end_undisturbed() -> None:
+    """The process ends as it was asked to: a further signal may not change the code that says so."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _no_subcommand(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         print(usage())
-        return EXIT_OK
+        return Exit.DONE
     if words[0] in ("-V", "--version"):
         from wcsim import __version__
 
         print(__version__)
-        return EXIT_OK
+        return Exit.DONE
     names = ", ".join(item.name for item in SUBCOMMANDS)
     print(f"wcsim: unknown command {words[0]!r}; expected one of: {names}", file=sys.stderr)
-    return EXIT_BAD_INPUT
+    return Exit.REFUSED
 
 
 def usage() -> str:
@@ -123,5 +139,8 @@ def usage() -> str:
             "Trains networks that help a person drive a power wheelchair through real cities.",
             "",
             *lines,
+            "",
+            "Exit codes: 0 done, 1 failed on the way, 2 refused: change what was asked for,",
+            "3 stopped: --resume goes on, 130 and 143 ended by Ctrl-C or SIGTERM with nothing to keep.",
         ]
     )

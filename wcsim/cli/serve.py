@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,16 +11,19 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.exit_codes import Exit
 from wcsim.cli.overrides import print_overrides
 from wcsim.cli.run_config import overrides_of
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.server.curve import is_loopback, make_keys
 from wcsim.server.events import Rules
-from wcsim.server.journal import JOURNAL
+from wcsim.server.journal import JOURNAL, JournalWriter
 from wcsim.server.launcher import Launcher
+from wcsim.server.limits import require_files
 from wcsim.server.orders import Recovery, ServerOrder
 from wcsim.server.states import LaunchState
+from wcsim.server.torn import told_torn
 from wcsim.server.workplace import endpoint_in, workplace
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.town import Town, find_town
@@ -74,6 +78,8 @@ def run(words: list[str]) -> int:
     if options.run is not None:
         check_folder("--run", options.run)
         _require_ours(options.run)
+        _mend(options.run / JOURNAL)
+    require_files(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
     with workplace() as place:
@@ -95,9 +101,12 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
             table.show(state)
 
         outcome = Launcher(_order(options, town, config, place), (), folder, place, show=show).run()
-    if outcome.code:
+    if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    return 0
+    if outcome.code:
+        print(f"wcsim: {outcome.message}", file=sys.stderr)
+        return Exit.FAILED
+    return Exit.DONE
 
 
 def how_to_join(endpoint: str, listening: str, options: Options) -> str:
@@ -129,6 +138,14 @@ def _require_ours(folder: Path) -> None:
     """Refuse a folder with other things in it."""
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / JOURNAL).is_file())):
         raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or that of a world")
+
+
+def _mend(journal: Path) -> None:
+    """Cut off what was torn when a process died, and say so. Raises JournalError when it is damaged elsewhere."""
+    if journal.is_file():
+        with JournalWriter.append_to(journal) as writer:
+            if writer.cut_bytes:
+                print(f"wcsim: {told_torn(journal, writer.cut_bytes)}", file=sys.stderr)
 
 
 def _order(options: Options, town: Town, config: RunConfig, place: Path) -> ServerOrder:

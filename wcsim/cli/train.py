@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,9 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.exit_codes import Exit
 from wcsim.cli.overrides import print_overrides
+from wcsim.cli.resume_run import Typed, given, is_of_clients, resumed
 from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config
@@ -53,7 +56,7 @@ class Options:
     out: OutFolder = None
     """Run folder; default runs/TOWN-PRESET-SEED."""
     resume: bool = False
-    """Continue an interrupted run from its newest checkpoint."""
+    """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
     allow_test_town: bool = False
     """Train in a town that is meant for tests."""
     json: OutFile = None
@@ -63,8 +66,12 @@ class Options:
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
     options = parse(Options, words, "train")
+    if options.resume and options.clients is None and options.out is not None and is_of_clients(options.out):
+        return _train_clients(options, words)
     if options.clients is not None:
         return _train_clients(options, words)
+    if options.resume:
+        return _resume(options, words)
     overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
     config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
     require_trained_user(config)
@@ -77,15 +84,54 @@ def run(words: list[str]) -> int:
         out,
         options.seed,
         rewards=options.reward,
-        resume=options.resume,
         command=command,
         hook=options.hook,
         note=steps_note(config, options.steps),
     )
+    return _told(options, folder, town, options.seed)
+
+
+def _resume(options: Options, words: list[str]) -> int:
+    """Go on with a run of one network, by what its folder says."""
+    out = options.out
+    if out is None:
+        out = _out(options, checked_town(options.town, True))
+    check_folder("--out", out)
+    manifest, config, town = resumed(out, typed(options, words))
+    folder = train_in(
+        town,
+        config,
+        out,
+        manifest.seed,
+        rewards=manifest.rewards,
+        resume=True,
+        command=manifest.command,
+        hook=manifest.hook,
+    )
+    return _told(options, folder, town, manifest.seed)
+
+
+def typed(options: Options, words: list[str]) -> Typed:
+    """The options that were typed, and say something of a run."""
+    names = given(words)
+    return Typed(
+        town=options.town if "town" in names else None,
+        preset=options.preset if "preset" in names else None,
+        config=options.config,
+        set=options.set,
+        network=options.network or None,
+        reward=options.reward,
+        hook=options.hook if "hook" in names else None,
+        steps=options.steps,
+        seed=options.seed if "seed" in names else None,
+    )
+
+
+def _told(options: Options, folder: Path, town: Town, seed: int) -> int:
     print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
     if options.json is not None:
-        write_json(options.json, {"run": str(folder), "town": town.name, "seed": options.seed})
-    return 0
+        write_json(options.json, {"run": str(folder), "town": town.name, "seed": seed})
+    return Exit.DONE
 
 
 def _out(options: Options, town: Town) -> Path:
@@ -94,7 +140,7 @@ def _out(options: Options, town: Town) -> Path:
 
 def _train_clients(options: Options, words: list[str]) -> int:
     """Several networks in one world."""
-    from wcsim.cli.train_clients import Group, resolved, train_clients
+    from wcsim.cli.train_clients import Group, resolved, resumed_group, train_clients
 
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
@@ -114,6 +160,9 @@ def _train_clients(options: Options, words: list[str]) -> int:
         command=("wcsim", "train", *words),
         json=options.json,
     )
+    if options.resume:
+        out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
+        return train_clients(*resumed_group(replace(group, out=out), typed(options, words)))
     clients = resolved(group)
     town = checked_town(options.town, options.allow_test_town)
     return train_clients(replace(group, out=_out(options, town)), clients, town)
@@ -180,6 +229,7 @@ def train_in(
             resume=resume,
             hook=hook,
             overrides=overrides,
+            say=lambda text: print(f"wcsim: {text}", file=sys.stderr),
         )
 
 

@@ -12,16 +12,23 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from wcsim.errors import DiskFullError
+
 if TYPE_CHECKING:
     from wcsim.agents.callbacks import TrainProgress  # loads torch
 
 
 @contextmanager
 def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
-    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved."""
+    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved.
+
+    It stays after a full disk: with room, --resume goes on.
+    """
     fresh = not run.exists()
     try:
         yield
+    except (DiskFullError, OSError):
+        raise
     except BaseException:
         metrics = run / "metrics.csv"
         episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0

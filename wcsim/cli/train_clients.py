@@ -6,27 +6,41 @@ import re
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.console import Console
 
 from wcsim import seeding
-from wcsim.agents.clients_folder import ClientsFolder, create_clients_folder, locked, open_clients_folder
+from wcsim.agents.clients_folder import (
+    ClientsFolder,
+    create_clients_folder,
+    open_clients_folder,
+    write_client_configs,
+)
+from wcsim.agents.extend import extend
+from wcsim.agents.files import locked
 from wcsim.agents.network_names import NETWORK_NAMES
-from wcsim.agents.runfolder import Status, make_manifest
+from wcsim.agents.runfolder import MANIFEST, make_manifest, open_run
 from wcsim.cli.clients_report import TickRate, print_report, report_of
 from wcsim.cli.common import check_folder, in_bounds, some_words, write_json
+from wcsim.cli.exit_codes import Exit, NothingKept
 from wcsim.cli.overrides import print_overrides
+from wcsim.cli.resume_run import Typed, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
 from wcsim.config import RunConfig, load_run_config, with_file
-from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, WcsimError
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError, WcsimError
 from wcsim.server.client_core import Patience
 from wcsim.server.events import Rules
+from wcsim.server.journal import JOURNAL, JournalWriter
 from wcsim.server.launcher import Launcher
+from wcsim.server.ledger import LedgerWriter
+from wcsim.server.limits import require_files
 from wcsim.server.orders import ClientOrder, JoinOrder, Recovery, ServerOrder, to_line
 from wcsim.server.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.stop_signals import StopSignals
+from wcsim.server.torn import told_torn
 from wcsim.server.workplace import endpoint_in, workplace
 from wcsim.supervisor.recorded import find_user
 from wcsim.towns.scenario_overrides import Override
@@ -40,7 +54,7 @@ RECONNECT_S = 330.0  # longer than a world may take to load again
 ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
 CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.client_process")
 _NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
-_TAKEN = ("world", "logs", "ledgers", "journal")  # names in a run folder
+_TAKEN = ("world", "logs", "ledgers", "configs", "journal")  # names in a run folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,17 +88,21 @@ class Client:
 
 
 def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
-    """Train them all; returns the exit code: 1 when a client was given up.
+    """Train them all; returns the exit code: FAILED when a client was given up, or the world.
 
     Raises:
         InterruptedRunError: The user stopped it.
+        NothingKept: ... before anything was done.
         WcsimError: Something that was asked for cannot be used.
     """
     in_bounds("--lease", group.lease_s, 1.0, 86_400.0)
     check_folder("--out", group.out)
+    require_files(len(clients))
     overrides = overrides_of(town, clients[0].config, group.seed)
-    with _opened(group, town, clients, overrides) as folder, locked(folder.path), workplace() as place:
-        left = tuple(client for client in clients if not folder.done(client.name))
+    with StopSignals() as signals, ExitStack() as held:
+        folder = held.enter_context(_opened(group, town, clients, overrides))
+        place = held.enter_context(workplace())
+        left = tuple(client for client in clients if not folder.done(client.name, client.config.learn.total_steps))
         plans = [_plan(group, town, folder, place, client, overrides) for client in left]
         order = _world_order(group, town, folder, place, clients, len(left))
         rate = TickRate()
@@ -97,8 +115,9 @@ def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
                 table.show(state)
 
             rules = LaunchRules(client_lease_s=max(30.0, group.lease_s))
-            outcome = Launcher(order, plans, folder.path, place, rules, show).run() if left else ALL_DONE
-        return _told(group, folder, outcome, rate)
+            launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
+            outcome = launcher.run() if left else ALL_DONE
+        return _told(group, folder, clients, outcome, rate)
 
 
 def resolved(group: Group) -> tuple[Client, ...]:
@@ -112,7 +131,7 @@ def resolved(group: Group) -> tuple[Client, ...]:
         raise ConfigError(f"--clients: {len(networks)} of them; expected {MOST_CLIENTS} at most")
     names = client_names(networks)
     files = _files(group.config_for, names)
-    clients = []
+    clients: list[Client] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
         config = load_run_config(group.preset, (*group.overrides, f'learn.network="{network}"'), group.file)
         config = with_file(config, files[name]) if name in files else config
@@ -162,11 +181,52 @@ def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
     return files
 
 
+def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...], Town]:
+    """What a run goes on with, by what its folder says.
+
+    Raises:
+        PolicyError: It is no such run, or an option says otherwise.
+        ConfigError: An option cannot be used.
+        TownError: Its town is not there.
+    """
+    folder = open_clients_folder(group.out)
+    manifest = folder.manifest
+    if group.networks and client_names(some_words("--clients", group.networks)) != folder.clients:
+        raise PolicyError(
+            f"--clients {group.networks}: {group.out} was made with another clients ({', '.join(folder.clients)}); "
+            "resume with its own, or leave that option out"
+        )
+    require_same(group.out, manifest, typed)
+    town = town_of(group.out, manifest, typed)
+    own = _files(group.config_for, folder.clients)
+    clients = []
+    for seat, name in enumerate(folder.clients):
+        config = folder.client_config(name)
+        steps = steps_of(group.out, config, typed)
+        require_same_config(group.out, config, typed, [own[name]] if name in own else [])
+        longer = config.model_copy(update={"learn": config.learn.model_copy(update={"total_steps": steps})})
+        clients.append(Client(name=name, seat=seat, config=longer))
+    again = replace(
+        group, seed=manifest.seed, rewards=manifest.rewards, hook=manifest.hook, command=manifest.command, steps=None
+    )
+    return again, tuple(clients), town
+
+
 @contextmanager
 def _opened(
     group: Group, town: Town, clients: Sequence[Client], overrides: tuple[Override, ...]
 ) -> Iterator[ClientsFolder]:
-    """The run folder, new or gone on with; a new one that nothing came of is removed when the run fails."""
+    """The run folder, new or gone on with, for this process alone; a new one is removed when nothing came of it."""
+    configs = {client.name: client.config for client in clients}
+    if group.resume:
+        with locked(group.out):
+            folder = open_clients_folder(group.out)
+            _mend(folder)
+            for name, config in configs.items():
+                _lengthen(folder.path / name, config.learn.total_steps)
+            write_client_configs(folder.path, configs)
+            yield folder.with_status("running", folder.manifest.steps)
+        return
     wanted = make_manifest(
         clients[0].config,
         group.seed,
@@ -177,23 +237,44 @@ def _opened(
         group.hook,
         overrides,
     )
-    names = tuple(client.name for client in clients)
-    if group.resume:
-        folder = open_clients_folder(group.out)
-        kept = ("seed", "town_sha256", "rewards", "hook", "config_sha256")
-        other = [key for key in kept if getattr(folder.manifest, key) != getattr(wanted, key)]
-        if other or folder.clients != names:
-            what = ", ".join(other) or f"clients ({', '.join(folder.clients)})"
-            raise PolicyError(f"{group.out} was made with another {what}; resume with its own")
-        yield folder.with_status("running", folder.manifest.steps)
-        return
-    folder = create_clients_folder(group.out, clients[0].config, wanted, names)
-    try:
-        yield folder
-    except WcsimError:
-        if folder.fruitless():
-            shutil.rmtree(folder.path, ignore_errors=True)
-        raise
+    made = not group.out.exists()
+    if made:
+        group.out.mkdir(parents=True)
+    with locked(group.out):
+        try:
+            folder = create_clients_folder(group.out, clients[0].config, wanted, configs)
+        except WcsimError:
+            if made:
+                shutil.rmtree(group.out, ignore_errors=True)
+            raise
+        try:
+            yield folder
+        except (WcsimError, NothingKept) as error:
+            if not isinstance(error, DiskFullError) and folder.fruitless():
+                shutil.rmtree(folder.path, ignore_errors=True)
+            raise
+
+
+def _lengthen(run: Path, steps: int) -> None:
+    """Let a client's own run be of so many steps, where there is one."""
+    if (run / MANIFEST).is_file() and open_run(run).config.learn.total_steps != steps:
+        extend(run, steps)
+
+
+def _mend(folder: ClientsFolder) -> None:
+    """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
+    path = folder.path / JOURNAL
+    if path.exists():
+        with JournalWriter.append_to(path) as journal:
+            _say_torn(path, journal.cut_bytes)
+    for path in filter(Path.exists, map(folder.ledger, folder.clients)):
+        with LedgerWriter(path) as ledger:
+            _say_torn(path, ledger.cut_bytes)
+
+
+def _say_torn(path: Path, cut_bytes: int) -> None:
+    if cut_bytes:
+        print(f"wcsim: {told_torn(path, cut_bytes)}", file=sys.stderr)
 
 
 def _world_order(
@@ -201,14 +282,14 @@ def _world_order(
 ) -> ServerOrder:
     rules = Rules(
         capacity=len(clients),
-        config=clients[0].config.world_digest(),
+        config=folder.config.world_digest(),
         expected=expected,
         gather_s=GATHER_S,
         lease_s=group.lease_s,
     )
     return ServerOrder(
         town=town.address,
-        config_json=clients[0].config.model_dump_json(),
+        config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
         seed=group.seed,
         rules=rules,
         endpoint=endpoint_in(place),
@@ -223,7 +304,7 @@ def _world_order(
 def _plan(
     group: Group, town: Town, folder: ClientsFolder, place: Path, client: Client, overrides: tuple[Override, ...]
 ) -> ClientPlan:
-    """Write a client's order, and say how its process is started."""
+    """A client's order, and how its process is started."""
     config, env = client.config, client.config.env
     out = (folder.path / client.name).absolute()
     order = ClientOrder(
@@ -248,7 +329,6 @@ def _plan(
         overrides=overrides,
     )
     file = place / f"{client.name}.json"
-    file.write_bytes(to_line(order))
     return ClientPlan(
         name=client.name,
         seat=client.seat,
@@ -256,31 +336,44 @@ def _plan(
         log=folder.log(client.name),
         folder=out,
         resume=group.resume,
+        order=to_line(order),
+        order_file=file,
     )
 
 
-def _told(group: Group, folder: ClientsFolder, outcome: LaunchOutcome, rate: TickRate) -> int:
+def _told(
+    group: Group, folder: ClientsFolder, clients: Sequence[Client], outcome: LaunchOutcome, rate: TickRate
+) -> int:
     """Write down how it ended and say so; returns the exit code.
 
     Raises:
         InterruptedRunError: It was stopped.
+        NothingKept: ... before anything was done.
         ConfigError: A client or the world could not use what was asked for.
     """
-    if outcome.code == 2:
-        raise ConfigError(outcome.message)
-    if outcome.stopped and folder.fruitless():
-        raise InterruptedRunError("stopped before anything was learned; nothing is kept")
+    if folder.fruitless() and not group.resume:
+        if outcome.stopped:
+            raise NothingKept("stopped before anything was learned; nothing is kept")
+        if outcome.code == Exit.REFUSED:
+            raise ConfigError(outcome.message)
     steps = sum(client.status.step for client in outcome.clients if client.status is not None)
-    status: Status = "done" if all(folder.done(name) for name in folder.clients) else "interrupted"
-    folder = folder.with_status(status, steps or folder.manifest.steps)
+    done = all(folder.done(client.name, client.config.learn.total_steps) for client in clients)
+    try:
+        folder = folder.with_status("done" if done else "interrupted", steps or folder.manifest.steps)
+    except DiskFullError as error:  # the work is there all the same
+        print(f"wcsim: {error}", file=sys.stderr)
+    if outcome.code == Exit.REFUSED:
+        raise ConfigError(outcome.message)
     report = report_of(folder, group.seed, rate)
     print_report(Console(highlight=False), report)
+    for kept in folder.kept_torn():
+        print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
     if group.json is not None:
         write_json(group.json, report.as_json())
     if outcome.stopped:
-        raise InterruptedRunError(f"stopped; {folder.path} holds the policies so far; continue with --resume")
+        raise InterruptedRunError(f"stopped; {folder.path} holds what was learned so far; continue with --resume")
     if outcome.code:
-        print(f"wcsim: {outcome.message}", file=sys.stderr)
-        return outcome.code
+        print(f"wcsim: {outcome.message}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
+        return Exit.FAILED
     print(f"run folder: {folder.path}    test one: wcsim test {folder.path / folder.clients[0]} --town monaco")
-    return 0
+    return Exit.DONE

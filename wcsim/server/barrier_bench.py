@@ -29,7 +29,7 @@ from wcsim.server.curve import make_keys
 from wcsim.server.events import Rules
 from wcsim.server.link import WorldOrder
 from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
-from wcsim.server.ring_folder import make_ring_folder, remove_ring_folder
+from wcsim.server.ring_folder import RingFolder
 from wcsim.server.stand_in import StandInWorld
 from wcsim.types import SeatSpec
 
@@ -93,14 +93,14 @@ class _Bench:
 
     def __init__(self, config: RunConfig, clients: int, remote: bool, held: ExitStack) -> None:
         self._folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-bench-")))
-        ring = make_ring_folder()
-        held.callback(remove_ring_folder, ring)
+        ring = RingFolder()
+        held.callback(ring.close)
         keys = str(self._folder / "keys") if remote else ""
         names = tuple(f"client-{number}" for number in range(clients))
         if remote:
             make_keys(Path(keys), names)
         echo = f"tcp://127.0.0.1:{_free_port()}" if remote else f"ipc://{self._folder}/echo"
-        self._world = _world(config, clients, keys, self._folder, ring, held)
+        self._world = _world(config, clients, keys, self._folder, ring.path, held)
         join = JoinOrder(endpoint=_listening(self._world, remote, self._folder), name="", claim="", keys=keys)
         order = PartOrder(join=join, echo=echo, keys=keys, clients=clients, sizes=_sizes(config, remote))
         self._echo = _Part("echo", order, self._folder, held)

@@ -7,10 +7,12 @@ import signal
 
 from wcsim.errors import ConfigError
 from wcsim.server.children import Child, how_it_ended
-from wcsim.server.orders import ClientStatus, WorldStatus, of_line
+from wcsim.server.orders import ClientStatus, WorldStatus, of_line, write_order
 from wcsim.server.restarts import Restarts
 from wcsim.server.runlog import RunLog
 from wcsim.server.states import ClientExit, ClientPlan, ClientState, LaunchRules, Standing
+
+MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
 
 
 class ClientRun:
@@ -26,10 +28,11 @@ class ClientRun:
         self.reason = ""
         self.fault = ""  # a mistake of the user that ends the whole run
         self._lives = 0
-        self._world_ticks = False
+        self._no_world = True
         self._due_s: float | None = None
         self._ending = False
         self._best_step = 0  # of the lives before this one
+        self._left_alone = 0  # deaths in a row that were the world's fault
         self._died_s: float | None = None  # since when it has not been back
         self._seated = False  # in this life
         self._unseated_s: float | None = None  # since when the world has gone on without it
@@ -60,6 +63,8 @@ class ClientRun:
     def start(self) -> None:
         """Begin a life."""
         again = self._lives > 0
+        if self.plan.order_file is not None:
+            write_order(self.plan.order_file, self.plan.order)
         words = (*self.plan.argv, *(("--resume",) if again or self.plan.resume else ()))
         self._child = Child(lambda fd: (*words, "--status-fd", str(fd)), self.plan.log, self._selector)
         self._lives += 1
@@ -73,7 +78,7 @@ class ClientRun:
                 self.start()
             return
         code = self._child.ended()
-        self._world_ticks = world is not None and world.ticks > 0
+        self._no_world = world is None or world.stage == "loading"
         for line in self._child.lines():
             self._hear(line, now_s)
         if code is not None:
@@ -129,13 +134,17 @@ class ClientRun:
             self.standing, self.reason = "given up", words
             self.fault = words or f"client {self.plan.name} {how_it_ended(code)}; see {self.plan.log}"
             self._log.add("refused", who=self.plan.name, reason=words)
+        elif code == ClientExit.DISK_FULL:
+            self.standing, self.reason = "given up", f"has no room to save: {words}"
+            self._log.add("given up", who=self.plan.name, reason=self.reason)
         else:
             self._died(code, words, now_s)
 
     def _died(self, code: int, words: str, now_s: float) -> None:
         self.reason = f"{how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
-        no_world = code == ClientExit.SERVER_GONE and not self._world_ticks  # it could not have done better
-        wait_s = self._restarts.died(progressed=self._step > self._best_step or no_world)
+        self._left_alone = self._left_alone + 1 if code == ClientExit.SERVER_GONE and self._no_world else 0
+        excused = 0 < self._left_alone <= MOST_LEFT_ALONE  # it could not have done better
+        wait_s = self._restarts.died(progressed=self._step > self._best_step or excused)
         self._best_step = max(self._best_step, self._step)
         self._died_s = now_s if self._died_s is None else self._died_s
         self._log.add("death", who=self.plan.name, code=code, reason=self.reason, step=self._step)

@@ -19,8 +19,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from wcsim.bridge.records import framed, whole_records
-from wcsim.errors import ConfigError, DiskFullError, WcsimError
+from wcsim.bridge.records import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
+from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
+from wcsim.reading import FileKind, opened
 from wcsim.server.journal_records import Admitted as Admitted
 from wcsim.server.journal_records import Dismissed as Dismissed
 from wcsim.server.journal_records import Ended as Ended
@@ -33,15 +34,17 @@ from wcsim.server.journal_records import (
     header_bytes,
     header_content,
     header_of,
+    is_chained,
     is_tick,
     record_bytes,
     record_of,
     told_apart,
 )
+from wcsim.server.torn import keep_torn
 
 JOURNAL = "journal"  # its name in a run folder
 SYNC_TICKS, SYNC_S = 50, 1.0
-MOST_TORN_BYTES = 1 << 16  # of a last record; more than this is no torn record
+_KIND = FileKind(what="a journal", limit_bytes=1 << 62, error=JournalError)  # read record by record, however long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,28 +60,40 @@ class JournalWriter:
     """Appends to a journal; a context manager. Afterwards every record is on disk."""
 
     def __init__(self, path: Path, header: JournalHeader) -> None:
-        """Begin a journal. Raises ConfigError when there is one, or none can be made; DiskFullError."""
+        """Begin a journal; it appears with its header. Raises ConfigError when that is impossible, DiskFullError."""
+        beside = path.with_name(f".{path.name}.new")
+        if os.path.lexists(path):
+            raise ConfigError(f"{path}: a journal cannot be begun (File exists); choose a new folder")
         try:
-            file = FileIO(path, "xb")
+            file = FileIO(os.open(beside, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644), "r+b")
         except OSError as error:
             raise ConfigError(f"{path}: a journal cannot be begun ({error.strerror}); choose a new folder") from None
-        self._open(path, file, 0)
         try:
+            self._open(path, file, 0)
+        except BaseException:  # another process begins it
+            file.close()
+            raise
+        try:
+            file.truncate(0)
             self._put(header_bytes(header))
             self._sync()
+            beside.replace(path)
             _sync_folder(path.parent)
-        except BaseException:
+        except BaseException as error:
             file.close()
-            path.unlink()
+            beside.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise DiskFullError(f"{path}: cannot be begun ({error.strerror}); check the disk") from None
             raise
 
     @classmethod
     def append_to(cls, path: Path) -> Self:
-        """Go on with a journal after its process has died; a torn last record is cut off.
+        """Go on with a journal after its process has died; a torn last record is cut off, and kept beside it.
 
         Raises:
-            ConfigError: it cannot be written, or another process is writing it.
-            WcsimError: it is no journal, or is damaged before its end.
+            ConfigError: It cannot be written, or another process is writing it.
+            JournalError: It is no journal, or is damaged before its end.
+            DiskFullError: There is no room to keep what would be cut off.
         """
         scan = _Scan(path)
         try:
@@ -89,9 +104,12 @@ class JournalWriter:
         try:
             self._open(path, file, 0)
             scan.to_end()
-            _require_torn_end_only(path, scan.end)
-            file.truncate(scan.end)
-            self._end = file.seek(scan.end)
+            self.cut_bytes = scan.torn_bytes
+            if scan.torn_bytes:
+                file.seek(scan.end)
+                keep_torn(path, file.read(min(scan.torn_bytes, MOST_TORN_BYTES)))  # what is longer is zeros
+                file.truncate(scan.end)
+            self._end, self._after = file.seek(scan.end), scan.after
         except BaseException:
             file.close()
             raise
@@ -100,6 +118,8 @@ class JournalWriter:
     def _open(self, path: Path, file: FileIO, end: int) -> None:
         _lock(path, file)
         self._path, self._file, self._end = path, file, end
+        self._after: int | None = 0  # CRC of the last record, None in a journal that is not chained
+        self.cut_bytes = 0  # of a torn end
         self._unsynced, self._synced_s = 0, time.monotonic()
 
     @property
@@ -140,7 +160,7 @@ class JournalWriter:
         """One unbuffered write; on a full disk the part that was written is taken back."""
         if self._file.closed:
             raise WcsimError(f"{self._path}: this journal is closed; open it again to go on with it")
-        data = framed(payload)
+        data = framed(payload, self._after or 0)
         try:
             written = self._file.write(data) or 0
             if written < len(data):  # the rest says why
@@ -154,6 +174,7 @@ class JournalWriter:
                 f"{self._path}: a record could not be written ({reason}); {self._end} bytes are whole: make room"
             )
         self._end += len(data)
+        self._after = None if self._after is None else crc_of(data)
 
     def _take_back(self) -> None:
         try:
@@ -171,7 +192,7 @@ class JournalWriter:
 
 
 def read_header(path: Path) -> JournalHeader:
-    """The header of a journal. Raises WcsimError when it is none."""
+    """The header of a journal. Raises JournalError when it is none."""
     return _Scan(path).header
 
 
@@ -179,20 +200,20 @@ def iter_journal(path: Path, ticks: bool = True) -> Iterator[JournalRecord]:
     """The records of a journal one by one, up to the last whole one; another process may be writing it.
 
     Without `ticks` those of ticks are left out, unread: nearly all are, and reading them takes most of the time.
-    Raises WcsimError when it is no journal.
+    Raises JournalError when it is no journal, and at the place of a damage that is no torn end.
     """
     return _Scan(path).records(ticks)
 
 
 def read_journal(path: Path) -> Journal:
-    """A whole journal in memory. Raises WcsimError when it is none."""
+    """A whole journal in memory. Raises JournalError when it is none, or is damaged before its end."""
     scan = _Scan(path)
     records = tuple(scan.records())
-    return Journal(header=scan.header, records=records, torn=scan.end < path.stat().st_size)
+    return Journal(header=scan.header, records=records, torn=scan.torn_bytes > 0)
 
 
 def journal_digest(path: Path) -> str:
-    """The same as `JournalWriter.digest`, up to the last whole record. Raises WcsimError when it is no journal."""
+    """The same as `JournalWriter.digest`, up to the last whole record. Raises JournalError as `read_journal`."""
     scan = _Scan(path)
     for record in scan.records():
         scan.digest.add(record)
@@ -219,62 +240,53 @@ class _Digest:
 
 
 class _Scan:
-    """One reading of a journal; `end` is where the last record that was read ends."""
+    """One reading of a journal; `end` is where the last record that was read ends, `after` its CRC where it counts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            with path.open("rb") as file:
-                first = next(whole_records(file), None)
-        except OSError as error:
-            raise WcsimError(f"{path}: cannot be read ({error.strerror}); expected a journal") from None
+        with opened(path, _KIND) as file:
+            first = next(whole_records(file), None)
         if first is None:
-            raise WcsimError(f"{path}: is not a journal; expected a file written by wcsim")
+            raise JournalError(f"{path}: is not a journal; expected a file written by wcsim")
         try:
             self.header = header_of(first.payload)
         except WcsimError as error:
-            raise WcsimError(f"{path}: is not a journal of this version: {error}") from None
+            raise JournalError(f"{path}: is not a journal of this version: {error}") from None
         self.end = first.end
+        self.after = first.crc if is_chained(first.payload) else None
+        self.torn_bytes = 0  # known in the end
         self.digest = _Digest(self.header)
 
     def to_end(self) -> None:
-        """Find where the last whole record ends, without a look at what the records say."""
+        """Find where the last whole record ends, without a look at what the records say. Raises JournalError."""
         for _ in self._payloads():
             pass
 
     def records(self, ticks: bool = True) -> Iterator[JournalRecord]:
-        """Those after the header. Raises WcsimError for a whole record that no journal holds."""
+        """Those after the header. Raises JournalError for a whole record that no journal holds, and for damage."""
         for payload in self._payloads():
             if not ticks and is_tick(payload):
                 continue
             try:
                 record = record_of(payload)
             except WcsimError as error:
-                raise WcsimError(f"{self._path}: after {self.end} bytes: {error}") from None
+                raise JournalError(f"{self._path}: after {self.end} bytes: {error}") from None
             yield record
 
     def _payloads(self) -> Iterator[bytes]:
-        with self._path.open("rb") as file:
-            file.seek(self.end)
-            start = self.end
-            for item in whole_records(file):
-                yield item.payload
-                self.end = start + item.end
-
-
-def _require_torn_end_only(path: Path, end: int) -> None:
-    """Refuse to cut off what may be more than a last record that was never acknowledged.
-
-    Zeros are what a file system leaves where it had no time to write.
-    """
-    with path.open("rb") as file:
-        file.seek(end)
-        rest = file.read(MOST_TORN_BYTES + 1)
-        if not any(rest):
-            return
-        size = struct.unpack("<I", rest[:4])[0] + 8 if len(rest) >= 8 else len(rest)
-    if len(rest) > MOST_TORN_BYTES or size < len(rest):
-        raise WcsimError(f"{path}: is damaged after {end} bytes, and more follows; restore it, or begin a new run")
+        with opened(self._path, _KIND) as file:
+            torn: int | None = -1
+            while torn == -1:
+                start = file.seek(self.end)
+                for item in whole_records(file, self.after):
+                    yield item.payload
+                    self.end, self.after = start + item.end, None if self.after is None else item.crc
+                torn = torn_bytes(file, self.end, self.after)
+        if torn is None:
+            raise JournalError(
+                f"{self._path}: is damaged after {self.end} bytes, and more follows; restore it, or begin a new run"
+            )
+        self.torn_bytes = torn
 
 
 def _lock(path: Path, file: FileIO) -> None:

@@ -15,7 +15,9 @@ from wcsim.errors import WcsimError
 from wcsim.types import Command, Joystick, SeatSpec
 
 MAGIC = "wcsim-journal"
-VERSION = 1
+VERSION = 2  # of new journals
+CHAINED = 2  # the first version in which each record's CRC begins with that of the one before
+_CONTENT = 1  # of what the digest is over
 _TICK = b'["t",'
 
 
@@ -107,19 +109,24 @@ def header_content(header: JournalHeader) -> bytes:
     """What two equal runs have in common, for the digest: neither names, nor places, nor this machine's versions."""
     same = {"town_sha256", "config", "seed", "capacity", "tick_s", "hook", "recovery"}
     kept = {key: value for key, value in msgspec.to_builtins(header).items() if key in same}
-    return msgspec.json.encode({"version": VERSION, **kept})
+    return msgspec.json.encode({"version": _CONTENT, **kept})
 
 
 def header_of(payload: bytes) -> JournalHeader:
-    """A payload as a header. Raises WcsimError when it is none of this version."""
+    """A payload as a header. Raises WcsimError when it is none of a known version."""
     try:
         head = msgspec.json.decode(payload, type=dict[str, Any])
         magic, version = head.pop("magic", None), head.pop("version", None)
-        if (magic, version) != (MAGIC, VERSION):
-            raise WcsimError(f"got magic {magic!r}, version {version!r}; expected {MAGIC!r}, {VERSION}")
+        if magic != MAGIC or type(version) is not int or not 1 <= version <= VERSION:
+            raise WcsimError(f"got magic {magic!r}, version {version!r}; expected {MAGIC!r}, 1 to {VERSION}")
         return msgspec.convert(head, JournalHeader)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise WcsimError(f"the first record is no header: {error}") from None
+
+
+def is_chained(payload: bytes) -> bool:
+    """Whether the records of a journal with this sound header are chained, see `bridge/records.py`."""
+    return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= CHAINED
 
 
 def record_bytes(record: JournalRecord) -> bytes:

@@ -7,20 +7,18 @@ deadline. The children die with it, however it ends.
 from __future__ import annotations
 
 import selectors
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
-from types import FrameType
 
 from wcsim.server.awake import AwakeClock
 from wcsim.server.client_run import ClientRun
 from wcsim.server.orders import ServerOrder
 from wcsim.server.runlog import RunLog
 from wcsim.server.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.stop_signals import StopSignals
 from wcsim.server.world_run import WORLD_ARGV, WorldRun
 
 LOOK_S = 0.1
@@ -52,6 +50,7 @@ class Launcher:
         rules: LaunchRules | None = None,
         show: Show | None = None,
         world_argv: Sequence[str] = WORLD_ARGV,
+        signals: StopSignals | None = None,
     ) -> None:
         """Prepare a launch.
 
@@ -63,6 +62,7 @@ class Launcher:
             rules: How long to wait for what.
             show: Called a few times a second.
             world_argv: The world's program; the path of its order is added.
+            signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
         """
         self._rules = rules if rules is not None else LaunchRules()
         self._show = show
@@ -77,7 +77,8 @@ class Launcher:
         self._step = Step.RUN
         self._since_s = 0.0  # of this step
         self._asked_again = self._asked_world = False
-        self._signals = 0
+        self._given, self._heard = signals, StopSignals() if signals is None else signals
+        self._asked = 0
         self._stopped = False
         self._shown_s = 0.0
         self._code, self._message = 0, ""
@@ -87,7 +88,7 @@ class Launcher:
         begun_s = time.monotonic()
         clock = AwakeClock(begun_s)  # a launcher that was stopped has not waited for anybody
         try:
-            with self._heard_signals():
+            with nullcontext() if self._given is not None else self._heard:
                 self._world.start(clock.now_s)
                 for client in self._clients:
                     client.start()
@@ -109,16 +110,21 @@ class Launcher:
             stopped=self._stopped,
             clients=self._states(),
             elapsed_s=time.monotonic() - begun_s,
+            by_signal=self._stopped and self._heard.count > 0,
         )
 
     def stop(self) -> None:
         """Ask for an orderly end, as SIGTERM does."""
-        self._signals += 1
+        self._asked += 1
+
+    @property
+    def _signals(self) -> int:
+        return self._asked + self._heard.count
 
     def _look(self, now_s: float) -> None:
         self._world.look(now_s)
         for client in self._clients:
-            client.look(now_s, self._world.status)
+            client.look(now_s, self._world.status if self._world.running else None)
         if self._signals > 1:
             self._kill_all()
         if self._step is Step.RUN:
@@ -215,20 +221,3 @@ class Launcher:
 
     def _states(self) -> tuple[ClientState, ...]:
         return tuple(client.state for client in self._clients)
-
-    @contextmanager
-    def _heard_signals(self) -> Iterator[None]:
-        """While open, SIGINT and SIGTERM ask for an orderly end, and a second one for an end at once."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        before = {number: signal.signal(number, self._hear) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _hear(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self._signals += 1

@@ -1,12 +1,16 @@
 """A client's own record of what it has seen: the other half of the proof that no step was lost or done twice.
 
-One entry a frame. `audit` compares the ledgers of clients with a world's journal.
+One entry a frame; each is sealed by a checksum that begins with that of the one before, so that damage anywhere is
+noticed. Ledgers of older versions have none, and go on without. `audit` compares ledgers with a world's journal.
 """
 
 from __future__ import annotations
 
+import os
+import stat
 import struct
-from collections.abc import Iterable, Sequence
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from itertools import pairwise
@@ -14,10 +18,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from wcsim.errors import DiskFullError, WcsimError
+from wcsim.errors import DiskFullError, JournalError
+from wcsim.reading import FileKind, opened
 from wcsim.server.journal_records import JournalRecord, Ticked
+from wcsim.server.torn import keep_torn
 
-_ENTRY = struct.Struct("<16siqi")  # session, epoch, tick, stepped
+_ENTRY = struct.Struct("<16siqI")  # session, epoch, tick, and 31 bits of checksum above one bit: stepped
+_MOST_TORN_BYTES = 2 * _ENTRY.size  # less than that is cut off an end: a last entry, and a part of one
+_KIND = FileKind(what="a client's ledger", limit_bytes=1 << 40, error=JournalError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,25 +54,40 @@ class LedgerWriter:
     """Appends to a ledger, which may have been begun in an earlier life; a killed process loses nothing."""
 
     def __init__(self, path: Path) -> None:
-        """Open a ledger. Raises OSError when that is not possible."""
+        """Open a ledger; a torn last entry is cut off, and kept beside it.
+
+        Raises:
+            OSError: It cannot be opened.
+            JournalError: It is damaged before its end, or no regular file.
+            DiskFullError: There is no room to keep what would be cut off.
+        """
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._path, self._file = path, FileIO(path, "ab")
-        torn = self._file.tell() % _ENTRY.size
-        if torn:
-            self._file.truncate(self._file.tell() - torn)
+        flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
+        self._path, self._file = path, FileIO(os.open(path, flags, 0o644), "r+b")
+        self.cut_bytes = 0  # of a torn end
+        self._seal: int | None = 0  # of the last entry; None in a ledger without seals
+        try:
+            if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                raise JournalError(f"{path}: is no regular file; expected a client's ledger")
+            self._to_end()
+        except BaseException:
+            self._file.close()
+            raise
 
     def add(self, entry: LedgerEntry) -> None:
         """Write one entry, or nothing of it. Raises DiskFullError."""
-        data = _ENTRY.pack(entry.session, entry.epoch, entry.tick, entry.stepped)
+        data, seal = _packed(entry, self._seal)
         try:
             written = self._file.write(data) or 0
             reason = "" if written == len(data) else "only a part was written"
             if reason:  # all that follows half an entry would be read wrongly
-                self._file.truncate(self._file.tell() - written)
+                self._file.seek(-written, os.SEEK_CUR)
+                self._file.truncate()
         except OSError as error:
             reason = str(error.strerror)
         if reason:
             raise DiskFullError(f"{self._path}: an entry could not be written ({reason}); make room")
+        self._seal = seal
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -76,18 +99,74 @@ class LedgerWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
+    def _to_end(self) -> None:
+        """Go behind the last whole entry, and cut off what follows it."""
+        scan = _Scan(self._path)
+        for _ in scan.entries():
+            pass
+        self._seal, self.cut_bytes = scan.seal, scan.torn_bytes
+        self._file.seek(scan.end)
+        if scan.torn_bytes:
+            keep_torn(self._path, self._file.read(min(scan.torn_bytes, _MOST_TORN_BYTES)))  # what is longer is zeros
+            self._file.truncate(scan.end)
+            self._file.seek(scan.end)
+
 
 def read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
-    """All whole entries of a ledger. Raises WcsimError when it cannot be read."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise WcsimError(f"{path}: cannot be read ({error.strerror}); expected a client's ledger") from None
-    whole = len(data) - len(data) % _ENTRY.size
-    return tuple(
-        LedgerEntry(session=session, epoch=epoch, tick=tick, stepped=bool(stepped))
-        for session, epoch, tick, stepped in _ENTRY.iter_unpack(data[:whole])
-    )
+    """All whole entries of a ledger; its client may be writing it.
+
+    Raises:
+        JournalError: It cannot be read, or is damaged before its end.
+    """
+    return tuple(_Scan(path).entries())
+
+
+class _Scan:
+    """One reading of a ledger; afterwards `seal` is that of the last whole entry, which ends at `end`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.end, self.torn_bytes = 0, 0
+        self.seal: int | None = 0
+
+    def entries(self) -> Iterator[LedgerEntry]:
+        """All whole ones. Raises JournalError for damage before the end."""
+        with opened(self._path, _KIND) as file:
+            while len(data := file.read(_ENTRY.size)) == _ENTRY.size:
+                entry = self._next(data)
+                if entry is None:
+                    break
+                yield entry
+            size = file.seek(0, os.SEEK_END) - self.end
+            file.seek(self.end)
+            rest = file.read(_MOST_TORN_BYTES)
+            zeros = not any(rest) and all(not any(part) for part in iter(lambda: file.read(1 << 20), b""))
+        self.torn_bytes = size
+        if size >= _MOST_TORN_BYTES and not zeros:
+            raise JournalError(
+                f"{self._path}: is damaged after {self.end} bytes, and more follows; restore it, or begin a new run"
+            )
+
+    def _next(self, data: bytes) -> LedgerEntry | None:
+        session, epoch, tick, word = _ENTRY.unpack(data)
+        if self.end == 0 and word in (0, 1):
+            self.seal = None
+        entry = LedgerEntry(session=session, epoch=epoch, tick=tick, stepped=bool(word & 1))
+        packed, seal = _packed(entry, self.seal)
+        if packed != data or (self.seal is None and not any(data)):
+            return None
+        self.end += _ENTRY.size
+        self.seal = seal
+        return entry
+
+
+def _packed(entry: LedgerEntry, seal: int | None) -> tuple[bytes, int | None]:
+    """An entry as bytes, and its seal; `seal` is that of the entry before, None in a ledger without any."""
+    plain = _ENTRY.pack(entry.session, entry.epoch, entry.tick, entry.stepped)
+    if seal is None:
+        return plain, None
+    seal = zlib.crc32(plain, seal) >> 1 or 1
+    return _ENTRY.pack(entry.session, entry.epoch, entry.tick, seal << 1 | entry.stepped), seal
 
 
 def ledger_facts(entries: Sequence[LedgerEntry]) -> LedgerFacts:

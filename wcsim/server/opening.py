@@ -29,6 +29,8 @@ from wcsim.server.link import WorldOrder
 from wcsim.server.local import epoch_seed, made_world
 from wcsim.server.orders import ServerOrder
 from wcsim.server.recompute import rebuild_world
+from wcsim.server.runlog import RunLog
+from wcsim.server.torn import told_torn
 from wcsim.towns.town import find_town, streets_hash
 from wcsim.types import SeatSpec
 
@@ -71,7 +73,7 @@ def open_server(order: ServerOrder) -> Opened:
     gather_s = order.rules.gather_s if last < 0 else min(order.rules.gather_s, REGATHER_S)  # nobody was in yet, or some
     again = replace(order.rules, gather_s=gather_s)
     if last < 0 or order.recovery == "new_epoch":
-        return _begun(order, JournalWriter.append_to(path), last + 1, again)
+        return _begun(order, _appended(path), last + 1, again)
     return _gone_on(order, path, again)
 
 
@@ -88,7 +90,7 @@ def _begun(order: ServerOrder, journal: JournalWriter, epoch: int, rules: Rules)
 
 def _gone_on(order: ServerOrder, path: Path, rules: Rules) -> Opened:
     """Exactly the world that there was; its clients have to come back."""
-    journal = JournalWriter.append_to(path)  # cuts a torn record off before anybody reads on
+    journal = _appended(path)  # cuts a torn record off before anybody reads on
     try:
         world: SeatWorld
         if order.stand_in:
@@ -101,6 +103,14 @@ def _gone_on(order: ServerOrder, path: Path, rules: Rules) -> Opened:
         journal.close()
         raise
     return Opened(world=world, core=ServerCore(rules, now.epoch, now.tick, kept), journal=journal)
+
+
+def _appended(path: Path) -> JournalWriter:
+    """A journal to go on with; what was cut off its end is said in the events of its run."""
+    journal = JournalWriter.append_to(path)
+    if journal.cut_bytes:
+        RunLog(path.parent).add("torn", who="world", reason=told_torn(path, journal.cut_bytes))
+    return journal
 
 
 def _world(order: ServerOrder, epoch: int) -> SeatWorld:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import msgspec
 
 from wcsim.config import RunConfig
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, DiskFullError
+from wcsim.reading import FileKind, read_bytes
 from wcsim.server.client_core import Patience
 from wcsim.server.events import Rules
 from wcsim.server.messages import ANY_SEAT
@@ -19,6 +20,7 @@ from wcsim.types import SeatSpec
 if TYPE_CHECKING:
     from wcsim.server.link import WorldOrder
 
+MOST_ORDER_BYTES = 16 << 20
 Recovery = Literal["new_epoch", "replay"]
 
 
@@ -145,13 +147,23 @@ def of_line(kind: type[T], line: bytes) -> T:
     """The value of a line. Raises ConfigError when it is none."""
     try:
         return msgspec.json.decode(line, type=kind)
-    except (msgspec.MsgspecError, UnicodeError) as error:
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise ConfigError(f"{line[:80]!r} is no {kind.__name__}: {error}") from None
+
+
+def write_order(path: Path, line: bytes) -> None:
+    """Write an order where its process looks for it; its folder is made again when somebody has removed it.
+
+    Raises:
+        DiskFullError: It could not be written.
+    """
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.write_bytes(line)
+    except OSError as error:
+        raise DiskFullError(f"{path}: an order could not be written ({error.strerror}); make room") from None
 
 
 def read_order(kind: type[T], path: Path) -> T:
     """The value in a file. Raises ConfigError when it is none."""
-    try:
-        return of_line(kind, path.read_bytes())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); expected a {kind.__name__}") from None
+    return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=MOST_ORDER_BYTES)))

@@ -19,7 +19,7 @@ from wcsim.server.client_core import Patience
 from wcsim.server.link import WorldOrder
 from wcsim.server.local import local_rules
 from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
-from wcsim.server.ring_folder import make_ring_folder, remove_ring_folder
+from wcsim.server.ring_folder import RingFolder
 from wcsim.server.socket_link import SocketSeat
 from wcsim.types import SeatSpec
 
@@ -40,7 +40,7 @@ class WorldChild:
         """
         folder = tempfile.TemporaryDirectory(prefix="wcsim-")
         self.endpoint = f"ipc://{Path(folder.name) / 'world'}"
-        ring = make_ring_folder()
+        ring = RingFolder()
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         server = ServerOrder(
@@ -49,7 +49,7 @@ class WorldChild:
             seed=order.seed,
             rules=local_rules(order.seats, expected),
             endpoint=self.endpoint,
-            ring=str(ring),
+            ring=str(ring.path),
             run=order.run and str(Path(order.run).absolute()),
             journal=False,
             hook=order.hook,
@@ -149,7 +149,9 @@ def _ready(line: bytes) -> bool:
         raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(process: subprocess.Popen[bytes], pipe: int, folder: tempfile.TemporaryDirectory[str], ring: Path) -> None:
+def _end(
+    process: subprocess.Popen[bytes], pipe: int, folder: tempfile.TemporaryDirectory[str], ring: RingFolder
+) -> None:
     process.terminate()
     try:
         process.wait(END_TIMEOUT_S)
@@ -158,4 +160,4 @@ def _end(process: subprocess.Popen[bytes], pipe: int, folder: tempfile.Temporary
         process.wait()
     os.close(pipe)
     folder.cleanup()
-    remove_ring_folder(ring)
+    ring.close()

@@ -18,14 +18,17 @@ import numpy as np
 
 from wcsim.arrays import U8
 from wcsim.config import CameraConfig
-from wcsim.errors import DiskFullError, ProtocolError
+from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.physics.camera import SeatBuffers
 from wcsim.physics.renderer.base import Images
+from wcsim.reading import FileKind, opened
 
 SLOTS = 2
 MAGIC = b"wcsimpix"
 VERSION = 1
 MAX_CAMERAS = 64
+MAX_SIDE_PX = 1 << 16
+_KIND = FileKind(what="the pictures of a seat", limit_bytes=1 << 50)
 _HEAD = struct.Struct("<8sII")  # magic, version, cameras
 _CAMERA = struct.Struct("<III")  # width, height, 1 with colours
 _PAGE, _LINE = 4096, 64
@@ -62,8 +65,12 @@ class RingSink:
         """Make a new file for each seat; one of an earlier server lives on for those who still read it.
 
         Raises:
+            ConfigError: There are more cameras, or larger ones, than a ring has places for.
             DiskFullError: There is no room for the pictures.
         """
+        fault = _fault(pictures)
+        if fault:
+            raise ConfigError(f"cameras: {fault}; take fewer, or smaller ones")
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._paths = tuple(folder / f"seat-{seat}" for seat in range(seats))
         files = (_sets(_new_file(path, pictures), pictures) for path in self._paths)
@@ -91,12 +98,17 @@ class RingView:
     """A client's side: the pictures of its seat, read-only; they live as long as somebody holds one of them."""
 
     def __init__(self, path: Path) -> None:
-        """Map a seat's file. Raises ProtocolError when it is not one of this version."""
+        """Map a seat's file.
+
+        Raises:
+            ProtocolError: It cannot be opened, as while a world is made anew.
+            PicturesError: It is not one of this version; it will not be another time.
+        """
         try:
-            with path.open("rb") as file:
+            with opened(path, _KIND) as file:
                 memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:
-            raise ProtocolError(f"{path}: the pictures cannot be opened ({error}); is it the same machine?") from None
+        except ConfigError as error:
+            raise ProtocolError(f"the pictures cannot be opened ({error}); is it the same machine?") from None
         self._sets = _sets(memory, _read_head(path, memory))
 
     def pictures(self, slot: int, first: bool) -> Sequence[Images]:
@@ -139,16 +151,29 @@ def _write_head(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> None:
 
 def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
     if len(memory) < _PAGE:
-        raise ProtocolError(f"{path}: is no shared memory of pictures; expected at least {_PAGE} bytes")
+        raise PicturesError(f"{path}: is no shared memory of pictures; expected at least {_PAGE} bytes")
     magic, version, count = _HEAD.unpack_from(memory)
-    if (magic, version) != (MAGIC, VERSION) or count > MAX_CAMERAS:
-        raise ProtocolError(f"{path}: starts with {magic!r}, version {version}; expected {MAGIC!r}, {VERSION}")
+    if (magic, version) != (MAGIC, VERSION):
+        raise PicturesError(f"{path}: starts with {magic!r}, version {version}; expected {MAGIC!r}, {VERSION}")
+    if count > MAX_CAMERAS:
+        raise PicturesError(f"{path}: is of {count} cameras; expected {MAX_CAMERAS} at most")
     rows = (_CAMERA.unpack_from(memory, _HEAD.size + number * _CAMERA.size) for number in range(count))
     pictures = tuple(Picture(width_px=w, height_px=h, rgb=bool(rgb)) for w, h, rgb in rows)
     needed = _PAGE + 2 * SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     if len(memory) != needed:
-        raise ProtocolError(f"{path}: has {len(memory)} bytes; expected {needed} for its cameras")
+        raise PicturesError(f"{path}: has {len(memory)} bytes; expected {needed} for its cameras")
+    fault = _fault(pictures)
+    if fault:
+        raise PicturesError(f"{path}: {fault}")
     return pictures
+
+
+def _fault(pictures: tuple[Picture, ...]) -> str:
+    """Why no ring can hold such pictures, "" when one can; the same for who writes and who reads it."""
+    if len(pictures) > MAX_CAMERAS:
+        return f"{len(pictures)} of them; expected {MAX_CAMERAS} at most"
+    wrong = next((p for p in pictures if not (0 < p.width_px <= MAX_SIDE_PX and 0 < p.height_px <= MAX_SIDE_PX)), None)
+    return "" if wrong is None else f"{wrong.width_px} x {wrong.height_px} px; expected 1 to {MAX_SIDE_PX} each"
 
 
 def _sets(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> tuple[tuple[Images, ...], ...]:

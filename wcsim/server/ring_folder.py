@@ -1,38 +1,94 @@
-"""Where shared memory lies: a folder of its own for each world, in memory where the machine has such a place."""
+"""Where shared memory lies: a folder of its own for each world, in memory where the machine has such a place.
+
+A folder belongs to whoever holds the lock of a file in it. The kernel takes a lock back when its holder ends, and shows
+it to processes that cannot see each other's numbers, as in containers that share the place.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import re
 import shutil
 import tempfile
 from pathlib import Path
 
+from wcsim.errors import DiskFullError
+
 PREFIX = "wcsim-ring-"
+LOCK = ".lock"
 _SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
-_NAME = re.compile(re.escape(PREFIX) + r"(\d+)-\w+")
+_NAME = re.compile(re.escape(PREFIX) + r"(\d+)-\w+")  # the process number is for people to read
 
 
-def make_ring_folder(owner_pid: int = 0) -> Path:
-    """A new folder that only its user can enter, named after the process that will remove it (this one when 0)."""
-    return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{owner_pid or os.getpid()}-", dir=_home()))
+class RingFolder:
+    """A new folder that only its user can enter; `close` removes it."""
+
+    def __init__(self, home: Path | None = None) -> None:
+        """Make a folder; it appears under its name with its lock held. Raises DiskFullError when there is no room."""
+        home = _home() if home is None else home
+        try:
+            new = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=home))
+            self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            number = new.name.removeprefix(f".{PREFIX}")
+            self.path = new.rename(new.with_name(f"{PREFIX}{os.getpid()}-{number}"))
+        except OSError as error:
+            raise DiskFullError(f"{home}: no folder for pictures can be made ({error.strerror}); make room") from None
+
+    def close(self) -> None:
+        """Remove the folder; whoever still reads pictures of it keeps them. A second call does nothing."""
+        if self._lock >= 0:
+            _remove(self.path)
+            os.close(self._lock)
+            self._lock = -1
 
 
-def remove_ring_folder(folder: Path) -> None:
-    """Remove a folder; whoever still reads pictures of it keeps them. A second call does nothing."""
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def remove_stale_rings() -> int:
-    """Remove this user's folders whose processes have died; returns how many."""
+def remove_stale_rings(home: Path | None = None) -> int:
+    """Remove this user's folders whose owners have ended; returns how many."""
     removed = 0
-    for folder in _home().glob(f"{PREFIX}*"):
-        match = _NAME.fullmatch(folder.name)
-        if match and _mine(folder) and not _lives(int(match.group(1))):
-            remove_ring_folder(folder)
-            removed += 1
+    for folder in (_home() if home is None else home).glob(f"{PREFIX}*"):
+        if _NAME.fullmatch(folder.name) and _mine(folder):
+            removed += _removed_if_stale(folder)
     return removed
+
+
+def _removed_if_stale(folder: Path) -> bool:
+    """Whether a folder's lock could be taken and the folder is gone now.
+
+    One without a lock is somebody's whose removal was cut short when it is empty; else nobody can say whose it is.
+    """
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+            return True
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(lock).st_ino != os.lstat(folder / LOCK).st_ino:  # removed meanwhile, and made again by another
+            return False
+        _remove(folder)
+    except OSError:
+        return False
+    finally:
+        os.close(lock)
+    return True
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder whose lock is held; the lock goes last, so that nobody takes half a folder for another's."""
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            elif entry.name != LOCK:
+                Path(entry.path).unlink()
+        (folder / LOCK).unlink(missing_ok=True)
+        folder.rmdir()
 
 
 def _home() -> Path:
@@ -42,15 +98,5 @@ def _home() -> Path:
 
 def _mine(folder: Path) -> bool:
     with contextlib.suppress(OSError):
-        return folder.lstat().st_uid == os.getuid()
+        return folder.lstat().st_uid == os.getuid() and not folder.is_symlink()
     return False
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):
-        return True
-    return True

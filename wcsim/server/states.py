@@ -12,21 +12,26 @@ from wcsim.server.restarts import RestartRules
 
 
 class ClientExit(IntEnum):
-    """How a client process ends; every other code, and every signal, is a crash. All but the first two are retried."""
+    """How a client process ends; every other code, and every signal, is a crash.
+
+    Those are tried again, and so are STOPPED, SERVER_GONE and EVICTED.
+    """
 
     DONE = 0
     USER_ERROR = 2  # another try would end in the same way
     STOPPED = 3  # it was asked to, saved its work, and can go on
     SERVER_GONE = 4
     EVICTED = 5
+    DISK_FULL = 6  # not tried again either, but that is no fault of what was asked for
 
 
 class WorldExit(IntEnum):
     """How a world process ends."""
 
     DONE = 0
-    USER_ERROR = 2  # as a full disk: another try would end in the same way
+    USER_ERROR = 2  # another try would end in the same way
     FAILED = 3  # a simulator failed
+    DISK_FULL = 4
 
 
 Standing = Literal["starting", "running", "down", "done", "stopped", "given up"]
@@ -34,7 +39,10 @@ Standing = Literal["starting", "running", "down", "done", "stopped", "given up"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientPlan:
-    """A client process. It is started with `argv --status-fd N`, and `--resume` after a death."""
+    """A client process. It is started with `argv --status-fd N`, and `--resume` after a death.
+
+    Its `order` is written to `order_file` before every start: what lies in shared memory may be gone by then.
+    """
 
     name: str
     seat: int
@@ -42,6 +50,8 @@ class ClientPlan:
     log: Path
     folder: Path  # where its work is
     resume: bool = False  # also at the first start
+    order: bytes = b""
+    order_file: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,3 +104,4 @@ class LaunchOutcome:
     stopped: bool
     clients: tuple[ClientState, ...]
     elapsed_s: float
+    by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`

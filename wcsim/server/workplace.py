@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from wcsim.server.ring_folder import make_ring_folder, remove_ring_folder, remove_stale_rings
+from wcsim.server.ring_folder import RingFolder, remove_stale_rings
 
 
 @contextmanager
 def workplace() -> Iterator[Path]:
     """A new folder that only its user can enter, while open; those of owners that were killed go first."""
     remove_stale_rings()
-    folder = make_ring_folder()
+    folder = RingFolder()
     try:
-        yield folder
+        yield folder.path
     finally:
-        remove_ring_folder(folder)
+        folder.close()
 
 
 def endpoint_in(folder: Path) -> str:

@@ -1,7 +1,6 @@
 """A world in a process of its own: `python -m wcsim.server.world_process ORDER_FILE`, a `ServerOrder` as JSON.
 
-It ends when SIGTERM asks it to, or when whoever started it has gone. Exit code 0: ended as asked; 2: the order cannot
-be used, or the disk is full; 3: a simulator failed.
+It ends when SIGTERM asks it to, or when whoever started it has gone. It ends with a code of `WorldExit`.
 """
 
 from __future__ import annotations
@@ -16,18 +15,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 
-from wcsim.errors import ConfigError, DiskFullError, HookError, TownError, WcsimError
+from wcsim.errors import ConfigError, DiskFullError, HookError, JournalError, TownError, WcsimError
 from wcsim.server.doors import Doors
 from wcsim.server.journal_records import Ended, JournalRecord
 from wcsim.server.lifeline import Lifelines
+from wcsim.server.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.opening import Opened, open_server
 from wcsim.server.orders import ServerOrder, read_order
 from wcsim.server.parent import die_with_parent
 from wcsim.server.reporter import Reporter
 from wcsim.server.ring import RingSink, pictures_of
 from wcsim.server.server_loop import Hosted, ServerLoop
+from wcsim.server.states import WorldExit
 
-_ORDER_FAULTS = (ConfigError, TownError, HookError, DiskFullError)
+_ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
 _PARENT_GONE = signal.SIGUSR1
 
 
@@ -52,6 +53,13 @@ def main(words: list[str]) -> int:
     except WcsimError as error:
         reporter.failed(error)
         return _failed(error, order.quiet)
+    except Exception as error:
+        told = told_limit(error)
+        if not told:
+            raise
+        limit = DiskFullError(told) if getattr(error, "errno", None) in NO_ROOM else ConfigError(told)
+        reporter.failed(limit)
+        return _failed(limit, order.quiet)
     return 0
 
 
@@ -118,8 +126,10 @@ class _Ends:
 
 def _failed(error: WcsimError, quiet: bool = False) -> int:
     if not quiet:
-        sys.stderr.write(f"wcsim: {type(error).__name__}: {error}\n")
-    return 2 if isinstance(error, _ORDER_FAULTS) else 3
+        last_words(f"wcsim: {type(error).__name__}: {error}")
+    if isinstance(error, DiskFullError):
+        return WorldExit.DISK_FULL
+    return WorldExit.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExit.FAILED
 
 
 if __name__ == "__main__":

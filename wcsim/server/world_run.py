@@ -13,7 +13,7 @@ from pathlib import Path
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.children import Child, how_it_ended
 from wcsim.server.journal import JOURNAL, Ticked, iter_journal
-from wcsim.server.orders import ServerOrder, WorldStatus, of_line, to_line
+from wcsim.server.orders import ServerOrder, WorldStatus, of_line, to_line, write_order
 from wcsim.server.restarts import Restarts
 from wcsim.server.runlog import RunLog
 from wcsim.server.states import LaunchRules, Standing, WorldExit
@@ -116,7 +116,7 @@ class WorldRun:
         self._order_file.unlink(missing_ok=True)
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
-        self._order_file.write_bytes(to_line(replace(self._order, status_fd=status_fd)))
+        write_order(self._order_file, to_line(replace(self._order, status_fd=status_fd)))
         return (*self._argv, str(self._order_file))
 
     def _hear(self, line: bytes, now_s: float) -> None:
@@ -133,6 +133,11 @@ class WorldRun:
             self._died_s = None
 
     def _watch(self, child: Child, now_s: float) -> None:
+        if not self._order_file.parent.is_dir():  # with the socket: nobody could come back to this world
+            self._log.add("place lost", who=WORLD, place=str(self._order_file.parent))
+            write_order(self._order_file, b"")
+            child.send(signal.SIGKILL)
+            return
         again_s = REPLAY_S_A_TICK * max(0, self._death_tick) if self._order.recovery == "replay" else 0.0
         lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s + again_s
         if now_s - self._heard_s > lease_s:
@@ -152,6 +157,9 @@ class WorldRun:
         tick = self._last_tick()
         self._log.add("death", who=WORLD, code=code, reason=reason, tick=tick)
         self._died_s = now_s if self._died_s is None else self._died_s
+        if code == WorldExit.DISK_FULL:
+            self._give_up(f"{words}; then go on with --resume", refused=False)
+            return
         if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
             self._give_up(words or f"the world {reason}; see {self._log_file}", refused=True)
             return

@@ -1,0 +1,120 @@
+"""Ways to damage bytes and JSON, drawn from a generator; shared by the attacks on files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Damage = Callable[[bytes, np.random.Generator], bytes]
+
+NASTY: tuple[Any, ...] = (
+    None, True, -1, 0, 1, 2**31, 2**63, 2**64, -(2**70), 10**400, 0.5, -0.0, 1e308, float("nan"), float("inf"),
+    "", "0", "\x00", "\x1b[31m", "../../etc/passwd", "a" * 5000, [], [1], {}, {"a": 1}, [[[[]]]],
+)  # fmt: skip
+
+
+def pick(rng: np.random.Generator, items: Any) -> Any:
+    """One of some items."""
+    return items[int(rng.integers(len(items)))]
+
+
+def flipped(data: bytes, rng: np.random.Generator) -> bytes:
+    """One bit is another."""
+    return flipped_at(data, int(rng.integers(8 * max(len(data), 1))))
+
+
+def flipped_at(data: bytes, bit: int) -> bytes:
+    """This bit is another."""
+    changed = bytearray(data)
+    if changed:
+        changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def cut(data: bytes, rng: np.random.Generator) -> bytes:
+    """The end is missing."""
+    return data[: int(rng.integers(len(data) + 1))]
+
+
+def holed(data: bytes, rng: np.random.Generator) -> bytes:
+    """A part in the middle is missing."""
+    begin, end = sorted(rng.integers(0, len(data) + 1, 2).tolist())
+    return data[:begin] + data[end:]
+
+
+def longer(data: bytes, rng: np.random.Generator) -> bytes:
+    """Something follows."""
+    return data + rng.bytes(int(rng.integers(1, 300)))
+
+
+def zeroed(data: bytes, rng: np.random.Generator) -> bytes:
+    """A part is zeros, as after a loss of power."""
+    begin, end = sorted(rng.integers(0, len(data) + 1, 2).tolist())
+    return data[:begin] + bytes(end - begin) + data[end:]
+
+
+def emptied(data: bytes, rng: np.random.Generator) -> bytes:
+    """Nothing is left."""
+    del data, rng
+    return b""
+
+
+def noise(data: bytes, rng: np.random.Generator) -> bytes:
+    """Something else of the same length."""
+    return rng.bytes(len(data))
+
+
+ANY: tuple[Damage, ...] = (flipped, flipped, flipped, cut, cut, holed, longer, zeroed, emptied, noise)
+
+
+def edited(text: bytes, rng: np.random.Generator) -> bytes:
+    """JSON with another value in one place, a place more or a place less."""
+    data = json.loads(text)
+    places = _places(data)
+    holder, key = pick(rng, places)
+    what = int(rng.integers(8))
+    if what == 0 and isinstance(holder, dict):
+        del holder[key]
+    elif what == 1 and isinstance(holder, dict):
+        holder[f"{key}x"] = holder[key]
+    elif what == 2 and isinstance(holder[key], int):
+        holder[key] = int(holder[key]) + pick(rng, (-1, 1, 2**32, -(2**32)))
+    else:
+        holder[key] = pick(rng, NASTY)
+    return json.dumps(data, indent=2).encode()
+
+
+def bomb(rng: np.random.Generator) -> bytes:
+    """Text that some readers of JSON do not survive."""
+    return bytes(
+        pick(
+            rng,
+            (
+                b"[" * 200_000, b'{"a":' * 100_000, b"9" * 6000, b"{", b"null", b"[]", b"\xff\xfe{\x00}\x00", b"NaN",
+                b'{"a":1e999}', b'{"a":1,"a":2}', b"\x00" * 1000, b"{}", b'"' + b"a" * 2_000_000 + b'"',
+            ),
+        )
+    )  # fmt: skip
+
+
+def change(path: Path, how: Damage, rng: np.random.Generator) -> bool:
+    """Damage a file; False when it is what it was."""
+    before = path.read_bytes()
+    after = how(before, rng)
+    path.unlink()
+    path.write_bytes(after)
+    return after != before
+
+
+def _places(data: Any) -> list[tuple[Any, Any]]:
+    """Every (holder, key) in it."""
+    found = []
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        found.append((data, key))
+        found.extend(_places(value))
+    return found

@@ -1,0 +1,241 @@
+"""Faults of whole runs: full disks, storms of SIGTERM, flipped bits. Afterwards --resume works, or says why."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tests.attack.damage import flipped, pick
+from wcsim.agents.clients_folder import open_clients_folder
+from wcsim.cli.clients_report import TickRate, report_of
+from wcsim.cli.exit_codes import Exit
+from wcsim.errors import WcsimError
+from wcsim.server.journal import Ticked, iter_journal
+
+ROOT = Path(__file__).parents[2]
+QUICK = (
+    *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
+    *("--set", "learn.batch_size=4", "--set", "learn.learning_starts=8", "--set", "learn.episode_steps=15"),
+    *("--set", "learn.checkpoint_every=10", "--set", "learn.phase1_steps=20"),
+)
+FOREVER = 100_000  # steps
+AT_ONCE = (-signal.SIGTERM, Exit.TERMINATED, Exit.INTERRUPTED)  # before anything was begun
+
+
+@dataclass(slots=True, kw_only=True)
+class Row:
+    """What came of one kind of fault."""
+
+    what: str
+    codes: Counter[int] = field(default_factory=Counter)
+    defects: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def note(self, wrong: str, words: str) -> None:
+        """A defect, where there is one."""
+        if wrong:
+            self.defects.append(f"{self.what}: {words}: {wrong}")
+
+    def line(self) -> str:
+        """As a row of a table."""
+        codes = ", ".join(f"{code}: {count}" for code, count in sorted(self.codes.items()))
+        return f"| {self.what} | {sum(self.codes.values())} | {codes} | {len(self.defects)} | {self.seconds:.0f} |"
+
+
+HEAD = "| fault | runs | exit codes | defects | s |\n| --- | --- | --- | --- | --- |"
+
+
+def start(folder: Path, *words: object, before: Sequence[str] = ()) -> subprocess.Popen[str]:
+    """`wcsim train WORDS` as a process of its own."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        [*before, sys.executable, "-m", "wcsim", "train", *map(str, words)],
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100", "PYTHONPATH": path},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ticks_of(run: Path) -> int:
+    """Ticks that a world has done, by its journal."""
+    with contextlib.suppress(WcsimError):
+        return sum(isinstance(record, Ticked) for record in iter_journal(run / "journal"))
+    return 0
+
+
+def stopped_at(folder: Path, ticks: int, *words: object, limit_s: float = 120.0) -> tuple[int, str]:
+    """Let a command go on until its world has done so many ticks more, then ask it to end."""
+    child, run = start(folder, *words), folder / "run"
+    until, deadline_s = ticks_of(run) + ticks, time.monotonic() + limit_s
+    while child.poll() is None and ticks_of(run) < until and time.monotonic() < deadline_s:
+        time.sleep(0.2)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=limit_s)
+    return child.returncode, err
+
+
+def begun(folder: Path, corner: Path, steps: int = FOREVER, ticks: int = 25) -> Path:
+    """An interrupted run of two clients in `folder/run`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    words = ("--town", corner, "--clients", "small,small", "--steps", steps, "--out", "run", *QUICK)
+    code, err = stopped_at(folder, ticks, *words)
+    assert code == Exit.STOPPED, err
+    return folder / "run"
+
+
+def wrong_with(run: Path, code: int, err: str, allowed: Sequence[int]) -> str:
+    """What is not as it should be after a command has ended, "" when all is."""
+    if "Traceback" in err:
+        return f"a traceback: {err[-1500:]}"
+    if code not in allowed:
+        return f"exit code {code}, expected one of {sorted(allowed)}: {err[-500:]}"
+    if code == Exit.REFUSED and not 1 <= len([line for line in err.splitlines() if line.startswith("wcsim: ")]) <= 4:
+        return f"not a line: {err[-500:]}"
+    return "" if code == Exit.REFUSED else audited(run)
+
+
+def audited(run: Path) -> str:
+    """What journal and ledgers tell, "" when every step was seen once."""
+    if not (run / "manifest.json").is_file():
+        return f"{run} is gone"
+    try:
+        report = report_of(open_clients_folder(run), 0, TickRate())
+    except WcsimError as error:
+        return str(error)
+    bad = [client for client in report.clients if client.missing or client.duplicated]
+    return f"lost or doubled: {bad}" if bad else ""
+
+
+def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
+    """Three to twenty SIGTERM at any moment, each storm in a command that goes on with the run of the one before."""
+    row, begin_s = Row(what="storms of SIGTERM"), time.monotonic()
+    run = begun(folder, corner)
+    for number in range(count):
+        rng = np.random.default_rng((seed, number))
+        child = start(folder, "--out", "run", "--resume")
+        time.sleep(float(rng.uniform(0.05, 9.0)))
+        spacing_s = float(pick(rng, (0.0, 0.002, 0.05, 0.3)))
+        for _ in range(int(rng.integers(3, 21))):
+            if child.poll() is None:
+                child.send_signal(signal.SIGTERM)
+            time.sleep(spacing_s)
+        _, err = child.communicate(timeout=120)
+        row.codes[child.returncode] += 1
+        row.note(wrong_with(run, child.returncode, err, (Exit.STOPPED, *AT_ONCE)), f"storm {number}")
+    _went_on(row, folder, begin_s)
+    return row
+
+
+def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
+    """A disk that becomes full some time after the start, and has room again afterwards."""
+    row, begin_s = Row(what="full disks"), time.monotonic()
+    folder.mkdir()
+    with _disk(folder) as limit:
+        run = begun(folder, corner)
+        for number in range(count):
+            rng = np.random.default_rng((seed, number))
+            before = limit(int(rng.integers(0, 24)))
+            child = start(folder, "--out", "run", "--resume", before=before)
+            try:
+                _, err = child.communicate(timeout=120)
+            except subprocess.TimeoutExpired:
+                child.send_signal(signal.SIGINT)
+                _, err = child.communicate(timeout=120)
+            limit(-1)
+            row.codes[child.returncode] += 1
+            row.note(wrong_with(run, child.returncode, err, (Exit.FAILED,)), f"disk {number}")
+        _went_on(row, folder, begin_s)
+    return row
+
+
+def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
+    """A bit of any file of a run folder; each in a copy of the same run, of which little is left to do."""
+    row, begin_s = Row(what="flipped bits"), time.monotonic()
+    run = begun(folder, corner, steps=40, ticks=25)
+    shutil.copytree(run, folder / "sound")
+    names = sorted(str(path.relative_to(run)) for path in run.rglob("*") if path.is_file() and path.stat().st_size)
+    for number in range(count):
+        rng = np.random.default_rng((seed, number))
+        shutil.rmtree(run)
+        shutil.copytree(folder / "sound", run)
+        name = names[(number * 7) % len(names)]
+        (run / name).write_bytes(flipped((run / name).read_bytes(), rng))
+        child = start(folder, "--out", "run", "--resume")
+        _, err = child.communicate(timeout=200)
+        row.codes[child.returncode] += 1
+        row.note(wrong_with(run, child.returncode, err, (Exit.DONE, Exit.REFUSED)), f"flip {number} in {name}")
+    row.seconds = time.monotonic() - begin_s
+    return row
+
+
+def flips_when_done(
+    folder: Path, corner: Path, each: int, seed: int, wcsim: Callable[[list[str]], tuple[int, str]]
+) -> Row:
+    """So many bits of each file that is read when a finished run is asked for again, by `wcsim` in this process."""
+    row, begin_s = Row(what="flipped bits, finished run"), time.monotonic()
+    words = ("--town", corner, "--clients", "small,small", "--steps", 30, "--out", "run", *QUICK)
+    folder.mkdir()
+    _, err = start(folder, *words).communicate(timeout=200)
+    run = folder / "run"
+    assert not audited(run), err
+    files = [path for path in run.rglob("*") if path.is_file() and path.stat().st_size]
+    names = [path for path in files if "checkpoints" not in path.parts and "policies" not in path.parts]
+    for path in sorted(names):
+        whole = path.read_bytes()
+        for number in range(each):
+            rng = np.random.default_rng((seed, number))
+            path.write_bytes(flipped(whole, rng))
+            code, err = wcsim(["train", "--out", str(run), "--resume"])
+            row.codes[code] += 1
+            found = wrong_with(run, code, err, (Exit.DONE, Exit.REFUSED))
+            row.note(found, f"{path.relative_to(run)}, {number}")
+            path.write_bytes(whole)
+        for kept in (*run.glob("journal.torn*"), *run.glob("ledgers/*.torn*")):
+            kept.unlink()
+    row.seconds = time.monotonic() - begin_s
+    return row
+
+
+def _went_on(row: Row, folder: Path, begin_s: float) -> None:
+    """After all faults the run goes on, and can be stopped."""
+    code, err = stopped_at(folder, 15, "--out", "run", "--resume")
+    row.note(wrong_with(folder / "run", code, err, (Exit.STOPPED,)), "after the last one")
+    row.seconds = time.monotonic() - begin_s
+
+
+@contextlib.contextmanager
+def _disk(folder: Path) -> Iterator[Callable[[int], Sequence[str]]]:
+    """A disk of its own where that is allowed; its limit is set to so many kB more than it holds, -1 for enough.
+
+    Elsewhere the limit is one of the size of each file, by the words before the command that are returned.
+    """
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=512m", "none", str(folder)], check=False, capture_output=True
+    )
+    if mounted.returncode:
+        yield lambda room_kb: () if room_kb < 0 else ("bash", "-c", f'ulimit -f {20 + room_kb}; exec "$@"', "-")
+        return
+
+    def limit(room_kb: int) -> Sequence[str]:
+        used_kb = (shutil.disk_usage(folder).used >> 10) + room_kb
+        size = "512m" if room_kb < 0 else f"{used_kb}k"
+        subprocess.run(["mount", "-o", f"remount,size={size}", str(folder)], check=True, capture_output=True)
+        return ()
+
+    try:
+        yield limit
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True, capture_output=True)

@@ -1,0 +1,62 @@
+"""Faults of whole runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.attack import faults
+from wcsim.cli.exit_codes import Exit
+from wcsim.cli.main import main
+
+
+def told(*rows: faults.Row) -> None:
+    sys.stdout.write("\n".join(["", faults.HEAD, *(row.line() for row in rows), ""]))
+    assert [defect for row in rows for defect in row.defects] == []
+
+
+@pytest.mark.proof
+def test_storms_of_signals_cost_nothing(tmp_path: Path, corner: Path) -> None:
+    told(faults.storms(tmp_path / "storms", corner, 20, 1))
+
+
+@pytest.mark.proof
+def test_full_disks_cost_nothing(tmp_path: Path, corner: Path) -> None:
+    told(faults.full_disks(tmp_path / "disks", corner, 20, 1))
+
+
+@pytest.mark.proof
+def test_flipped_bits_are_got_over_or_told(tmp_path: Path, corner: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def wcsim(words: list[str]) -> tuple[int, str]:
+        code = main(words)
+        return code, capsys.readouterr().err
+
+    done = faults.flips_when_done(tmp_path / "done", corner, 20, 1, wcsim)
+    told(done, faults.flips(tmp_path / "flips", corner, 20, 1))
+
+
+def test_a_disk_that_is_full_early_costs_nothing(tmp_path: Path, corner: Path) -> None:
+    """Before any episode or checkpoint: what the world has done is kept, and gone on with."""
+    run = tmp_path / "run"
+    words = ("--town", corner, "--clients", "small,small", "--steps", 60, "--out", "run", *faults.QUICK)
+    child = faults.start(tmp_path, *words, before=("bash", "-c", 'ulimit -f 200; exec "$@"', "-"))
+    _, err = child.communicate(timeout=120)
+    assert faults.wrong_with(run, child.returncode, err, (Exit.FAILED,)) == ""
+    assert "--resume" in err
+    assert faults.ticks_of(run) > 0
+    child = faults.start(tmp_path, "--out", "run", "--resume")
+    _, err = child.communicate(timeout=120)
+    assert faults.wrong_with(run, child.returncode, err, (Exit.DONE,)) == ""
+
+
+def test_too_few_open_files_are_told_before_anything_is_begun(tmp_path: Path, corner: Path) -> None:
+    words = ("--town", str(corner), "--clients", "small,small", "--out", "run")
+    command = ("bash", "-c", 'ulimit -n 24; exec "$@"', "-", sys.executable, "-m", "wcsim", "train", *words)
+    environment = {**os.environ, "PYTHONPATH": str(faults.ROOT)}
+    child = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (child.returncode, "ulimit -n 1024" in child.stderr) == (Exit.REFUSED, True), child.stderr
+    assert list(tmp_path.iterdir()) == []

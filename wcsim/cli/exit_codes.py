@@ -1,0 +1,42 @@
+"""How commands end: the one table of exit codes, and which error ends with which."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from wcsim.errors import (
+    DiskFullError,
+    EvictedError,
+    InterruptedRunError,
+    LinkClosedError,
+    LinkTimeoutError,
+    PhysicsError,
+    StaleSessionError,
+    WcsimError,
+)
+
+
+class Exit(IntEnum):
+    """The codes; 130, 141 and 143 are those that a shell gives to the signals."""
+
+    DONE = 0  # all that was asked for
+    FAILED = 1  # something broke on the way, as a disk that is full; what was saved before is kept
+    REFUSED = 2  # what was asked for cannot be used; something has to be changed first
+    STOPPED = 3  # ended when asked; the work is kept, and --resume goes on with it
+    INTERRUPTED = 130  # ended by Ctrl-C with nothing to keep
+    BROKEN_PIPE = 141  # whoever read the output has seen enough
+    TERMINATED = 143  # ended by SIGTERM with nothing to keep
+
+
+ON_THE_WAY = (DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError)
+
+
+class NothingKept(KeyboardInterrupt):
+    """Raised when a command was stopped before there was anything to keep."""
+
+
+def exit_of(error: WcsimError) -> Exit:
+    """How a command ends that met this error."""
+    if isinstance(error, InterruptedRunError):
+        return Exit.STOPPED
+    return Exit.FAILED if isinstance(error, ON_THE_WAY) else Exit.REFUSED

@@ -1,0 +1,52 @@
+"""What the system may refuse a process while it runs: room on a disk, and open files."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import resource
+
+from wcsim.errors import ConfigError
+
+NO_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+NO_FILES = frozenset((errno.EMFILE, errno.ENFILE))
+WANTED_FILES = 4096
+FILES, FILES_A_CLIENT = 40, 4  # that a world or its launcher opens by itself, and for each client
+
+
+def told_limit(error: BaseException) -> str:
+    """What to do about an error of the system that is one of a limit; "" for any other."""
+    number = getattr(error, "errno", None)
+    if number in NO_ROOM:
+        return f"no room is left ({error}); make room, and go on with --resume"
+    if number in NO_FILES:
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        return f"{soft} files may be open at once, and that is too few ({error}); try again after: ulimit -n 1024"
+    return ""
+
+
+def last_words(text: str) -> None:
+    """A line on standard error, which may be a file on a disk that is full: the exit code counts all the same.
+
+    What Python keeps in a buffer would fail again in its end, with another code.
+    """
+    with contextlib.suppress(OSError):
+        os.write(2, f"{text}\n".encode(errors="replace"))
+
+
+def require_files(clients: int) -> None:
+    """See that a launcher, its world and its clients may open all they need; the limit is raised as far as allowed.
+
+    Raises:
+        ConfigError: They may not.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = FILES + FILES_A_CLIENT * clients
+    if 0 <= soft < WANTED_FILES:
+        soft = WANTED_FILES if hard < 0 else min(hard, WANTED_FILES)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    if 0 <= soft < needed:
+        raise ConfigError(
+            f"{soft} files may be open at once; expected {needed} or more for {clients} clients: ulimit -n 1024"
+        )
