@@ -73,6 +73,9 @@ class PolicyFile(Model):
         return self
 
 
+ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
+
+
 class OverrideFile(Model):
     """One option of a town's own scenario that a run had with another value."""
 
@@ -98,6 +101,8 @@ class ManifestFile(Model):
     hook: Word = ""
     overrides: Annotated[tuple[OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
+    files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)
+    seal: Sha256 | Literal[""] = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")
     def _clients_have_names_of_their_own(self) -> ManifestFile:

@@ -66,6 +66,13 @@ class Attacker:
         """The next that is said."""
         return [m.decode_reply(part) for part in self._socket.recv_multipart()]
 
+    def hear_but(self, kind: type[m.Waiting]) -> Sequence[m.Reply]:
+        """The next that is said and is not of this kind."""
+        while True:
+            told = [reply for reply in self.hear() if not isinstance(reply, kind)]
+            if told:
+                return told
+
     def answers(self, within_ms: int) -> bool:
         """Whether anything is said within that time."""
         return bool(self._socket.poll(within_ms))

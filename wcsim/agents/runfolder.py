@@ -151,7 +151,7 @@ def open_run(path: Path) -> RunFolder:
 
 def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
     """The manifest that a run's file holds. Raises PolicyError when it is none."""
-    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude={"clients"})
+    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude={"clients", "files_sha256", "seal"})
     fields["overrides"] = tuple(Override(**row) for row in fields["overrides"])
     return Manifest(**fields)
 
