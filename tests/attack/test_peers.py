@@ -20,6 +20,8 @@ from wcsim.server.client_core import Phase
 from wcsim.server.curve import make_keys
 from wcsim.server.events import Rules
 from wcsim.server.socket_link import SocketSeat, open_seat
+from wcsim.supervisor.profiles import recordings
+from wcsim.supervisor.recorded import write_recording
 from wcsim.types import Joystick, SeatSpec, StartSpec
 
 AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
@@ -72,6 +74,18 @@ def test_a_join_names_no_file_of_the_server(town: Town, tmp_path: Path, local: b
         told.add(failure.message)
     assert len(told) == 1  # not even whether there is such a file
     assert town.goes_on()
+
+
+def test_a_recording_that_the_world_was_started_with_is_replayed(corner: Path, tmp_path: Path) -> None:
+    file = tmp_path / "hand.csv"
+    write_recording(file, np.arange(0.0, 5.0, 0.1), np.full((50, 2), [0.0, 0.7]))
+    profile = f"recorded:{file}"
+    rules = Rules(capacity=1, expected=1, recordings=recordings(["competent", profile]))
+    with Server(real_order(corner, tmp_path, rules=rules), tmp_path) as server:
+        network = server.status().listening
+        with open_seat(server.seat("own", endpoint=network, spec=SeatSpec(profile=profile))) as seat:
+            first = seat.join()
+            assert seat.act(first.tick, AHEAD).user.y == pytest.approx(0.7)
 
 
 def test_no_join_ends_or_hangs_the_world(town: Town, tmp_path: Path) -> None:

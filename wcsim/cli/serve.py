@@ -25,6 +25,7 @@ from wcsim.server.orders import Recovery, ServerOrder
 from wcsim.server.states import LaunchState
 from wcsim.server.torn import told_torn
 from wcsim.server.workplace import endpoint_in, workplace
+from wcsim.supervisor.profiles import recordings
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.town import Town, find_town
 from wcsim.view.live_table import LiveTable
@@ -63,6 +64,8 @@ class Options:
     """What to do with a journal: begin a new epoch, or make the same world again, step by step."""
     lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
     """Seconds without a sign of progress after which a client is given up."""
+    max_think: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Seconds for an action after which a client is given up, however alive it is; by default it may take its time."""
     seed: int = 0
     """Seed of the world."""
 
@@ -73,6 +76,7 @@ def run(words: list[str]) -> int:
     in_bounds("--seats", options.seats, 1, MOST_SEATS)
     in_bounds("--expected", options.expected, 1, options.seats)
     in_bounds("--lease", options.lease, 1.0, 86_400.0)
+    in_bounds("--max-think", 1.0 if options.max_think is None else options.max_think, 0.1, 86_400.0)
     _check_doors(options)
     config = load_run_config(options.preset, options.set, options.config)
     if options.run is not None:
@@ -159,6 +163,8 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Serv
             expected=options.expected,
             gather_s=GATHER_S,
             lease_s=options.lease,
+            max_think_s=options.max_think,
+            recordings=recordings([config.env.profile]),
         ),
         endpoint=endpoint_in(place),
         ring=str(place / "ring"),

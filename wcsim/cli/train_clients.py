@@ -42,6 +42,7 @@ from wcsim.server.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchSt
 from wcsim.server.stop_signals import StopSignals
 from wcsim.server.torn import told_torn
 from wcsim.server.workplace import endpoint_in, workplace
+from wcsim.supervisor.profiles import recordings
 from wcsim.supervisor.recorded import find_user
 from wcsim.towns.scenario_overrides import Override
 from wcsim.towns.town import Town, streets_hash
@@ -286,6 +287,7 @@ def _world_order(
         expected=expected,
         gather_s=GATHER_S,
         lease_s=group.lease_s,
+        recordings=recordings(client.config.env.profile for client in clients),
     )
     return ServerOrder(
         town=town.address,

@@ -19,8 +19,7 @@ from wcsim.reading import shown
 from wcsim.server import messages as m
 from wcsim.server.events import Rules
 from wcsim.server.members import Roll
-from wcsim.supervisor.profiles import profile_names
-from wcsim.supervisor.recorded import PREFIX
+from wcsim.supervisor.profiles import RECORDED, profile_names
 from wcsim.types import SeatSpec
 
 MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
@@ -79,7 +78,7 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
 
 def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     """What is wrong with what a client asks for; that a start lies in the town is the world's to see."""
-    named = spec.profile.startswith(PREFIX)
+    named = spec.profile.startswith(RECORDED)
     if named and rules.recordings is not None and spec.profile not in rules.recordings:
         return ConfigError(
             "this world replays only recordings that it was started with; start it with --set "

@@ -28,6 +28,7 @@ from wcsim.server.orders import JoinOrder, Recovery, ServerOrder, to_line
 from wcsim.server.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.stub_client import Sight, read_sights
 from wcsim.server.workplace import endpoint_in, workplace
+from wcsim.supervisor.profiles import recordings
 from wcsim.types import SeatSpec
 
 CALM_SHARE = 0.25  # of the time, at the end
@@ -209,6 +210,7 @@ def _server_order(order: SoakOrder, place: Path) -> ServerOrder:
         lease_s=order.lease_s,
         tick_lease_s=order.lease_s,
         rejoin_s=3.0 * order.lease_s,
+        recordings=recordings([order.config.env.profile]),
     )
     return ServerOrder(
         town=order.town,

@@ -6,6 +6,7 @@ The values follow published ranges for reaction times and tremor; they are plaus
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,8 @@ SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the p
 
 HELD_OUT = ("ataxic",)
 """Profiles that no network is trained with."""
+
+RECORDED = "recorded:"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +55,11 @@ def profile(name: str) -> UserProfile:
             return known
     names = ", ".join(item.name for item in PROFILES)
     raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, or recorded:FILE.csv")
+
+
+def recordings(profiles: Iterable[str]) -> tuple[str, ...]:
+    """Those of these that name a recorded joystick in the place of a profile: "recorded:FILE"."""
+    return tuple(sorted({name for name in profiles if name.startswith(RECORDED)}))
 
 
 def profile_names() -> tuple[str, ...]:

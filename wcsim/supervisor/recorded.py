@@ -21,11 +21,10 @@ from wcsim.errors import ConfigError
 from wcsim.reading import FileKind, read_text, shown
 from wcsim.supervisor.hand import on_disc
 from wcsim.supervisor.path import Path
-from wcsim.supervisor.profiles import UserProfile, profile
+from wcsim.supervisor.profiles import RECORDED, UserProfile, profile
 from wcsim.supervisor.user import ARRIVED_M, USUAL_OUTLINE
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 
-PREFIX = "recorded:"
 COLUMNS = ("time_s", "x", "y")
 LONGEST_GAP_S = 0.5
 MOST_SAMPLES = 2_000_000  # two hours of 240 a second
@@ -122,7 +121,7 @@ def find_user(name: str) -> UserProfile | Recording:
     Raises:
         ConfigError: There is no such profile (the message names all), or the file cannot be used.
     """
-    return read_recording(FilePath(name.removeprefix(PREFIX))) if name.startswith(PREFIX) else profile(name)
+    return read_recording(FilePath(name.removeprefix(RECORDED))) if name.startswith(RECORDED) else profile(name)
 
 
 def read_recording(path: FilePath) -> Recording:
