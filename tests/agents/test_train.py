@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents import files
-from wcsim.agents.build import build_model
+from wcsim.agents.build import build_model, checked_device
 from wcsim.agents.checkpoint import generator_state, load_checkpoint, restored_generator
 from wcsim.agents.export import load_policy
 from wcsim.agents.metrics import COLUMNS, MetricsFile, read_metrics
@@ -26,7 +26,7 @@ from wcsim.agents.runfolder import config_of, create_run, make_manifest, open_ru
 from wcsim.agents.testing import open_policy
 from wcsim.agents.train import train
 from wcsim.config import LearnConfig, RunConfig
-from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 
 CAMERA = toy_camera(16, 20)
 
@@ -290,3 +290,14 @@ def test_a_run_keeps_the_user_s_own_plant(tmp_path):
     kept = open_run(run.path).config.chair.plant
     assert kept == run.config.chair.plant != str(own)
     assert Path(kept).read_bytes() == text
+
+
+def test_a_replay_beyond_the_memory_and_a_device_without_numbers_are_named(monkeypatch):
+    def full(*words, **more):
+        raise MemoryError
+
+    with pytest.raises(ConfigError, match=r"learn\.device='meta' cannot be used here"):
+        checked_device("meta")
+    monkeypatch.setattr("wcsim.agents.build.SeqDQN", full)
+    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into the memory"):
+        build_model(config(), ToyStreet(CAMERA), 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from rich.console import Console
 
 from tests.attack import files, policies
 from tests.attack.twists import json_text
@@ -22,11 +24,13 @@ from wcsim.bridge import trace_file
 from wcsim.bridge.records import framed
 from wcsim.bridge.trace_file import read_trace
 from wcsim.cli.main import main
+from wcsim.cli.overrides import print_overrides
 from wcsim.config import TownFile, load_run_config, read_toml
 from wcsim.errors import ConfigError, JournalError, PolicyError
 from wcsim.plant_file import read_plant
 from wcsim.scene_file import SceneFile
 from wcsim.supervisor.recorded import find_user
+from wcsim.towns.scenario_overrides import Override
 
 TOML_BOMBS = {
     "nesting": "a=" + "[" * 5000,
@@ -304,3 +308,10 @@ def test_a_trace_that_unpacks_to_far_more_than_it_has_is_refused(
 
 def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:
     assert main(["test", "a" * 5000, "--town", "monaco"]) == 2
+
+
+def test_words_of_a_scenario_are_shown_and_not_obeyed() -> None:
+    console = Console(file=io.StringIO(), width=200)
+    print_overrides(console, "own", (Override(option="[/b]", author="[red]\x1b[2J", wcsim="[/]", why="why"),))
+    shown = console.file.getvalue()
+    assert "[/b]" in shown and "[red]" in shown and "[/]" in shown and "\x1b" not in shown
