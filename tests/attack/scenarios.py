@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import resource
 import shutil
@@ -19,7 +20,9 @@ from tests.attack.scenario_oracle import escapes
 from tests.attack.scenario_parts import Theirs, furnish, write_scenario
 from wcsim.errors import SumoError, WcsimError
 from wcsim.seeding import generator
+from wcsim.towns.adopt import files_of
 from wcsim.towns.scenario import stage_scenario
+from wcsim.towns.scenario_options import read_configuration
 from wcsim.towns.scenario_overrides import Settings
 from wcsim.towns.town import open_town
 
@@ -62,12 +65,22 @@ def _filter(number: int, seed: int, work: Path) -> bool:
             if _state(place) != before:
                 raise NotTakenError(f"refused, and left {sorted(set(_state(place)) ^ set(before))}") from error
             raise
-        found = [*escapes(staged.sumocfg, place / "run", theirs.folder)]
+        found = [*escapes(staged.sumocfg, place / "run", theirs.folder), *_taken_along(theirs)]
         if _state(place) != before:
             found.append(f"changed {sorted(set(_state(place).items()) ^ set(before.items()))}")
         if found:
             raise NotTakenError(f"{theirs.done}: {found}")
         return True
+
+
+def _taken_along(theirs: Theirs) -> list[str]:
+    """What a copy of the scenario would take along that is not its author's."""
+    try:
+        files = files_of(read_configuration(theirs.folder / "a.sumocfg"), theirs.folder)
+    except WcsimError:
+        return []
+    inside = theirs.folder.resolve()
+    return [f"{path} is taken along" for path in files if not path.resolve().is_relative_to(inside)]
 
 
 def _start(number: int, seed: int, work: Path, net: bytes, lane: str) -> Outcome | bool:
@@ -145,6 +158,8 @@ def _run(place: Path, sumocfg: Path, log: Path) -> int:
     from wcsim.bridge.sumo import SumoOptions, SumoSession
 
     os.chdir(place / "empty")
+    faulthandler.disable()  # SUMO dies of some, and the child in which wcsim tries it first is there for that
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     sink = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(sink, descriptor)
