@@ -14,7 +14,7 @@ from wcsim import errors
 from wcsim.agents.callbacks import StopRequest, TrainProgress
 from wcsim.agents.client import StatusPipe, exit_of
 from wcsim.agents.client_process import main
-from wcsim.agents.clients_folder import locked
+from wcsim.agents.files import locked
 from wcsim.agents.time_shares import Stopped, TimeShares
 from wcsim.agents.train import train
 from wcsim.server.link import Waits
@@ -28,7 +28,7 @@ from wcsim.server.states import ClientExit
         (errors.InterruptedRunError, ClientExit.STOPPED),
         (errors.ConfigError, ClientExit.USER_ERROR),
         (errors.PolicyError, ClientExit.USER_ERROR),
-        (errors.DiskFullError, ClientExit.USER_ERROR),
+        (errors.DiskFullError, ClientExit.DISK_FULL),
         (errors.ConfigMismatchError, ClientExit.USER_ERROR),
         (errors.VersionMismatchError, ClientExit.USER_ERROR),
         (errors.AccessError, ClientExit.USER_ERROR),

@@ -22,6 +22,7 @@ from wcsim.server.ledger import audit, read_ledger
 from wcsim.server.orders import to_line
 from wcsim.server.recompute import verify
 from wcsim.server.socket_link import open_seat
+from wcsim.server.states import WorldExit
 from wcsim.server.world_process import main
 
 BOTH = Rules(capacity=2, expected=2, gather_s=60.0, lease_s=10.0 * WAIT_S, notice_s=0.2)
@@ -162,7 +163,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
         with pytest.raises(DiskFullError, match="make room"):
             for tick in range(2000):
                 a.act(tick, AHEAD)
-        assert server.wait() == 2
+        assert server.wait() == WorldExit.DISK_FULL
         assert "DiskFullError" in server.errors()
     journal = read_journal(tmp_path / "run" / JOURNAL)
     assert not journal.torn

@@ -81,7 +81,8 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
     }
     for name, (shape, kind) in shapes.items():
         if arrays[name].shape != shape or arrays[name].dtype != kind:
-            raise ValueError(f"replay: {name} is {arrays[name].dtype} {arrays[name].shape}; expected {kind} {shape}")
+            got = arrays[name].dtype, arrays[name].shape
+            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
     if coming not in (0, seats) or arrays["frames"].ndim != 1 or arrays["blob_bytes"].ndim != 1:
         raise ValueError("replay: its images do not go together")
     if (arrays["blob_bytes"] < 0).any() or int(arrays["blob_bytes"].sum()) != len(arrays["frames"]):
