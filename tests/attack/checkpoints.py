@@ -136,7 +136,8 @@ def _feed(bench: Bench, attack: Attack, rng: np.random.Generator, folder: Path) 
             return False
         step = bench.model.num_timesteps
         right = step >= expected and bench.known.get(step) == content(bench.model, loaded.extra)
-        return right and _goes_on(bench.model, folder, loaded.extra, rng) and _strays(folder) >= strays
+        went_on = right and _goes_on(bench.model, folder, loaded.extra, rng)
+        return went_on and _strays(folder) | {path.name for path in step_folders(folder)} >= strays
     finally:
         shutil.rmtree(folder)
 
