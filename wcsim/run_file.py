@@ -9,9 +9,10 @@ from pydantic import Field, model_validator
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, JoystickDistance, Window
 from wcsim.model import Finite, Model, NotNegative, Positive, Text, Word
 from wcsim.reading import MAX_INTEGER
+from wcsim.types import CLIENT_NAME
 
 Versions = Annotated[dict[Word, Word], Field(max_length=256)]
-ClientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}$")]  # a folder of this name is opened
+ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of this name is opened
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
 

@@ -32,6 +32,9 @@ from wcsim.streets import WalkEdge as WalkEdge
 from wcsim.streets import WalkGraph as WalkGraph
 from wcsim.streets import WayKind as WayKind
 
+CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
+"""What a client may be called: a plain word, so that it can name a folder and be printed anywhere."""
+
 
 class ActorKind(Enum):
     """What moves in the street; a SUMO class that is not known here becomes OTHER."""

@@ -121,7 +121,7 @@ def test_a_start_is_chosen_on_the_worlds_own_machine_only(town: Town) -> None:
 
 
 def test_a_name_is_a_plain_word(town: Town) -> None:
-    for name in ("", "a b", "a\nb", "\x1b[31mred", "../../x", "x" * 65, "[bold]", "ä"):
+    for name in ("", "..", ".x", "a b", "a\nb", "\x1b[31mred", "../../x", "x" * 65, "[bold]", "ä"):
         with Attacker(town.network) as peer:
             failure = refusal(peer.say(a_join(name=name)))
         assert failure.error == "ProtocolError" and "\x1b" not in failure.message and "\n" not in failure.message

@@ -26,9 +26,10 @@ from wcsim.config import RunConfig, parse
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.reading import FileKind, read_text
 from wcsim.server.journal import JOURNAL, Ticked, iter_journal
+from wcsim.types import CLIENT_NAME
 
 _SEAL, _FILES = "seal", "files_sha256"
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
 

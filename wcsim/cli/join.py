@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from wcsim.agents.network_names import client_name
 from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.cli.run_config import learning, require_trained_user, steps_note, with_steps
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
@@ -18,7 +20,7 @@ from wcsim.server.client_core import Patience
 from wcsim.server.messages import ANY_SEAT
 from wcsim.server.orders import JoinOrder
 from wcsim.supervisor.recorded import find_user
-from wcsim.types import SeatSpec
+from wcsim.types import CLIENT_NAME, SeatSpec
 
 if TYPE_CHECKING:
     from wcsim.server.socket_link import SocketSeat, WorldOffer
@@ -68,6 +70,8 @@ def run(words: list[str]) -> int:
     in_bounds("--seat", options.seat or 0, 0, 63)
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
         raise ConfigError(f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as serve prints it")
+    if options.name and not re.fullmatch(CLIENT_NAME, options.name):
+        raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
     overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
     config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
     require_trained_user(config)
@@ -121,7 +125,7 @@ def _order(options: Options, config: RunConfig) -> JoinOrder:
     env = config.env
     return JoinOrder(
         endpoint=options.endpoint,
-        name=options.name or config.learn.network.rpartition(":")[2],
+        name=options.name or client_name(config.learn.network),
         claim=secrets.token_hex(16),
         spec=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
         seat=ANY_SEAT if options.seat is None else options.seat,

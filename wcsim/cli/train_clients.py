@@ -21,7 +21,7 @@ from wcsim.agents.clients_folder import (
 )
 from wcsim.agents.extend import extend
 from wcsim.agents.files import locked
-from wcsim.agents.network_names import NETWORK_NAMES
+from wcsim.agents.network_names import NETWORK_NAMES, client_name
 from wcsim.agents.runfolder import MANIFEST, make_manifest, open_run
 from wcsim.cli.clients_report import TickRate, print_report, report_of
 from wcsim.cli.common import check_folder, in_bounds, some_words, write_json
@@ -165,7 +165,7 @@ def client_names(networks: Sequence[str]) -> tuple[str, ...]:
         if ":" not in network and network not in NETWORK_NAMES:
             known = ", ".join(NETWORK_NAMES)
             raise ConfigError(f"--clients: unknown network {network!r}; expected {known}, or module:Class")
-        base = network.rpartition(":")[2].replace(".", "_")
+        base = client_name(network)
         name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
         used.add(name)
         names.append(name)

@@ -20,11 +20,11 @@ from wcsim.server import messages as m
 from wcsim.server.events import Rules
 from wcsim.server.members import Roll
 from wcsim.supervisor.profiles import RECORDED, profile_names
-from wcsim.types import SeatSpec
+from wcsim.types import CLIENT_NAME, SeatSpec
 
 MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
 MOST_METRES = 1e6
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_NAME = re.compile(CLIENT_NAME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
     if len(join.session) != m.SESSION_BYTES:
         return VersionMismatchError(f"a session of {len(join.session)} bytes; expected {m.SESSION_BYTES}")
     if not _NAME.fullmatch(join.name):
-        return ProtocolError(f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, - _ or .")
+        return ProtocolError(f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
     if join.config and join.config != rules.config:
         return ConfigMismatchError(
             f"client expects a world of configuration {join.config[:64]!r}, this one is {rules.config!r}; "

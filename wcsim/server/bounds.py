@@ -6,6 +6,8 @@ from typing import Annotated
 
 import msgspec
 
+from wcsim.types import CLIENT_NAME
+
 SESSION_BYTES = 16
 MOST_SEATS = 64  # of a world
 MOST_CAMERAS = 64
@@ -36,7 +38,7 @@ Radians = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
 Number = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Hash = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[0-9a-z]*\Z")]
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.-]+\Z")]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=rf"\A{CLIENT_NAME}\Z")]
 NameOrNone = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[A-Za-z0-9_.-]*\Z")]
 Key = Annotated[str, msgspec.Meta(max_length=128, pattern=r"\A[A-Za-z0-9_.*-]*\Z")]
 Line = Annotated[str, msgspec.Meta(max_length=256, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
