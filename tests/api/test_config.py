@@ -178,7 +178,8 @@ def unbounded(schema, definitions, where=""):
             parts = schema["properties"].items()
             return [name for key, part in parts for name in unbounded(part, definitions, f"{where}.{key}")]
         case "object":
-            found = unbounded(schema["additionalProperties"], definitions, f"{where}.*")
+            values = (*schema.get("patternProperties", {}).values(), schema.get("additionalProperties"))
+            found = [name for part in values if part for name in unbounded(part, definitions, f"{where}.*")]
             return found if "maxProperties" in schema else [where, *found]
     return []
 

@@ -20,7 +20,7 @@ from wcsim.towns.scenes import find_scene
 BROKEN = {
     "no nodes": ("street.nod.xml", None, "", r"has 0 files \*\.nod\.xml"),
     "no routes": ("street.rou.xml", None, "", r"has 0 files \*\.rou\.xml"),
-    "torn nodes": ("street.nod.xml", r"</nodes>", "", r"no net could be built"),
+    "torn nodes": ("street.nod.xml", r"</nodes>", "", r"street.nod.xml: is not well-formed XML"),
     "no such edge": ("street.rou.xml", "EC CW", "EC XX", r"'XX'.*is not known"),
     "no such thing": ("street.add.xml", r"wcsim\.sign", "wcsim.sgn", r"unknown type 'wcsim.sgn'"),
     "no such user": (

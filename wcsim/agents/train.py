@@ -66,15 +66,14 @@ def train(
         progress: Called every `progress_every` steps.
         town: Name of the training town, for the manifest.
         town_sha256: Hash of its streets.
-        rewards: Names of the user's own reward terms, for the manifest.
-        command: The command that started the run.
+        rewards: Names of the user's own reward terms, for the manifest, as is the command.
+        command: What started the run.
         hook: Name of the user's own step hook, for the manifest.
         overrides: What the run overrides of the town's own SUMO options, for the manifest.
-        resume: Go on from the newest sound checkpoint; the environment begins a new episode. A run that was ended
-            before its first checkpoint begins again.
+        resume: Go on from the newest sound checkpoint, in a new episode; without one the run begins again.
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
-        alive: Called now and then while something is done that takes long and no step of the environment.
+        alive: Called now and then while something takes long that is no step of the environment.
         say: Told what a person should know, such as checkpoints that could not be used.
 
     Returns:
@@ -82,9 +81,8 @@ def train(
 
     Raises:
         InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
-        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room for it.
-        PolicyError: The folder is not empty, cannot be resumed, or another process learns in it.
-        ConfigError: The device cannot be used.
+        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
+        PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
     """
     checked_device(config.learn.device)
     manifest = make_manifest(config, seed, town, town_sha256, rewards, command, hook, overrides)

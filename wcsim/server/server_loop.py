@@ -51,6 +51,7 @@ class ServerLoop:
         self._hub = Hub(hosted.core, hosted.world, self._post, hosted.keep, hosted.ring)
         self._clock = AwakeClock(time.monotonic())
         self._peers = Peers()
+        self._homes: dict[bytes, Peer] = {}  # where each session joined first: whoever repeats its words is another
         self._out: dict[Peer, list[bytes]] = {}
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
@@ -89,7 +90,9 @@ class ServerLoop:
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
-            self._lifelines.keep({p.session for p in self._present()})
+            here = {p.session for p in self._present()}
+            self._lifelines.keep(here)
+            self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
 
     def _hear(self, heard: Heard) -> None:
@@ -112,13 +115,15 @@ class ServerLoop:
         if isinstance(message, m.Rebuild):
             self._reporter.loading()  # whoever watches this process must know that it takes its time
         self._feed(Received(peer, message))
-        if isinstance(message, m.Join) and message.pid > 0 and peer.startswith(LOCAL):
-            self._watch(message)
+        if isinstance(message, m.Join):
+            self._homes.setdefault(message.session, peer)
+            if message.pid > 0 and peer.startswith(LOCAL):
+                self._watch(message)
 
     def _shut_out(self, peer: Peer) -> None:
         """Who is not heard any more cannot act: nobody shall wait for it."""
         if self._peers.is_shut_out(peer):
-            for session in [p.session for p in self._present() if p.peer == peer]:
+            for session in [session for session, home in self._homes.items() if home == peer]:
                 self._feed(Lost(session, "it sent too much, or too much that cannot be read"))
 
     def _feed(self, event: Event) -> None:
