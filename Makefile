@@ -1,5 +1,7 @@
 # wcsim: two commands matter, `make demo` and `make test`. Every target sets .venv up first when it is missing or stale.
 #
+# `make proof` runs the long proofs; one group of them alone with GROUP=attack, bridge, server, ...
+#
 # On a machine without an NVIDIA card, take PyTorch's CPU build (200 MB instead of several GB):
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
 
@@ -40,7 +42,7 @@ test: $(STAMP) lint
 	$(BIN)/pytest -n 3 --dist loadfile -m 'not proof'
 
 proof: $(STAMP)
-	$(BIN)/pytest -n 2 --dist worksteal -m proof
+	$(BIN)/pytest -n 2 --dist worksteal -m proof $(if $(GROUP),tests/$(GROUP))
 
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick
