@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 from wcsim.errors import PolicyError, WcsimError
+from wcsim.reading import shown
+
+_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
 def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> type:
@@ -26,9 +30,9 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     Raises:
         WcsimError: There is no such module or class, or importing it failed; of the kind `error`.
     """
-    module_name, colon, class_name = name.partition(":")
-    if not colon or not module_name or not class_name:
-        raise error(f"{what} {name!r} is not module:Class, as in own_file:OwnClass")
+    if not _NAME.fullmatch(name):  # a path, absolute or with "..", would reach any file
+        raise error(f"{what} {shown(name)!r} is not module:Class, as in own_file:OwnClass")
+    module_name, _, class_name = name.partition(":")
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
         raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; correct the name")

@@ -163,6 +163,23 @@ def is_folder(path: Path) -> bool:
         return False
 
 
+def require_no_links(folder: Path, error: type[FileError]) -> None:
+    """Refuse a folder that others may have made, and that will be written to, when a name in it leads out of it.
+
+    Raises:
+        FileError: Of the class `error`: a symbolic link, or a file that has another name elsewhere.
+    """
+    waiting = [folder]
+    while waiting:
+        with os.scandir(waiting.pop()) as entries:
+            for entry in entries:
+                linked = entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_nlink > 1
+                if entry.is_symlink() or linked:
+                    raise error(f"{shown(entry.path)}: is a link; expected a file of its own: writing would go elsewhere")
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(Path(entry.path))
+
+
 def shown(text: object, most: int = 160) -> str:
     r"""A path or a text that somebody wrote, for a message: printable, at most `most` letters, its end where longer.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from wcsim.agents import files
 from wcsim.agents.build import net_spec, with_window
 from wcsim.agents.callbacks import TrainProgress
+from wcsim.agents.clients_folder import has_work
 from wcsim.agents.env import WheelchairEnv
 from wcsim.agents.plugins import find_reward_term
 from wcsim.agents.registry import find_network
@@ -28,6 +29,7 @@ from wcsim.errors import (
     InterruptedRunError,
     LinkError,
     PicturesError,
+    PolicyError,
     StaleSessionError,
     VersionMismatchError,
     WcsimError,
@@ -98,6 +100,8 @@ def learn(
     out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
+        if has_work(out):
+            raise PolicyError(f"{out} holds work, and no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
     env = WheelchairEnv(order.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()

@@ -72,7 +72,7 @@ class ClientsFolder:
         """Whether nothing was done: no tick of the world, no frame of a client, no episode, nothing saved."""
         frames = (self.ledger(name) for name in self.clients)
         seen = any(ledger.is_file() and ledger.stat().st_size for ledger in frames)
-        return not (seen or _ticked(self.path / JOURNAL) or any(_has_work(self.path / name) for name in self.clients))
+        return not (seen or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
 
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
@@ -172,7 +172,8 @@ def _ticked(journal: Path) -> bool:
         return True
 
 
-def _has_work(run: Path) -> bool:
+def has_work(run: Path) -> bool:
+    """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
     metrics = run / METRICS
     episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
     steps = read_json(run, MANIFEST).get("steps", 0) if (run / MANIFEST).is_file() else 0

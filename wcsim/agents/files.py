@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.errors import DiskFullError, PolicyError
+from wcsim.reading import require_no_links
 
 FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 
@@ -97,7 +98,11 @@ def _not_written(path: Path, error: OSError) -> DiskFullError:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Keep a run folder to this process while open. Raises PolicyError when another one has it."""
+    """Keep a run folder to this process while open.
+
+    Raises:
+        PolicyError: Another one has it, or a link in it leads elsewhere, where nothing shall be written or removed.
+    """
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         try:
@@ -108,6 +113,7 @@ def locked(path: Path) -> Iterator[None]:
             ) from None
         except OSError:  # a file system without locks
             pass
+        require_no_links(path, PolicyError)
         yield
     finally:
         os.close(descriptor)

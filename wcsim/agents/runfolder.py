@@ -15,13 +15,14 @@ import contextlib
 import json
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
 from wcsim.agents import files
+from wcsim.agents.own_code import mark_of, own_classes
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.errors import ConfigError, PolicyError
@@ -56,6 +57,7 @@ class Manifest:
     steps: int = 0
     hook: str = ""
     overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
+    own_code: str = ""  # mark of the user's own classes, see agents/own_code.py
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,8 +102,9 @@ def make_manifest(
     command: Sequence[str],
     hook: str = "",
     overrides: Sequence[Override] = (),
+    networks: Collection[str] = (),
 ) -> Manifest:
-    """A manifest for a run that starts now."""
+    """A manifest for a run that starts now; `networks` are those of all clients, by default the configuration's."""
     return Manifest(
         seed=seed,
         town=town,
@@ -113,6 +116,7 @@ def make_manifest(
         git_revision=git_revision(),
         hook=hook,
         overrides=tuple(overrides),
+        own_code=mark_of(own_classes(hook, rewards, networks or (config.learn.network,))),
     )
 
 

@@ -16,6 +16,8 @@ from wcsim.cli.run_config import learning, require_trained_user, steps_note, wit
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config, parse_json
 from wcsim.errors import ConfigError, ServerGoneError
+from wcsim.plant_file import known_plants
+from wcsim.reading import shown
 from wcsim.server.client_core import Patience
 from wcsim.server.messages import ANY_SEAT
 from wcsim.server.orders import JoinOrder
@@ -105,7 +107,9 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
     terms = tuple(find_reward_term(name) for name in options.reward)
     with open_seat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
         world = _world(options, seat)
-        fit = fitted(config, parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}"))
+        offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
+        _require_known_plant(offered, options.endpoint)
+        fit = fitted(config, offered)
         env = SeatedEnv(seat, fit, world.town, terms)
         with TrainBar(config.learn.total_steps) as bar:
             return train(
@@ -119,6 +123,15 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
                 command=command,
                 resume=options.resume,
             )
+
+
+def _require_known_plant(offered: RunConfig, endpoint: str) -> None:
+    """Open no file of this machine because a server names it. Raises ConfigError."""
+    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
+        raise ConfigError(
+            f"the world of {endpoint} drives a wheelchair of a file ({shown(offered.chair.plant, 80)!r}); expected "
+            f"{' or '.join(known_plants())} over the network: join on the world's own machine"
+        )
 
 
 def _order(options: Options, config: RunConfig) -> JoinOrder:

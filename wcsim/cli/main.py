@@ -14,6 +14,7 @@ from types import FrameType
 
 from wcsim.cli.exit_codes import Exit, exit_of
 from wcsim.errors import WcsimError
+from wcsim.reading import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,7 @@ def _run(words: list[str]) -> int:
     try:
         return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
     except WcsimError as error:
-        print(f"wcsim: {error}", file=sys.stderr)
+        print(f"wcsim: {printable(str(error))}", file=sys.stderr)
         return exit_of(error)
     except Terminated:
         print("wcsim: terminated", file=sys.stderr)
@@ -106,6 +107,11 @@ def _run(words: list[str]) -> int:
         return Exit.FAILED
     except SystemExit as leave:  # from the parser of options: 0 after --help, 2 after a mistake
         return leave.code if isinstance(leave.code, int) else Exit.REFUSED
+
+
+def printable(text: str) -> str:
+    """What may hold words of others, without what a terminal obeys; lines stay lines."""
+    return "\n".join(shown(line, len(line) * 10) for line in text.split("\n"))
 
 
 def _end_undisturbed() -> None:

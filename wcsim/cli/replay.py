@@ -39,6 +39,8 @@ class Options:
     """The first tick of each epoch that --verify compares."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
     """The last one."""
+    hook: str = ""
+    """Your own step hook, module:Class, that a journal was made with: code, which the journal alone does not load."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -125,7 +127,7 @@ def _fcd(options: Options) -> int:
         else:
             from wcsim.server.recompute import recompute_fcd
 
-            steps = recompute_fcd(found.path, part, options.epoch or 0)
+            steps = recompute_fcd(found.path, part, options.epoch or 0, options.hook)
 
     write_whole(fcd, fill)
     print(f"wrote {fcd}: {steps} time steps")
@@ -147,7 +149,7 @@ def _verify(options: Options) -> int:
         if ticks % SHOW_EVERY == 0:
             print(f"{ticks} ticks", file=sys.stderr)
 
-    result = verify(found.path, options.epoch, options.first or 0, options.last, show)
+    result = verify(found.path, options.epoch, options.first or 0, options.last, show, options.hook)
     rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
     if not result.ticks and (options.epoch, options.first, options.last) != (None, None, None):
         raise ConfigError(f"{found.path}: has no tick there; expected --epoch, --from and --to that leave some")
@@ -166,7 +168,8 @@ def _note_versions(journal: Path) -> None:
 
     made_by, here = read_header(journal).fingerprint, fingerprint()
     if made_by != here:
-        print(f"the journal was made by other versions, hashes may differ: {made_by}; here: {here}", file=sys.stderr)
+        told = f"the journal was made by other versions, hashes may differ: {shown(made_by)}; here: {here}"
+        print(told, file=sys.stderr)
 
 
 def _first_difference(options: Options) -> int:

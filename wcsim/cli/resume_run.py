@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from wcsim.agents.extend import extend
+from wcsim.agents.own_code import own_classes, require_own
 from wcsim.agents.runfolder import CONFIG, MANIFEST, Manifest, open_run, read_json, with_kept_plant
 from wcsim.cli.run_config import learning
 from wcsim.config import RunConfig, parse, with_file, with_overrides
@@ -91,6 +92,26 @@ def require_same(path: Path, manifest: Manifest, typed: Typed) -> None:
         raise _another(path, "preset", f"--preset {typed.preset}", preset)
 
 
+def require_own_classes(
+    path: Path, manifest: Manifest, networks: Sequence[str], typed: Typed, named: Sequence[str] = ()
+) -> None:
+    """Refuse code that only the run folder names, unless the run was made here.
+
+    Args:
+        path: The folder.
+        manifest: Of the run.
+        networks: Of its configuration, or of its clients'.
+        typed: The options.
+        named: Networks that were named in another option.
+
+    Raises:
+        PolicyError: Classes of somebody else would be loaded.
+    """
+    said = {typed.network or "", typed.hook or "", *typed.reward, *named}
+    said |= {text.partition("=")[2].strip("\"' ") for text in typed.set if text.startswith("learn.network=")}
+    require_own(path, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, said)
+
+
 def require_same_config(path: Path, config: RunConfig, typed: Typed, files: Sequence[Path] = ()) -> None:
     """Raise PolicyError for a setting that says otherwise than a run's configuration.
 
@@ -146,6 +167,7 @@ def resumed(path: Path, typed: Typed) -> tuple[Manifest, RunConfig, Town]:
     run = open_run(path)
     _require_own_config(path, run.manifest)
     require_same(path, run.manifest, typed)
+    require_own_classes(path, run.manifest, (run.config.learn.network,), typed)
     town = town_of(path, run.manifest, typed)
     steps = steps_of(path, run.config, typed)
     require_same_config(path, run.config, typed)

@@ -16,6 +16,7 @@ from wcsim.cli.overrides import print_overrides
 from wcsim.cli.run_config import overrides_of
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
+from wcsim.reading import require_no_links
 from wcsim.server.curve import is_loopback, make_keys
 from wcsim.server.events import Rules
 from wcsim.server.journal import JOURNAL, JournalWriter
@@ -142,6 +143,8 @@ def _require_ours(folder: Path) -> None:
     """Refuse a folder with other things in it."""
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / JOURNAL).is_file())):
         raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or that of a world")
+    if folder.exists():
+        require_no_links(folder, ConfigError)
 
 
 def _mend(journal: Path) -> None:

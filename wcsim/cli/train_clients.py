@@ -27,10 +27,10 @@ from wcsim.cli.clients_report import TickRate, print_report, report_of
 from wcsim.cli.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.exit_codes import Exit, NothingKept
 from wcsim.cli.overrides import print_overrides
-from wcsim.cli.resume_run import Typed, require_same, require_same_config, steps_of, town_of
+from wcsim.cli.resume_run import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
 from wcsim.config import RunConfig, load_run_config, with_file
-from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError, WcsimError
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.server.client_core import Patience
 from wcsim.server.events import Rules
 from wcsim.server.journal import JOURNAL, JournalWriter
@@ -198,6 +198,8 @@ def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...]
             "resume with its own, or leave that option out"
         )
     require_same(group.out, manifest, typed)
+    networks = [folder.client_config(name).learn.network for name in folder.clients]
+    require_own_classes(group.out, manifest, networks, typed, group.networks.split(","))
     town = town_of(group.out, manifest, typed)
     own = _files(group.config_for, folder.clients)
     clients = []
@@ -211,6 +213,11 @@ def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...]
         group, seed=manifest.seed, rewards=manifest.rewards, hook=manifest.hook, command=manifest.command, steps=None
     )
     return again, tuple(clients), town
+
+
+def networks_of(clients: Sequence[Client]) -> tuple[str, ...]:
+    """The networks that the clients learn with."""
+    return tuple(client.config.learn.network for client in clients)
 
 
 @contextmanager
@@ -237,6 +244,7 @@ def _opened(
         group.command,
         group.hook,
         overrides,
+        networks_of(clients),
     )
     made = not group.out.exists()
     if made:
@@ -265,10 +273,13 @@ def _lengthen(run: Path, steps: int) -> None:
 def _mend(folder: ClientsFolder) -> None:
     """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
     path = folder.path / JOURNAL
+    ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
+    if not path.exists() and any(file.stat().st_size for file in ledgers):
+        raise JournalError(f"{path}: is missing, and the clients' ledgers tell of ticks; restore it, or begin a new run")
     if path.exists():
         with JournalWriter.append_to(path) as journal:
             _say_torn(path, journal.cut_bytes)
-    for path in filter(Path.exists, map(folder.ledger, folder.clients)):
+    for path in ledgers:
         with LedgerWriter(path) as ledger:
             _say_torn(path, ledger.cut_bytes)
 

@@ -49,7 +49,8 @@ def admission(join: m.Join, rules: Rules, roll: Roll, now: tuple[int, int]) -> A
         return SeatTakenError(f"seat {join.seat} is not there; expected 0 to {rules.capacity - 1}")
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
     for other in (holder, waiting):
-        if other is not None and (other.session or other.claim) and other.claim != join.claim:
+        same = bool(join.claim) and other is not None and other.claim == join.claim
+        if other is not None and (other.session or other.claim) and not same:
             return SeatTakenError(f"seat {join.seat} is {other.name}'s, with another claim; ask for a free one")
     return _own_seat(join, join.seat, roll, now)
 

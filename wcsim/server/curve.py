@@ -6,11 +6,13 @@ A folder of keys: `server.secret`, `server.public`, and for each client that may
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
 import shutil
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -25,6 +27,7 @@ from wcsim.errors import ConfigError
 log = logging.getLogger("wcsim.server.curve")
 
 CLIENTS = "clients"
+LOOK_S = 1.0
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
 
@@ -112,20 +115,26 @@ def is_loopback(address: str) -> bool:
 class KnownKeys:
     """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
 
-    A connection that stands already goes on until it ends.
+    A connection that stands already is not heard any more from then on.
     """
 
     def __init__(self, folder: Path) -> None:
         """Raises ConfigError when there is no key, or a file is none."""
         self._folder = folder / CLIENTS
         self._names: dict[str, str] = {}  # by public key, in text form
-        self._read_ns = -1
+        self._state: tuple[tuple[str, int], ...] = ()
+        self._looked_s = 0.0
         self._read()
         if not self._names:
             raise ConfigError(f"{self._folder}: no NAME.public of any client; expected one for each that may join")
 
     def name(self, key: str) -> str:
-        """Whose key this is, "" for one that is not known any more."""
+        """Whose key this is, "" for one that is not known any more; the folder is looked at once a second."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s > LOOK_S:
+            self._looked_s = now_s
+            with contextlib.suppress(ConfigError, OSError):
+                self._read()
         return self._names.get(key, "")
 
     def callback(self, domain: str, key: bytes) -> bool:
@@ -133,20 +142,17 @@ class KnownKeys:
         del domain
         try:
             self._read()
-        except ConfigError as error:
+        except (ConfigError, OSError) as error:
             log.error("nobody is let in: %s", error)
             return False
         return key.decode("ascii", "replace") in self._names
 
     def _read(self) -> None:
-        try:
-            changed_ns = self._folder.stat().st_mtime_ns
-        except OSError:
-            changed_ns = 0
-        if changed_ns != self._read_ns:
-            files = sorted(self._folder.glob("*.public"))
-            self._names = {_load(path)[0].decode("ascii"): path.stem for path in files if _NAME.fullmatch(path.stem)}
-            self._read_ns = changed_ns
+        files = sorted(path for path in self._folder.glob("*.public") if _NAME.fullmatch(path.stem))
+        state = tuple((path.name, path.stat().st_mtime_ns) for path in files)
+        if state != self._state:
+            self._names = {_load(path)[0].decode("ascii"): path.stem for path in files}
+            self._state = state
 
 
 def _make_pair(folder: Path, name: str) -> None:

@@ -36,11 +36,11 @@ _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), in
 
 
 class Heard(NamedTuple):
-    """A message; `key` is the name of the key that its peer has shown, "" where none is asked for."""
+    """A message; `key` names the one that its peer has shown: "" for one that was taken back, None without keys."""
 
     peer: Peer
     data: bytes
-    key: str
+    key: str | None
 
 
 class Doors:
@@ -103,7 +103,7 @@ class Doors:
                 peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
                 if last.more:
                     socket.recv_multipart(_NOW)
-                key = "" if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
+                key = None if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
                 yield Heard(door + peer, b"" if last.more else last.bytes, key)
 
     def send(self, peer: Peer, parts: Sequence[bytes]) -> None:

@@ -8,7 +8,7 @@ from wcsim.errors import ProtocolError
 from wcsim.server import messages as m
 
 
-def at_the_door(join: m.Join, remote: bool, key: str) -> m.Join:
+def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     """A join as the server takes it from this door.
 
     A client with a key is known by the key's name, or by that with a dot and a word after it (`ann.2`).
@@ -16,7 +16,7 @@ def at_the_door(join: m.Join, remote: bool, key: str) -> m.Join:
     Args:
         join: What the client says.
         remote: Whether it came over the network.
-        key: The name of the key that it has shown, "" for none.
+        key: The name of the key that it has shown; None where none is asked for.
 
     Raises:
         ProtocolError: It asks over the network for what only the world's own machine may choose.

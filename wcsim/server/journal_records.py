@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from wcsim.errors import WcsimError
+from wcsim.server.bounds import MAX_SEED, MOST_SEATS
 from wcsim.types import Command, Joystick, SeatSpec
 
 MAGIC = "wcsim-journal"
@@ -119,7 +120,7 @@ def header_of(payload: bytes) -> JournalHeader:
         magic, version = head.pop("magic", None), head.pop("version", None)
         if magic != MAGIC or type(version) is not int or not 1 <= version <= VERSION:
             raise WcsimError(f"got magic {magic!r}, version {version!r}; expected {MAGIC!r}, 1 to {VERSION}")
-        return msgspec.convert(head, JournalHeader)
+        return _bounded(msgspec.convert(head, JournalHeader))
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise WcsimError(f"the first record is no header: {error}") from None
 
@@ -127,6 +128,15 @@ def header_of(payload: bytes) -> JournalHeader:
 def is_chained(payload: bytes) -> bool:
     """Whether the records of a journal with this sound header are chained, see `bridge/records.py`."""
     return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= CHAINED
+
+
+def _bounded(header: JournalHeader) -> JournalHeader:
+    """Refuse what would make a world of it boundless. Raises WcsimError."""
+    sane = 1 <= header.capacity <= MOST_SEATS and 0 <= header.seed <= MAX_SEED and 1e-3 <= header.tick_s <= 10.0
+    if not sane:
+        got = f"capacity {header.capacity}, seed {header.seed}, tick_s {header.tick_s}"
+        raise WcsimError(f"{got}; expected 1 to {MOST_SEATS} seats, a seed of 63 bits and 0.001 to 10 s")
+    return header
 
 
 def record_bytes(record: JournalRecord) -> bytes:

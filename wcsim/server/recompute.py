@@ -16,6 +16,7 @@ from wcsim.bridge.trace import TickRecord, TraceHeader, record_of
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
+from wcsim.reading import shown
 from wcsim.server.journal import (
     Admitted,
     Dismissed,
@@ -59,29 +60,37 @@ class Verified:
     first: Ticked | None = None  # the first record that differs
 
 
-def recompute(journal: Path, epoch: int | None = None, until_tick: int | None = None) -> Iterations[Recomputed]:
+def recompute(
+    journal: Path, epoch: int | None = None, until_tick: int | None = None, hook: str = ""
+) -> Iterations[Recomputed]:
     """Do again what was done to a world: in one epoch, or in all of them, each in a new world.
 
     Args:
         journal: The file.
         epoch: Which one; all when None.
         until_tick: The last tick of each epoch to do.
+        hook: The user's own step hook, which must be the journal's: that one is code, and not for a file to name.
 
     Raises:
         TownError: The town is not there, or has other streets than it had.
         WcsimError: It is no journal, has no such epoch, or its records do not follow from each other.
     """
-    with closing(_replayed(journal, epoch, until_tick)) as steps:
+    with closing(_replayed(journal, epoch, until_tick, hook)) as steps:
         for world, record in steps:
             yield Recomputed(record=record, state_hash=world.snapshot.state_hash)
 
 
 def verify(
-    journal: Path, epoch: int | None, first_tick: int, last_tick: int | None, progress: Progress = lambda ticks: None
+    journal: Path,
+    epoch: int | None,
+    first_tick: int,
+    last_tick: int | None,
+    progress: Progress = lambda ticks: None,
+    hook: str = "",
 ) -> Verified:
     """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `recompute` raises."""
     result = Verified()
-    with closing(recompute(journal, epoch, last_tick)) as steps:
+    with closing(recompute(journal, epoch, last_tick, hook)) as steps:
         for step in steps:
             record = step.record
             if not isinstance(record, Ticked) or record.tick < first_tick:
@@ -102,7 +111,7 @@ def rebuild_world(journal: Path, place: RunPlace | None = None) -> tuple[World, 
         ReplayMismatchError: A tick gave another state than the journal says.
         WcsimError: As `recompute` does.
     """
-    player = _Player(read_header(journal), place)
+    player = _Player(read_header(journal), place or RunPlace())
     records: list[JournalRecord] = []
     for record in iter_journal(journal):
         if isinstance(record, EpochBegun):
@@ -121,14 +130,14 @@ def rebuild_world(journal: Path, place: RunPlace | None = None) -> tuple[World, 
     return world, tuple(records)
 
 
-def recompute_fcd(journal: Path, out: Path, epoch: int = 0) -> int:
+def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
     """Make an epoch again and write it as an FCD file; returns the number of its time steps.
 
     Raises:
         ReplayMismatchError: A tick gave another state than the journal says.
         WcsimError: As `recompute` does.
     """
-    with closing(_replayed(journal, epoch, None)) as steps:
+    with closing(_replayed(journal, epoch, None, hook)) as steps:
         world, _ = next(steps)
         written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
     if not written:
@@ -163,9 +172,11 @@ def _require_equal(world: World, record: JournalRecord) -> None:
         )
 
 
-def _replayed(journal: Path, epoch: int | None, until_tick: int | None) -> Iterations[tuple[World, JournalRecord]]:
+def _replayed(
+    journal: Path, epoch: int | None, until_tick: int | None, hook: str
+) -> Iterations[tuple[World, JournalRecord]]:
     """Each record of the wanted epochs, with the world after it; the world is closed with the iterator."""
-    player = _Player(read_header(journal))
+    player = _Player(read_header(journal), RunPlace(hook=hook))
     known: set[int] = set()
     try:
         for record in iter_journal(journal):
@@ -191,9 +202,13 @@ def _replayed(journal: Path, epoch: int | None, until_tick: int | None) -> Itera
 class _Player:
     """Does to a world what a journal says was done, and keeps who sits where while there is no world."""
 
-    def __init__(self, header: JournalHeader, place: RunPlace | None = None) -> None:
-        self._header = header
-        self._place = RunPlace(hook=header.hook) if place is None else place
+    def __init__(self, header: JournalHeader, place: RunPlace) -> None:
+        if header.hook != place.hook:
+            raise ConfigError(
+                f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got "
+                f"{place.hook or 'none'!r}; a hook is code: name it yourself (--hook) if you trust it"
+            )
+        self._header, self._place = header, place
         self._town = find_town(header.town)
         if streets_hash(self._town) != header.town_sha256:
             raise TownError(f"{header.town}: has other streets than when the journal was made; restore its net")

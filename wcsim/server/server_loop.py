@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from wcsim.errors import OverloadedError, WcsimError
+from wcsim.errors import AccessError, OverloadedError, WcsimError
 from wcsim.server import messages as m
 from wcsim.server.awake import AwakeClock
 from wcsim.server.core import ServerCore
@@ -104,6 +104,8 @@ class ServerLoop:
                 self._shut_out(peer)
             return
         try:
+            if heard.key == "":
+                raise AccessError("the key of this connection was taken back; ask for another one")
             message = m.decode_request(heard.data)
             if isinstance(message, m.Join):
                 message = at_the_door(message, peer.startswith(REMOTE), heard.key)
