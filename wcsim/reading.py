@@ -175,7 +175,7 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
             for entry in entries:
                 linked = entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_nlink > 1
                 if entry.is_symlink() or linked:
-                    raise error(f"{shown(entry.path)}: is a link; expected a file of its own: writing would go elsewhere")
+                    raise error(f"{shown(entry.path)}: is a link; expected a file: writing would go elsewhere")
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(Path(entry.path))
 

@@ -275,7 +275,7 @@ def _mend(folder: ClientsFolder) -> None:
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
     if not path.exists() and any(file.stat().st_size for file in ledgers):
-        raise JournalError(f"{path}: is missing, and the clients' ledgers tell of ticks; restore it, or begin a new run")
+        raise JournalError(f"{path}: is missing, and the ledgers tell of ticks; restore it, or begin a new run")
     if path.exists():
         with JournalWriter.append_to(path) as journal:
             _say_torn(path, journal.cut_bytes)
