@@ -81,7 +81,7 @@ class Besieged:
         self._said = 0
         self.say(HONEST, m.encode(_honest_join()))
 
-    def say(self, peer: bytes, data: bytes, key: str = "") -> None:
+    def say(self, peer: bytes, data: bytes, key: str | None = None) -> None:
         """A message comes in, and is dealt with."""
         self.doors.inbox.append(Heard(peer, data, key))
         self.loop._turn()

@@ -124,7 +124,10 @@ def require_same_config(path: Path, config: RunConfig, typed: Typed, files: Sequ
     network = () if typed.network is None else (f'learn.network="{typed.network}"',)
     for file in (*([] if typed.config is None else [typed.config]), *files):
         _require_equal(path, config, with_file(config, file), f"the file {file}")
-    for text in (*typed.set, *network):
+    words = (*typed.set, *network)
+    if _equal(path, config, with_overrides(config, words)):  # a later word may take back an earlier one
+        return
+    for text in reversed(words):
         said = f"--network {typed.network}" if text in network else f"--set {text}"
         _require_equal(path, config, with_overrides(config, (text,)), said)
 
@@ -140,10 +143,14 @@ def _require_own_config(path: Path, manifest: Manifest) -> None:
 
 
 def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -> None:
-    same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
-    kept = learning(with_kept_plant(other, path)) if same else other
-    if not same or kept != learning(config):
+    if not _equal(path, config, other):
         raise _another(path, "configuration", said)
+
+
+def _equal(path: Path, config: RunConfig, other: RunConfig) -> bool:
+    """Whether both are one configuration to a run that keeps its plant."""
+    same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
+    return same and learning(with_kept_plant(other, path)) == learning(config)
 
 
 def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:
