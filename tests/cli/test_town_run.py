@@ -59,7 +59,7 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
     assert "randomTrips.py" in capsys.readouterr().out  # nobody walks, and how to change that
     assert main([*words, "--chairs", "1", "--out", str(tmp_path / "one"), *QUICK]) == 2
     said = capsys.readouterr().err
-    assert "no pavement" in said and "netconvert -s a.net.xml --sidewalks.guess" in said and "--chairs 0" in said
+    assert "no pavement" in said and f"wcsim town pave {sumocfg}" in said and "--chairs 0" in said
     assert not (tmp_path / "one").exists()
 
 

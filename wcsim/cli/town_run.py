@@ -17,6 +17,7 @@ from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, in_boun
 from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
+from wcsim.towns.cures import walkers_cure
 from wcsim.towns.town import Town, content_hash, find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -69,7 +70,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     console = Console()
     console.print(_table(town.name, facts))
     if not facts.persons:
-        console.print(_no_persons(town), markup=False, highlight=False)
+        console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
     print(f"run folder: {out}    replay it: wcsim replay {out} --fcd FILE.xml")
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
@@ -157,8 +158,4 @@ def _table(name: str, facts: TrafficFacts) -> Table:
 
 
 def _no_persons(town: Town) -> str:
-    return (
-        "nobody walked: the demand has no persons, or none in this time; make some: python "
-        f"$SUMO_HOME/tools/randomTrips.py -n {town.net.name} --pedestrians -r persons.rou.xml "
-        "-o persons.trips.xml, and name persons.rou.xml in <route-files>"
-    )
+    return f"nobody walked: the demand has no persons, or none in this time; make some: {walkers_cure(town)}"

@@ -13,9 +13,10 @@ import shapely
 
 from wcsim.errors import SumoError, TownError
 from wcsim.seeding import generator
+from wcsim.towns.cures import has_types
 from wcsim.towns.faults import Findings, faults_of, notes_of, projection_faults
 from wcsim.towns.grid import CELL_M
-from wcsim.towns.islands import share_of, walkable_parts
+from wcsim.towns.islands import cut_off, share_of, walkable_parts
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.overlaps import overlaps_of
@@ -68,15 +69,17 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
+    parts = walkable_parts(net, town.file.chair_ways) if share is None else []
     found = Findings(
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
-        walkable_largest_share=walkable_share(net, town.file.chair_ways) if share is None else share,
+        walkable_largest_share=share_of(parts) if share is None else share,
         unroutable=unroutable_trips(town),
         mesh_faults=mesh_faults(street),
         rays=RAYS,
         classes=demand_classes(town),
         overlaps=overlaps_of(on_land(net, relief_of(net))),
+        cut_off=cut_off(net, parts),
     )
     return TownReport(
         town=town.name,
@@ -123,7 +126,7 @@ def unroutable_trips(town: Town) -> int:
         names = OutputNames(Path(folder))
         met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
-        types = [str(met.place(path, town.sumocfg)) for path in town.additional if _has_types(path)]
+        types = [str(met.place(path, town.sumocfg)) for path in town.additional if has_types(path)]
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         options += ["-a", ",".join(types)] if types else []
         options += [
@@ -183,10 +186,6 @@ def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
 def _members(element: Element) -> tuple[str, ...]:
     inner = [child.get("id", "") for child in element.iterfind("vType")]
     return tuple([*inner, *element.get("vTypes", "").split()])
-
-
-def _has_types(path: Path) -> bool:
-    return any(element.tag in ("vType", "vTypeDistribution") for element in read_root(path))
 
 
 def _walk_km(street: Street) -> float:
