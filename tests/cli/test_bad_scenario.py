@@ -57,14 +57,14 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: the net has no walking areas, so nobody can walk; add pavements: wcsim town pave /" in one_line(checked)
+    assert "the net has no walking areas, so nobody can walk; add pavements: wcsim town pave /" in one_line(checked)
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "fault: the net has no crossings, so nobody can cross a street; add them: wcsim town pave /" in one_line(checked)
+    assert "the net has no crossings, so nobody can cross a street; add them: wcsim town pave /" in one_line(checked)
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 

@@ -56,7 +56,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
         has_chance &= words[0] != "scene"
         assert ("--seed INT" in told) == has_chance
         has_result = words in {("train",), ("test",), ("doctor",), ("town", "check"), ("town", "run"), ("scene", "run")}
-        has_result |= words in {("replay",), ("town", "import"), ("town", "tour")}
+        has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("town", "tour")}
         assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
 
 

@@ -1,4 +1,4 @@
-"""A scenario as engineers write them: no pavements, and stops, detectors and signal programs by lane; it begins late."""
+"""A scenario as engineers write them: no pavements; stops, detectors and signal programs by lane; a late begin."""
 
 from __future__ import annotations
 
@@ -50,11 +50,14 @@ def write_unpaved(folder: Path, *, lefthand: bool = False) -> Path:
     """Write the scenario into a folder, and return its .sumocfg."""
     (folder / "signals").mkdir(parents=True)
     options = ["--grid", "--grid.number", "3", "--grid.length", "120", "-j", "traffic_light", "-L", "2"]
-    options += ["--default.speed", "13.8", "--no-turnarounds", "-o", "u.net.xml", *(["--lefthand"] * lefthand)]
+    options += ["--default.speed", "13.8", "--no-turnarounds", "--default.junctions.radius", "0.5"]
+    options += ["-o", "u.net.xml", *(["--lefthand"] * lefthand)]
     run = run_tool("netgenerate", options, folder)
     assert run.returncode == 0, run.output
-    states = [("".join(letter * 4 if street == k % 2 else "rrrr" for k in range(4)), s) for s, street, letter in _PHASES]
-    phases = "".join(f'<phase duration="{seconds}" state="{state}"/>' for state, seconds in states)
+    phases = "".join(
+        f'<phase duration="{seconds}" state="{"".join((letter if k % 2 == street else "r") * 4 for k in range(4))}"/>'
+        for seconds, street, letter in _PHASES
+    )
     logic = f'<tlLogic id="B1" type="static" programID="own" offset="0">{phases}</tlLogic>'
     (folder / "signals" / "u.tll.xml").write_text(f"<additional>{logic}</additional>", encoding="utf-8")
     (folder / "u.add.xml").write_text(_THINGS, encoding="utf-8")

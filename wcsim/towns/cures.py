@@ -73,4 +73,4 @@ def _beside(town: Town, name: str) -> str:
 
 
 def _path(path: Path) -> str:
-    return shlex.quote(str(path.absolute()))
+    return shlex.quote(str(path.resolve()))

@@ -117,7 +117,7 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     if not found.crossings and net.lanes(LaneKind.MOTOR):
         lines.append(f"the net has no crossings, so nobody can cross a street; add them: {pave}")
     if found.walkable_largest_share < ENOUGH_SHARE:
-        share = f"{found.walkable_largest_share:.0%} of the walkable ground hangs together"
+        share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
         cure = larger if town.file.rebuild else f"join the parts: {netedit_cure(town)}"
         lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines

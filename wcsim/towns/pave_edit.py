@@ -45,8 +45,8 @@ def edited(data: bytes, edits: Edits, where: str) -> bytes:
 def _changed(tag: bytes, values: Mapping[str, str], encoding: str, where: str) -> bytes:
     for name, value in values.items():
         text = escape(value, {'"': "&quot;"}).encode(encoding, "xmlcharrefreplace")
-        pattern = rb"""(\s""" + re.escape(name.encode(encoding)) + rb"""\s*=\s*)("[^"]*"|'[^']*')"""
-        tag, count = re.subn(pattern, lambda match, text=text: match[1] + b'"' + text + b'"', tag, count=1)  # type: ignore[misc]
-        if not count:
-            raise TownError(f"{where}: attribute {name} cannot be changed; write it as {name}=\"...\"")
+        found = re.search(rb"""\s""" + re.escape(name.encode(encoding)) + rb"""\s*=\s*("[^"]*"|'[^']*')""", tag)
+        if found is None:
+            raise TownError(f"{where}: attribute {name} cannot be changed; write it as {name}='...'")
+        tag = tag[: found.start(1)] + b'"' + text + b'"' + tag[found.end(1) :]
     return tag

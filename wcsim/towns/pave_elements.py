@@ -90,9 +90,7 @@ def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     return found | _whole(element, tag, lanes, found, paving)
 
 
-def _whole(
-    element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving
-) -> dict[str, str]:
+def _whole(element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving) -> dict[str, str]:
     """Keep something of an area that a junction has grown into."""
     new = paving.lanes.new_lines[paving.lanes.moved[lanes[-1]]]
     first = "startPos" if "startPos" in found else "pos"
