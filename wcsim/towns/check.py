@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from wcsim.config import RunConfig
 from wcsim.errors import SumoError, TownError
 from wcsim.seeding import generator
 from wcsim.towns.cures import has_types
@@ -22,6 +23,7 @@ from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.overlaps import overlaps_of
 from wcsim.towns.plane import length_of
 from wcsim.towns.relief import on_land, relief_of
+from wcsim.towns.scenario import require_files
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.street import load_street
@@ -64,6 +66,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
+    require_files(town, RunConfig())  # what is missing is said before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
     if wrong := projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
