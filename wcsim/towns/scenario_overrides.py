@@ -225,7 +225,8 @@ Drivers who decide less often also brake for a wheelchair later, when they next 
 ## Traffic alone
 
 With `wcsim town run TOWN --chairs 0` no street is built, and the traffic is that of plain sumo with the same step
-length and seed (`sumo_seed` in the manifest): `--outputs fcd,tripinfo` writes the same bytes, but for the comment at their top.
+length and seed (`sumo_seed` in the manifest): `--outputs fcd,tripinfo` writes the same bytes, but for the comment at
+their top.
 
 ## Your own logic: a step hook
 
