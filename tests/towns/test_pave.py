@@ -165,3 +165,10 @@ def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
     assert edited(data, {1: {"lane": "\xe4_1"}}, "x") == text.replace("\xe4_0", "\xe4_1").encode("iso-8859-1")
     with pytest.raises(TownError, match="attribute e cannot be changed"):
         edited(data, {0: {"e": "2"}}, "x")
+
+
+def test_a_crossing_that_is_never_green_is_told(theirs: Path, tmp_path: Path) -> None:
+    signals = theirs.parent / "signals" / "u.tll.xml"
+    signals.write_text(signals.read_text(encoding="utf-8").replace("rrrr", "gggg"), encoding="utf-8")
+    (note,) = (note for note in pave_town(open_town(theirs), tmp_path / "ours").notes if "never gives green" in note)
+    assert "at B1" in note and "netedit" in note

@@ -19,7 +19,7 @@ from wcsim.towns.faults import Findings, faults_of, notes_of, projection_faults
 from wcsim.towns.grid import CELL_M
 from wcsim.towns.islands import cut_off, share_of, walkable_parts
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.netread import LaneKind, Net, read_net
+from wcsim.towns.netread import LaneKind, read_net
 from wcsim.towns.overlaps import overlaps_of
 from wcsim.towns.plane import length_of
 from wcsim.towns.relief import on_land, relief_of
@@ -97,11 +97,6 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         faults=faults_of(town, net, found),
         notes=notes_of(town, net, found.overlaps),
     )
-
-
-def walkable_share(net: Net, chair_ways: tuple[str, ...]) -> float:
-    """Share of the area of pavements and crossings that the largest connected part of them holds, 0 to 1."""
-    return share_of(walkable_parts(net, chair_ways))
 
 
 def demand_classes(town: Town) -> tuple[str, ...]:

@@ -156,8 +156,10 @@ def _notes(paving: Paving) -> tuple[str, ...]:
             f"parking areas beside a lane lie on its new pavement: {names}; move them in netedit where chairs must pass"
         )
     if paving.never_green:
-        told = ", ".join(f"over {edge} at {signal}" for signal, edge in paving.never_green[:TOLD])
-        told += " and more" * (len(paving.never_green) > TOLD)
+        never = tuple(dict.fromkeys(paving.never_green))
+        told = ", ".join(f"over {edge} at {signal}" for signal, edge in never[:TOLD]) + " and more" * (
+            len(never) > TOLD
+        )
         notes.append(
             f"crossings that their signal's program never gives green, for cars come over them in every phase: {told}; "
             "give them a phase in netedit"
