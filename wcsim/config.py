@@ -90,6 +90,7 @@ class WorldConfig(Model):
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
+    action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = None  # how often SUMO's drivers decide
     attention_share: Share = 0.95
     reaction_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.7
     brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -93,3 +95,16 @@ def test_a_missing_scenario_is_an_error_with_a_cure(tmp_path, corner):
     with pytest.raises(SumoError, match="sumo-gui"):
         SumoSession(options(corner, sumocfg=tmp_path / "none.sumocfg"))
     assert not world_in_this_process()
+
+
+def test_a_collision_is_counted_once_however_long_it_lasts(corner, monkeypatch):
+    told = [[("a", "b")], [("b", "a"), ("c", "d")], [("a", "b"), ("c", "d")], [], [("a", "b")]]
+    hits = iter([[SimpleNamespace(collider=a, victim=b) for a, b in pairs] for pairs in told])
+    with SumoSession(options(corner)) as sumo:
+        monkeypatch.setattr("libsumo.simulation.getCollisions", lambda: next(hits))
+        counted = []
+        for _ in told:
+            sumo.step()
+            counted.append(sumo.collisions())
+        assert counted == [1, 1, 0, 0, 1]
+        monkeypatch.undo()

@@ -51,20 +51,20 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     put_net(theirs)
     refused(
         wcsim("town", "run", theirs, *RUN),
-        *("a.net.xml", "no pavement", "netconvert -s a.net.xml --sidewalks.guess", "--chairs 0"),
+        *("a.net.xml", "no pavement", f"wcsim town pave {theirs}/", "--chairs 0"),
     )
     assert files_in(folder) == set()
     assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: the net has no walking areas, so nobody can walk; add pavements: netconvert -s" in one_line(checked)
+    assert "the net has no walking areas, so nobody can walk; add pavements: wcsim town pave /" in one_line(checked)
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "fault: the net has no crossings, so nobody can cross a street; add them: netconvert -s" in one_line(checked)
+    assert "the net has no crossings, so nobody can cross a street; add them: wcsim town pave /" in one_line(checked)
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
@@ -88,7 +88,8 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: nobody walks in this town: its demand has no persons; add some: randomTrips.py" in one_line(checked)
+    assert "fault: nobody walks in this town: its demand has no persons; add some: /" in one_line(checked)
+    assert f"randomTrips.py -n {theirs}/a.net.xml --pedestrians" in one_line(checked)
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0
     assert "nobody walked: the demand has no persons" in one_line(ran) and "--pedestrians" in ran.out

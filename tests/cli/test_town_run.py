@@ -5,7 +5,9 @@ import json
 import pytest
 
 from tests.towns import hostile
+from wcsim.bridge.record import CrashFact
 from wcsim.cli.main import main
+from wcsim.cli.town_run import crash_lines
 from wcsim.towns.town import find_town
 
 QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24"]
@@ -59,7 +61,7 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
     assert "randomTrips.py" in capsys.readouterr().out  # nobody walks, and how to change that
     assert main([*words, "--chairs", "1", "--out", str(tmp_path / "one"), *QUICK]) == 2
     said = capsys.readouterr().err
-    assert "no pavement" in said and "netconvert -s a.net.xml --sidewalks.guess" in said and "--chairs 0" in said
+    assert "no pavement" in said and f"wcsim town pave {sumocfg}" in said and "--chairs 0" in said
     assert not (tmp_path / "one").exists()
 
 
@@ -135,3 +137,17 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
 
     assert open_run(out).manifest.overrides[0].option in rows
     assert not (tmp_path / "s.xml").exists()
+
+
+def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
+    crashed = tuple(CrashFact(seat=1, reason="tilt", time_s=2.5, at_m=(10.0, float(k))) for k in range(7))
+    lines = crash_lines(crashed)
+    assert lines[0] == "crash of wheelchair 1: tilt, at 2.5 s, at x 10.0 y 0.0 in the net"
+    assert len(lines) == 6 and lines[-1] == "and 2 more crashes; all of them are in the manifest"
+    assert crash_lines(()) == [] and len(crash_lines(crashed[:5])) == 5
+    jolts = ["--set", "reward.accel_window_mps2=[0.001, 0.002]", "--set", "imu.saturation_mps2=10"]
+    words = ["town", "run", str(corner), "--seconds", "2", "--out", str(tmp_path / "run"), *QUICK, *jolts]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "crash of wheelchair 0: acceleration, at " in told.out
+    assert "building the street of" in told.err and "warming its traffic up for 0 s" in told.err

@@ -37,11 +37,11 @@ FINE = Findings(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"walkingareas": 0}, "no walking areas.*netconvert -s .* --sidewalks.guess.*name better.net.xml in .*sumocfg"),
-        ({"crossings": 0}, "no crossings.*netconvert -s .* --crossings.guess"),
-        ({"walkable_largest_share": 0.6}, "only 60% of the walkable ground.*netconvert"),
-        ({"unroutable": 7}, "7 trips have no way.*duarouter -n .* --ignore-errors"),
-        ({"classes": ("bus",)}, "nobody walks.*randomTrips.py -n .* --pedestrians"),
+        ({"walkingareas": 0}, "no walking areas.*wcsim town pave /.*sumocfg --out .*-paved"),
+        ({"crossings": 0}, "no crossings.*wcsim town pave /.*sumocfg --out"),
+        ({"walkable_largest_share": 0.6}, "only 60.0% of the walkable.*join the parts: netedit -s /.*net.xml.gz"),
+        ({"unroutable": 7}, "7 trips have no way.*duarouter -n /.* -r /.* --ignore-errors -o /"),
+        ({"classes": ("bus",)}, "nobody walks.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600"),
         ({"mesh_faults": 50}, "50 of 4000 rays missed the ground.*rm -r"),
     ],
 )

@@ -19,7 +19,7 @@ from wcsim.towns.check import check_town, unroutable_trips
 from wcsim.towns.dem import Heights
 from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.lift import steepest_grade
-from wcsim.towns.netread import read_net
+from wcsim.towns.netread import LaneKind, read_net
 from wcsim.towns.osmfilter import filter_osm
 from wcsim.towns.place import parse_box
 from wcsim.towns.tools import run_tool
@@ -169,7 +169,8 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
     assert not [flow for flow in flows if flow.tag == "personFlow"]
     made = import_town(replace(order, per_hour={"tram": 60.0, "bicycle": 9.0}))
-    assert made.notes == ("no traffic of class tram: no street or track of this town is open to it",)
+    assert made.notes[0] == "no traffic of class tram: no street or track of this town is open to it"
+    assert len([note for note in made.notes if "no traffic of class" in note]) == 1
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
     assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1 " in fault]
@@ -224,3 +225,20 @@ def test_what_an_author_adds_is_noted_and_no_fault(order: ImportOrder) -> None:
     town.additional[0].write_text(text.replace("</additional>", '<poi id="a" x="1" y="2"/></additional>'), "utf-8")
     report = check_town(town)
     assert report.faults == () and [note for note in report.notes if "small.add.xml" in note]
+
+
+def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
+    island = '<node id="901" lat="60.00085" lon="25.0005"/><node id="902" lat="60.00055" lon="25.0009"/>'
+    island += '<way id="900"><nd ref="901"/><nd ref="902"/><tag k="highway" v="footway"/><tag k="name" v="Lost"/></way>'
+    order.osm.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"), encoding="utf-8")
+    stages: list[str] = []
+    made = import_town(order, stage=stages.append)
+    assert len(stages) == 4 and str(order.osm) in stages[0]
+    assert made.left_out.names == ("Lost",) and 35.0 < made.left_out.footways_left_out_m < 45.0
+    assert made.left_out.streets_left_out_m == 0.0 and made.left_out.streets_m > 1000.0
+    assert any("names no bounds, so it was taken at 0.2 x 0.2 km" in note for note in made.notes)
+    crossings = len(read_net(made.town.net).lanes(LaneKind.CROSSING))
+    assert any(f"the map has 0 crossings and the net {crossings}" in note for note in made.notes)
+    west, south, east, north = 24.999, 59.999, 25.0046, 60.0023
+    bounded = import_town(replace(order, bbox=(west, south, east, north)))
+    assert not any("names no bounds" in note for note in bounded.notes)

@@ -197,6 +197,23 @@ def test_overrides_name_only_what_differs(corner_town: Town, tmp_path: Path) -> 
     )
 
 
+def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_before(
+    corner_town: Town, tmp_path: Path
+) -> None:
+    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs"))
+    (row,) = (row for row in stage_scenario(town, SETTINGS, tmp_path / "a").overrides if row.option == "step-length")
+    assert row.author == "1 (default)" and "faster" in row.why and "world.action_step_s" in row.why
+    staged = stage_scenario(town, Settings(step_s=0.1, seed=5, action_step_s=1.0), tmp_path / "b")
+    rows = {row.option: row for row in staged.overrides}
+    assert rows["default.action-step-length"].wcsim == "1.0" and "faster" not in rows["step-length"].why
+    assert '<default.action-step-length value="1.0"' in staged.sumocfg.read_text()
+    set_by_author = "<default.action-step-length value='0.5'/>"
+    own = open_town(hostile.scenario(corner_town, tmp_path / "own", set_by_author))
+    kept = stage_scenario(own, SETTINGS, tmp_path / "c")
+    assert not [row for row in kept.overrides if "faster" in row.why or row.option == "default.action-step-length"]
+    assert '<default.action-step-length value="0.5"' in kept.sumocfg.read_text()
+
+
 def test_the_digest_follows_the_files_and_not_the_seed_or_place(corner_town: Town, tmp_path: Path) -> None:
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
     first = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run").digest

@@ -9,7 +9,8 @@ import shapely
 
 from tests.yardstick import multiple
 from wcsim.towns import cache, street
-from wcsim.towns.check import check_town, demand_classes, mesh_faults, walkable_share
+from wcsim.towns.check import check_town, demand_classes, mesh_faults
+from wcsim.towns.islands import share_of, walkable_parts
 from wcsim.towns.netread import read_net
 from wcsim.towns.street import load_street
 from wcsim.towns.tiles import RASTER_M, TILE_M, Packed
@@ -114,7 +115,7 @@ def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Pat
 
 def test_helsinki_hangs_together() -> None:
     town = find_town("helsinki")
-    assert walkable_share(read_net(town.net, town.file.origin_m), town.file.chair_ways) >= 0.95
+    assert share_of(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
     wanted = {"passenger", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "tram"}
     assert set(demand_classes(town)) >= wanted
 

@@ -11,17 +11,21 @@ import numpy as np
 from wcsim.bridge.fingerprint import fingerprint
 from wcsim.bridge.stage import RunPlace
 from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
+from wcsim.bridge.traffic import Traffic
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
 from wcsim.errors import SumoError
-from wcsim.towns.scenario import Scenario
+from wcsim.towns.netcheck import validate_net
+from wcsim.towns.scenario import Scenario, require_files
+from wcsim.towns.street import load_street
 from wcsim.towns.town import Town
-from wcsim.types import F64, ActorState, SeatSpec, Snapshot
+from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
 
 TRACE = "trace"
 BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
 GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
 Progress = Callable[[int, int], None]  # (ticks done, all ticks)
+Stage = Callable[[str], None]  # what begins now, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +41,16 @@ class RecordOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CrashFact:
+    """A crash of a wheelchair."""
+
+    seat: int
+    reason: str  # as in `Events`
+    time_s: float  # SUMO's own time
+    at_m: tuple[float, float]  # in the net's coordinates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrafficFacts:
     """What happened."""
 
@@ -48,9 +62,10 @@ class TrafficFacts:
     mirrored: int  # different ones that were near a wheelchair
     mirrored_most: int  # at once
     teleports: int
-    collisions: int  # that SUMO saw among its own
+    collisions: int  # that SUMO saw among its own, each once however long it lasts
     episodes: int
     crashes: int  # of wheelchairs
+    crashed: tuple[CrashFact, ...] = ()  # the same, one by one
 
 
 def record_town(
@@ -59,8 +74,9 @@ def record_town(
     order: RecordOrder,
     opened: Callable[[Scenario], None],
     progress: Progress | None = None,
+    stage: Stage = lambda told: None,
 ) -> TrafficFacts:
-    """Run and record a town.
+    """Run and record a town; without a chair no street is built.
 
     Args:
         town: The town.
@@ -68,29 +84,48 @@ def record_town(
         order: What to run; `folder` gets a trace, and SUMO's outputs in its subfolder sumo/.
         opened: Called once the scenario runs, before the first tick.
         progress: Called after every tick.
+        stage: Called with what begins now, before anything that may take long.
 
     Raises:
+        TownError: the scenario cannot be run.
         SumoError: the mirror shows somebody who is not there, or misses somebody who is.
     """
-    spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
     place = RunPlace(folder=order.folder, outputs=order.outputs, hook=order.hook)
+    ticks = round(order.seconds / config.world.tick_s)
+    stage(f"looking through the files of {town.name}")
+    require_files(town, config)
+    if not order.chairs:
+        stage("opening the net, and starting SUMO")
+        with Traffic(town, config, order.seed, place) as traffic:
+            opened(traffic.scenario)
+            with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
+                return _run_alone(traffic, ticks, writer, progress)
+    stage(f"building the street of {town.name}, unless that was done before")
+    validate_net(town.net, border=town.border)
+    load_street(town)
+    spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
+    warmup_s = config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
+    stage(f"starting SUMO, and warming its traffic up for {warmup_s:g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
         opened(world.scenario)
-        header = TraceHeader(
-            name=town.name,
-            seed=order.seed,
-            tick_s=config.world.tick_s,
-            seats=order.chairs,
-            fingerprint=fingerprint(),
-            origin_m=town.file.origin_m,
-            origin_z_m=world.street.net_z_m,
-        )
-        with TraceWriter(order.folder / TRACE, header) as writer:
-            return _run(world, round(order.seconds / config.world.tick_s), writer, progress)
+        with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_z_m)) as writer:
+            return _run(world, ticks, writer, progress)
+
+
+def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> TraceHeader:
+    return TraceHeader(
+        name=town.name,
+        seed=order.seed,
+        tick_s=config.world.tick_s,
+        seats=order.chairs,
+        fingerprint=fingerprint(),
+        origin_m=town.file.origin_m,
+        origin_z_m=net_z_m,
+    )
 
 
 def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(world.snapshot.time_s)
+    meter = _Meter(world.snapshot.time_s, world.town.file.origin_m)
     for tick in range(ticks):
         commands = as_users_wish(world.snapshot)
         after = world.tick(commands)
@@ -100,10 +135,22 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
             check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
         writer.append(record_of(after, commands, as_recorded(after, everyone)))
         meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
-        meter.add_chairs([(c.events.crashed, c.first is not None) for c in after.clients])
+        meter.add_chairs(after.clients, after.time_s)
         if progress is not None:
             progress(tick + 1, ticks)
     return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
+
+
+def _run_alone(traffic: Traffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+    meter = _Meter(traffic.snapshot.time_s)
+    for tick in range(ticks):
+        after = traffic.tick()
+        everyone = traffic.everyone()
+        writer.append(record_of(after, (), as_recorded(after, everyone)))
+        meter.add(everyone, (), traffic.mishaps())
+        if progress is not None:
+            progress(tick + 1, ticks)
+    return meter.facts(ticks, traffic.snapshot.time_s, 0)
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
@@ -149,11 +196,13 @@ def _rounded(actor: ActorState) -> ActorState:
 class _Meter:
     """Counts what the facts say."""
 
-    def __init__(self, begin_s: float) -> None:
+    def __init__(self, begin_s: float, origin_m: tuple[float, float] = (0.0, 0.0)) -> None:
         self._begin_s = begin_s
+        self._origin_m = origin_m
+        self._crashed: list[CrashFact] = []
         self._seen: set[str] = set()
         self._mirrored: set[str] = set()
-        self._most = self._teleports = self._collisions = self._crashes = self._ended = 0
+        self._most = self._teleports = self._collisions = self._ended = 0
 
     def add(self, everyone: Sequence[ActorState], mirrored: Sequence[str], mishaps: tuple[int, int]) -> None:
         """One tick of the traffic."""
@@ -163,10 +212,14 @@ class _Meter:
         self._teleports += mishaps[0]
         self._collisions += mishaps[1]
 
-    def add_chairs(self, chairs: Sequence[tuple[bool, bool]]) -> None:
-        """One tick of the chairs: each (crashed, episode ended)."""
-        self._crashes += sum(crashed for crashed, _ in chairs)
-        self._ended += sum(ended for _, ended in chairs)
+    def add_chairs(self, clients: Sequence[ClientSnapshot], time_s: float) -> None:
+        """One tick of the chairs, at SUMO's own time."""
+        self._ended += sum(client.first is not None for client in clients)
+        for client in (client for client in clients if client.events.crashed):
+            x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
+            at_m = (round(x_m, 2), round(y_m, 2))
+            reason = client.events.crash_reason
+            self._crashed.append(CrashFact(seat=client.seat, reason=reason, time_s=time_s, at_m=at_m))
 
     def facts(self, ticks: int, end_s: float, chairs: int) -> TrafficFacts:
         """The sums."""
@@ -182,5 +235,6 @@ class _Meter:
             teleports=self._teleports,
             collisions=self._collisions,
             episodes=self._ended + chairs,
-            crashes=self._crashes,
+            crashes=len(self._crashed),
+            crashed=tuple(self._crashed),
         )

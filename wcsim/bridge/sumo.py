@@ -38,6 +38,11 @@ def refuse_second_world() -> None:
         )
 
 
+def pair_of(collider: str, victim: str) -> tuple[str, str]:
+    """Who collided, the same whichever of them SUMO blames."""
+    return (collider, victim) if collider <= victim else (victim, collider)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SumoOptions:
     """What a session runs, and what a world overrides of a scenario's own options."""
@@ -72,6 +77,8 @@ class SumoSession:
         self._options = options
         self._teleports = 0
         self._come: frozenset[str] = frozenset()
+        self._colliding: frozenset[tuple[str, str]] = frozenset()
+        self._collisions = 0
         self._open = True
         self.pilot = Pilot(libsumo, options.origin_m)
         self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.step_s)
@@ -105,6 +112,9 @@ class SumoSession:
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
         self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
         self._teleports = len(jammed)
+        pairs = frozenset(pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+        self._collisions = len(pairs - self._colliding)
+        self._colliding = pairs
         self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
             log.warning("jam: %s stood too long and was teleported", name)
@@ -116,6 +126,7 @@ class SumoSession:
         self._reader.forget()
         self.pilot.forget()
         self._teleports, self._come = 0, frozenset()
+        self._collisions, self._colliding = 0, frozenset()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         self._hook = open_hook(self._options.hook, libsumo)
 
@@ -137,8 +148,8 @@ class SumoSession:
         self._reader.forget_actor(actor_id)
 
     def collisions(self) -> int:
-        """Collisions among SUMO's own vehicles and persons that it saw in the last step."""
-        return len(libsumo.simulation.getCollisions())
+        """Collisions among SUMO's own vehicles and persons that began in the last step, each told once."""
+        return self._collisions
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and persons that are in the street now."""

@@ -1,4 +1,4 @@
-"""`wcsim town import | list | check | run | tour`."""
+"""`wcsim town import | list | check | pave | run | tour`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from rich.table import Column, Table
 from wcsim.cli.common import OutFile, parse, subcommand, write_json
 from wcsim.cli.town_import import ImportOptions
 from wcsim.cli.town_import import run as run_import
+from wcsim.cli.town_pave import PaveOptions
+from wcsim.cli.town_pave import run as run_pave
 from wcsim.cli.town_report import print_report, report_json
 from wcsim.cli.town_run import RunOptions
 from wcsim.cli.town_run import run as run_traffic
@@ -43,6 +45,7 @@ def run(words: list[str]) -> int:
         "import": ImportOptions,
         "list": ListOptions,
         "check": CheckOptions,
+        "pave": PaveOptions,
         "run": RunOptions,
         "tour": TourOptions,
     }
@@ -54,6 +57,8 @@ def run(words: list[str]) -> int:
         return _list()
     if name == "run":
         return run_traffic(parse(RunOptions, words[1:], "town run"), words)
+    if name == "pave":
+        return run_pave(parse(PaveOptions, words[1:], "town pave"))
     if name == "tour":
         return run_tour(parse(TourOptions, words[1:], "town tour"))
     return _check(parse(CheckOptions, words[1:], "town check")) if name else 0
@@ -69,7 +74,10 @@ def _list() -> int:
 
 def _check(options: CheckOptions) -> int:
     started_s = time.monotonic()
-    report = check_town(find_town(options.town))
+    town = find_town(options.town)
+    told = Console(stderr=True, highlight=False, style="dim")
+    told.print(f"opening the net of {town.name}, building its street, and routing its demand", markup=False)
+    report = check_town(town)
     code = print_report(report)
     if options.json is not None:
         write_json(options.json, report_json(report, time.monotonic() - started_s))

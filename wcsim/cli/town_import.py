@@ -8,11 +8,12 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
 
 from wcsim.cli.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
 from wcsim.cli.town_report import print_report, report_json
@@ -84,10 +85,10 @@ def run(options: ImportOptions) -> int:
     check_folder("--out", out)
     result = options.json.resolve() if options.json is not None else None  # this folder itself may be built anew
     with _fresh_folders(out.parent):
-        report = _adopt(options, options.sumocfg, out) if options.sumocfg is not None else _build(options, out)
+        report, more = (_adopt(options, options.sumocfg, out), {}) if options.sumocfg else _build(options, out)
     print_report(report)
     if result is not None:
-        write_json(result, report_json(report, time.monotonic() - started_s))
+        write_json(result, {**report_json(report, time.monotonic() - started_s), **more})
     return 0
 
 
@@ -112,7 +113,8 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
     return report
 
 
-def _build(options: ImportOptions, out: Path) -> TownReport:
+def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
+    """The check of a town that was built, and what else the result file says of it."""
     if options.osm is None and not options.bbox:
         raise ConfigError(
             "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, or --sumocfg FILE"
@@ -127,11 +129,16 @@ def _build(options: ImportOptions, out: Path) -> TownReport:
     _check_numbers(options)
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
-        made = import_town(_order(options, osm, box, out), load_street)
+        made = import_town(_order(options, osm, box, out), load_street, _stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
     report = check_town(made.town, made.walkable_share)
-    return replace(report, notes=(*made.notes, *report.notes))
+    more = {"left_out": asdict(made.left_out), "parked": made.parked, "crossings_mapped": made.crossings_mapped}
+    return replace(report, notes=(*made.notes, *report.notes)), more
+
+
+def _stage(told: str) -> None:
+    Console(stderr=True, highlight=False).print(told, style="dim", markup=False)
 
 
 def _needed(box: Box | None) -> Box:

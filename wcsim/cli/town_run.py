@@ -17,14 +17,16 @@ from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, in_boun
 from wcsim.cli.overrides import print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
+from wcsim.towns.cures import walkers_cure
 from wcsim.towns.town import Town, content_hash, find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.bridge.record import TrafficFacts
+    from wcsim.bridge.record import CrashFact, TrafficFacts
     from wcsim.towns.scenario import Scenario
 
 MANIFEST = "manifest.json"
 MAX_CHAIRS = 64
+TOLD_CRASHES = 5
 
 
 @dataclass
@@ -68,8 +70,10 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
     console = Console()
     console.print(_table(town.name, facts))
+    for line in crash_lines(facts.crashed):
+        print(line)
     if not facts.persons:
-        console.print(_no_persons(town), markup=False, highlight=False)
+        console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
     print(f"run folder: {out}    replay it: wcsim replay {out} --fcd FILE.xml")
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
@@ -108,6 +112,9 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
             console.print(f"{done * config.world.tick_s:.0f} of {options.seconds:g} s", style="dim")
 
+    def stage(told: str) -> None:
+        console.print(told, style="dim", markup=False)
+
     order = RecordOrder(
         seconds=options.seconds,
         seed=options.seed,
@@ -117,7 +124,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show)
+        facts = record_town(town, config, order, opened, show, stage)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})
@@ -156,9 +163,16 @@ def _table(name: str, facts: TrafficFacts) -> Table:
     return table
 
 
+def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
+    """Up to five crashes of wheelchairs, each with its reason, second and place."""
+    lines = []
+    for crash in crashed[:TOLD_CRASHES]:
+        x_m, y_m = crash.at_m
+        what = f"crash of wheelchair {crash.seat}: {crash.reason}"
+        lines.append(f"{what}, at {crash.time_s:.1f} s, at x {x_m:.1f} y {y_m:.1f} in the net")
+    more = len(crashed) - TOLD_CRASHES
+    return [*lines, f"and {more} more crashes; all of them are in the manifest"] if more > 0 else lines
+
+
 def _no_persons(town: Town) -> str:
-    return (
-        "nobody walked: the demand has no persons, or none in this time; make some: python "
-        f"$SUMO_HOME/tools/randomTrips.py -n {town.net.name} --pedestrians -r persons.rou.xml "
-        "-o persons.trips.xml, and name persons.rou.xml in <route-files>"
-    )
+    return f"nobody walked: the demand has no persons, or none in this time; make some: {walkers_cure(town)}"

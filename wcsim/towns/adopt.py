@@ -53,26 +53,40 @@ def adopt_scenario(
     config = read_configuration(start)
     border = None if outside else start.parent
     require_inside(start, border, start)
+    files_of(config, border)  # what is missing is said before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
-    files = files_of(config, border)
-    base = Path(os.path.commonpath([path.parent for path in files]))
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
         work = Path(folder) / out.name
-        for path in files:
-            place = work / path.relative_to(base)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            copy_file(path, place)
-        notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
-        if not (work / "LICENSE-DATA").exists():
-            told = foreign_license_text(start.name, notices)
-            (work / "LICENSE-DATA").write_text(told, encoding="utf-8")
+        base, files = copy_scenario(config, border, work)
         (work / "town.toml").write_text(_town_toml(config, name, (split, source), base, files), encoding="utf-8")
         _stay_inside(read_configuration(work / start.relative_to(base)), work)
         if out.is_dir():
             out.rmdir()
         work.replace(out)
     return open_town(out)
+
+
+def copy_scenario(config: Configuration, border: Path | None, work: Path) -> tuple[Path, tuple[Path, ...]]:
+    """Copy all files of a scenario into the folder `work`, with the licence and the readme beside them.
+
+    Returns:
+        The folder whose place `work` takes, and the files as they lie below it.
+
+    Raises:
+        TownError: as `files_of`.
+    """
+    start = Path(os.path.normpath(config.path.absolute()))
+    files = files_of(config, border)
+    base = Path(os.path.commonpath([path.parent for path in files]))
+    for path in files:
+        place = work / path.relative_to(base)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        copy_file(path, place)
+    notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
+    if not (work / "LICENSE-DATA").exists():
+        (work / "LICENSE-DATA").write_text(foreign_license_text(start.name, notices), encoding="utf-8")
+    return base, files
 
 
 def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:

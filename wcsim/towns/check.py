@@ -11,16 +11,19 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from wcsim.config import RunConfig
 from wcsim.errors import SumoError, TownError
 from wcsim.seeding import generator
+from wcsim.towns.cures import has_types
 from wcsim.towns.faults import Findings, faults_of, notes_of, projection_faults
 from wcsim.towns.grid import CELL_M
-from wcsim.towns.islands import share_of, walkable_parts
+from wcsim.towns.islands import cut_off, share_of, walkable_parts
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.netread import LaneKind, Net, read_net
+from wcsim.towns.netread import LaneKind, read_net
 from wcsim.towns.overlaps import overlaps_of
 from wcsim.towns.plane import length_of
 from wcsim.towns.relief import on_land, relief_of
+from wcsim.towns.scenario import require_files
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.street import load_street
@@ -63,20 +66,23 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
+    require_files(town, RunConfig())  # what is missing is said before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
     if wrong := projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
+    parts = walkable_parts(net, town.file.chair_ways) if share is None else []
     found = Findings(
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
-        walkable_largest_share=walkable_share(net, town.file.chair_ways) if share is None else share,
+        walkable_largest_share=share_of(parts) if share is None else share,
         unroutable=unroutable_trips(town),
         mesh_faults=mesh_faults(street),
         rays=RAYS,
         classes=demand_classes(town),
         overlaps=overlaps_of(on_land(net, relief_of(net))),
+        cut_off=cut_off(net, parts),
     )
     return TownReport(
         town=town.name,
@@ -91,11 +97,6 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         faults=faults_of(town, net, found),
         notes=notes_of(town, net, found.overlaps),
     )
-
-
-def walkable_share(net: Net, chair_ways: tuple[str, ...]) -> float:
-    """Share of the area of pavements and crossings that the largest connected part of them holds, 0 to 1."""
-    return share_of(walkable_parts(net, chair_ways))
 
 
 def demand_classes(town: Town) -> tuple[str, ...]:
@@ -123,7 +124,7 @@ def unroutable_trips(town: Town) -> int:
         names = OutputNames(Path(folder))
         met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
-        types = [str(met.place(path, town.sumocfg)) for path in town.additional if _has_types(path)]
+        types = [str(met.place(path, town.sumocfg)) for path in town.additional if has_types(path)]
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         options += ["-a", ",".join(types)] if types else []
         options += [
@@ -183,10 +184,6 @@ def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
 def _members(element: Element) -> tuple[str, ...]:
     inner = [child.get("id", "") for child in element.iterfind("vType")]
     return tuple([*inner, *element.get("vTypes", "").split()])
-
-
-def _has_types(path: Path) -> bool:
-    return any(element.tag in ("vType", "vTypeDistribution") for element in read_root(path))
 
 
 def _walk_km(street: Street) -> float:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim.towns.cures import grade_cure, netedit_cure, pave_cure, routes_cure, walkers_cure
+from wcsim.towns.islands import CutOff
 from wcsim.towns.items import read_items
 from wcsim.towns.lift import steepest_grade
 from wcsim.towns.manifest import changes_of, own_work
@@ -19,8 +21,7 @@ LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
 MUCH = 0.1  # of the pavement, under carriageways of other levels
-_PAVE = "netconvert -s {net} --sidewalks.guess --crossings.guess --walkingareas -o better.net.xml"
-_NAME_IT = ", and name better.net.xml in {sumocfg}"
+TOLD_PARTS = 5  # of those that are cut off
 _PROJECT = "build it again in metres: netconvert --osm-files EXTRACT --proj.utm -o {net}"
 
 
@@ -36,6 +37,7 @@ class Findings:
     rays: int  # that were sent down for `mesh_faults`
     classes: tuple[str, ...]
     overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
+    cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
 
 
 def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
@@ -51,11 +53,10 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     if grade > STEEPEST:
         lines.append(
             f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: "
-            f"netconvert -s {town.net.name} --geometry.max-grade 12 --geometry.max-grade.fix -o better.net.xml"
-            + _NAME_IT.format(sumocfg=town.sumocfg.name)
+            f"{grade_cure(town)}"
         )
     if _large(net, found.overlaps):
-        cure = f"bridges belong on another level; delete them: netedit -s {town.net.name}"
+        cure = f"bridges belong on another level; delete them: {netedit_cure(town)}"
         lines.append(f"{_overlap(found.overlaps)}; {cure}")
     return tuple(lines)
 
@@ -65,8 +66,7 @@ def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str,
     changes = changes_of(town)
     notes = [f"changed since the import: {name}" for name in changes.others]
     for name in changes.net:
-        routes = ",".join(path.name for path in town.routes) or "DEMAND"
-        again = f"duarouter -n {name} -r {routes} --ignore-errors -o better.rou.xml, named in {town.sumocfg.name}"
+        again = routes_cure(town)
         notes.append(f"changed since the import: {name}; traffic takes new ways when it is routed again: {again}")
     if over and not _large(net, over):
         notes.append(_overlap(over))
@@ -109,35 +109,38 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
-    pave = _PAVE.format(net=town.net.name) + _NAME_IT.format(sumocfg=town.sumocfg.name)
-    if town.file.rebuild:
-        pave = "take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name " + town.name
+    larger = f"take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name {town.name}"
+    pave = larger if town.file.rebuild else pave_cure(town)
     if not found.walkingareas:
         return [f"the net has no walking areas, so nobody can walk; add pavements: {pave}"]
     lines = []
     if not found.crossings and net.lanes(LaneKind.MOTOR):
         lines.append(f"the net has no crossings, so nobody can cross a street; add them: {pave}")
     if found.walkable_largest_share < ENOUGH_SHARE:
-        share = f"{found.walkable_largest_share:.0%} of the walkable ground hangs together"
-        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {pave}")
+        share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
+        cure = larger if town.file.rebuild else f"join the parts: {netedit_cure(town)}"
+        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
+
+
+def _parts(cut_off: tuple[CutOff, ...]) -> str:
+    """Which parts of the walkable ground nobody can walk to."""
+    told = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:TOLD_PARTS])
+    more = f" and {len(cut_off) - TOLD_PARTS} more" if len(cut_off) > TOLD_PARTS else ""
+    return f"cut off are the parts around {told}{more}; " if told else ""
 
 
 def _demand(town: Town, found: Findings) -> list[str]:
     lines = []
     if "pedestrian" not in found.classes:
-        cure = f"randomTrips.py -n {town.net.name} --pedestrians -r walkers.rou.xml"
-        cure += f", and name walkers.rou.xml in {town.sumocfg.name}"
+        cure = walkers_cure(town)
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
             cure = _again(town, shlex.join(words))
         lines.append(f"nobody walks in this town: its demand has no persons; add some: {cure}")
     if found.unroutable:
-        routes = ",".join(path.name for path in town.routes)
-        cure = f"duarouter -n {town.net.name} -r {routes} --ignore-errors -o better.rou.xml"
-        cure += f", and name better.rou.xml in {town.sumocfg.name}"
-        lines.append(f"{found.unroutable} trips have no way through the net; drop them: {cure}")
+        lines.append(f"{found.unroutable} trips have no way through the net; drop them: {routes_cure(town)}")
     return lines
 
 

@@ -21,17 +21,21 @@ from wcsim.towns.dem import Heights, make_dem, write_dem
 from wcsim.towns.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
 from wcsim.towns.folder import license_text, sumocfg_text, town_toml_text
 from wcsim.towns.handed import Side, side_at
+from wcsim.towns.islands import ways_of
+from wcsim.towns.leftout import LeftOut, crossings_inside, left_out_note, left_out_of, ways_inside
 from wcsim.towns.lift import lift_net
 from wcsim.towns.manifest import hashes_of, own_work
 from wcsim.towns.netbuild import EXTRACT, BuiltNet, build_net
-from wcsim.towns.netread import read_net
+from wcsim.towns.netread import LaneKind, read_net
 from wcsim.towns.osmread import Extract, read_extract
 from wcsim.towns.parking import Parking, find_parking
-from wcsim.towns.place import Box, check_box, middle_of
+from wcsim.towns.place import Box, check_box, middle_of, size_m
 from wcsim.towns.town import NOT_TOWNS, Town, open_town
 from wcsim.towns.trial import ROUNDS, stuck_ways
 from wcsim.towns.workplace import move_in_place, new_workplace
 from wcsim.towns.xmlio import without_comments, write_gzip
+
+Stage = Callable[[str], None]  # what begins now, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,14 +66,20 @@ class Imported:
     side: Side
     walkable_share: float  # of the walkable ground, in its largest part
     notes: tuple[str, ...] = ()  # what the town does not have that the map or the order has
+    left_out: LeftOut = field(default_factory=LeftOut)
+    parked: int = 0  # cars in the car parks, which never drive
+    crossings_mapped: int = 0  # that the map has; the others of the net are guessed
 
 
-def import_town(order: ImportOrder, meanwhile: Callable[[Town], object] | None = None) -> Imported:
+def import_town(
+    order: ImportOrder, meanwhile: Callable[[Town], object] | None = None, stage: Stage = lambda told: None
+) -> Imported:
     """Build the town and move it to `order.out`, replacing a town that is there if nobody has worked on it.
 
     Args:
         order: what and where to.
         meanwhile: called with the town, before it is in place, while its demand is tried on another core.
+        stage: called with what begins now, before anything that takes long.
 
     Raises:
         TownError: the order or the extract cannot be used, or the folder holds something else or somebody's work.
@@ -77,18 +87,19 @@ def import_town(order: ImportOrder, meanwhile: Callable[[Town], object] | None =
     """
     given, order = order.out, replace(order, out=order.out.resolve())
     _check(order)
+    stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
     side = _side(order, extract.box)
     work = new_workplace(order.name, order.out)
     try:
-        built, notes = _build(order, extract, side, work, meanwhile)
+        made = _build(order, extract, side, work, meanwhile, stage)
         move_in_place(work, order.out)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
     shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
-    return Imported(town=open_town(shown), side=side, walkable_share=built.share, notes=notes)
+    return replace(made, town=open_town(shown))
 
 
 def _check(order: ImportOrder) -> None:
@@ -118,9 +129,16 @@ def _side(order: ImportOrder, box: Box) -> Side:
 
 
 def _build(
-    order: ImportOrder, extract: Extract, side: Side, work: Path, meanwhile: Callable[[Town], object] | None
-) -> tuple[BuiltNet, tuple[str, ...]]:
-    name = order.name
+    order: ImportOrder,
+    extract: Extract,
+    side: Side,
+    work: Path,
+    meanwhile: Callable[[Town], object] | None,
+    stage: Stage,
+) -> Imported:
+    name, mapped = order.name, ways_inside(extract.root, extract.box)
+    crossings_mapped = crossings_inside(extract.root, extract.box)
+    stage(f"building the net of {_size(extract.box)}")
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
     dem = make_dem(order.relief, extract.box, order.seed)
@@ -132,6 +150,9 @@ def _build(
     )
     built = build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
+    kept = {way for ways in ways_of(net_path).values() for way in ways}
+    left_out = left_out_of(mapped, kept)
+    stage("buildings, trees, parked cars and ways of the traffic")
     convert_polygons(name, EXTRACT, work)
     (work / EXTRACT).unlink()
     if dem is not None:
@@ -144,13 +165,36 @@ def _build(
         path.unlink()
     _write_folder(order, extract, work, parking)
     _write_manifest(order, side, work, built, extract.box)
+    stage("building the street, and trying the traffic")
     with ThreadPoolExecutor(1) as pool:
         demand = pool.submit(_write_demand, order, work, built, ways, parking)
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    return built, _notes(order, built, ways)
+    notes = _notes(order, built, ways)
+    if told := left_out_note(left_out):
+        notes += (told,)
+    crossings = len(built.net.lanes(LaneKind.CROSSING))
+    notes += (f"the map has {crossings_mapped} crossings and the net {crossings}: the others are guessed",)
+    if parking.vehicles:
+        notes += (f"{len(parking.vehicles)} of the vehicles are parked and never drive",)
+    if not extract.bounded:
+        notes += (f"the extract names no bounds, so it was taken at {_size(extract.box)}; --bbox W,S,E,N cuts it",)
+    return Imported(
+        town=_unfinished(work, order),
+        side=side,
+        walkable_share=built.share,
+        notes=notes,
+        left_out=left_out,
+        parked=len(parking.vehicles),
+        crossings_mapped=crossings_mapped,
+    )
+
+
+def _size(box: Box) -> str:
+    wide_m, high_m = size_m(box)
+    return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
 
 
 def _notes(order: ImportOrder, built: BuiltNet, ways: tuple[Way, ...]) -> tuple[str, ...]:

@@ -49,6 +49,26 @@ def islands_by_ground(net: Net, net_path: Path, parts: list[BaseGeometry]) -> Is
     return _islands(net, net_path, _touching(net, parts), {number: part.area for number, part in enumerate(parts)})
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CutOff:
+    """A part of the walkable ground from which nobody can walk to the largest one."""
+
+    edge: str  # one that lies on it
+    area_m2: float
+
+
+def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
+    """The parts of `walkable_parts` beside the largest one, largest first, if they hold an edge of a street."""
+    if len(parts) < 2:
+        return ()
+    order = sorted(range(len(parts)), key=lambda part: -parts[part].area)
+    edges: dict[int, str] = {}
+    for edge, part in sorted(_touching(net, parts).items()):
+        if not edge.startswith(":"):
+            edges.setdefault(part, edge)
+    return tuple(CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges)
+
+
 def share_of(parts: list[BaseGeometry]) -> float:
     """Share of the walkable ground that its largest part holds, 0 to 1."""
     areas_m2 = [part.area for part in parts]

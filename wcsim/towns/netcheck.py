@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+import shlex
 import tempfile
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache import cache_folder, write_whole
+from wcsim.towns.cures import pave_cure
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import OutputNames
 from wcsim.towns.tools import Limits, run_tool
@@ -72,11 +74,10 @@ def scan_net(root: Element, where: str) -> None:
 def require_pavement(street: Street, town: Town) -> None:
     """Raise TownError with the command that cures it when a town has nothing that a wheelchair can drive on."""
     if not street.walk.edges:
-        net = town.net.name
         raise TownError(
             f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there; build them: "
-            f"netconvert -s {net} --sidewalks.guess --crossings.guess --walkingareas -o better.net.xml "
-            "(or watch its traffic alone: wcsim town run --chairs 0)"
+            f"{pave_cure(town)} (or watch its traffic alone: "
+            f"wcsim town run {shlex.quote(str(town.sumocfg))} --chairs 0)"
         )
 
 

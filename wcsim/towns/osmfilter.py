@@ -18,7 +18,7 @@ _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    root[:] = [item for item in root if item.tag != "way" or not _is_hidden(_tags(item))]
+    root[:] = [item for item in root if item.tag != "way" or not is_hidden(tags_of(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
@@ -49,11 +49,12 @@ def _is_senseless(key: str, value: str) -> bool:
     return not (_NUMBER.match(told) or told in _WORDS or ":" in told)  # as "DE:urban"
 
 
-def _tags(way: Element) -> dict[str, str]:
-    return {item.get("k", ""): item.get("v", "") for item in way.iterfind("tag")}
+def tags_of(item: Element) -> dict[str, str]:
+    """The tags of a node or a way."""
+    return {tag.get("k", ""): tag.get("v", "") for tag in item.iterfind("tag")}
 
 
-def _is_hidden(tag: dict[str, str]) -> bool:
+def is_hidden(tag: dict[str, str]) -> bool:
     """True for what nobody in the street sees or drives on."""
     if "building" in tag or "building:part" in tag:
         return (

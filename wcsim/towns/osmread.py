@@ -34,6 +34,7 @@ class Extract:
 
     root: Element
     box: Box
+    bounded: bool = True  # the box was ordered, or is the extract's own; else it is the reach of its streets
 
     def xml(self) -> bytes:
         """As .osm XML."""
@@ -53,8 +54,9 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     cover = _cover(places, streets)
     if cover is None:
         raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it; {EXPECTED}, of an area with some")
+    named = box or _bounds(root)
     try:
-        box = box or _bounds(root) or cover
+        box = named or cover
         check_box(box)
     except TownError as error:
         raise TownError(f"{path}: {error}") from None
@@ -64,7 +66,7 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         raise TownError(
             f"{path}: no street lies in the bounding box {box}; its streets lie in {told}: give a box there"
         )
-    return Extract(root=root, box=box)
+    return Extract(root=root, box=box, bounded=named is not None)
 
 
 def _xml_of(path: Path, box: Box | None) -> bytes:

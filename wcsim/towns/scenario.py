@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario_files import FilteredFiles
 from wcsim.towns.scenario_names import NOWHERE, OutputNames
@@ -19,7 +21,15 @@ from wcsim.towns.scenario_options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario_overrides import AGGREGATED, Override, Settings, author_scale, forced, overrides_of
+from wcsim.towns.scenario_overrides import (
+    AGGREGATED,
+    Override,
+    Settings,
+    author_scale,
+    forced,
+    overrides_of,
+    settings_of,
+)
 from wcsim.towns.town import Town
 
 COPIES = "inputs"
@@ -84,6 +94,16 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         begin_s=seconds_of(config.value("begin") or "0", town.sumocfg),
         digest=_digest(text, settings, names.folder, files),
     )
+
+
+def require_files(town: Town, config: RunConfig) -> None:
+    """Return when every file that a scenario names is there and can be read; SUMO opens none of them.
+
+    Raises:
+        TownError: as `stage_scenario`.
+    """
+    with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
+        stage_scenario(town, settings_of(config, 1), Path(folder))
 
 
 def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:

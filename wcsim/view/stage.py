@@ -25,6 +25,7 @@ ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= Cla
 IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 FIELD_OF_VIEW_M = 30.0
 MAP_SPAN_M = 60.0
+SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +43,7 @@ class Stage:
     """A world with one chair, made to be looked at."""
 
     def __init__(self, town: str, seed: int, width: int) -> None:
-        camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True)
+        camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         self._world = World(find_town(town), RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
         self._camera = camera
         self.tick_s = self._world.config.world.tick_s
