@@ -207,7 +207,7 @@ def test_waits_at_red_and_goes_at_green():
     sim, log = cross(light(30.0), law_share=1.0)
     waiting = log[log[:, 0] < 30.0, 1]
     assert waiting.min() - 0.57 > 4.0  # the footplate stays on the pavement
-    assert waiting[-1] < 5.2  # and the user is at the kerb
+    assert waiting[-1] < 5.6  # and the user is a metre from it
     assert sim.user.arrived and not sim.user.gave_up
     straight_over, _ = cross(light(0.0), law_share=1.0)
     assert straight_over.user.arrived and straight_over.time_s < 35.0
@@ -252,14 +252,28 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     assert sim.chair.v < 0.05 and ORACLE.clearance(sim.chair.plant(), sim.actors) > 0.1
 
 
+def kerbs(route, ground=None) -> Kerbs:
+    return Kerbs(crossings(route, lit(STREET).walk), Path(route), ground, 1.0, generator(0, "user"))
+
+
 def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
-    kerbs = Kerbs(crossings(over_the_road(), lit(STREET).walk), 1.0, generator(0, "user"))
-    start_m, red, green = 11.5, light(1e9)(0.0), light(0.0)(0.0)
-    stop_m = start_m - 0.57 - 0.3
-    assert [kerbs.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
-    assert kerbs.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
-    assert kerbs.stop_m(11.0, 0.0, green, ()) is None  # began at green
-    assert kerbs.stop_m(11.2, 0.0, red, ()) is None
+    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    stop_m = 11.5 - 0.57 - 0.3
+    assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
+    assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
+    assert here.stop_m(11.0, 0.0, green, ()) is None  # began at green
+    assert here.stop_m(11.2, 0.0, red, ()) is None
+
+
+@pytest.mark.parametrize(("beside_m", "before_m"), [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
+def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(beside_m, before_m):
+    """The road begins at y = 4; the way runs beside it and turns onto the crossing at x = 40."""
+    y = 4.0 + beside_m
+    bare = polyline((30, y), (40, y), (40, 4), (40, -4), (40, -5.5), step_m=0.5)
+    on_road = (bare.points_W_m[:, 1] <= 4) & (bare.points_W_m[:, 1] > -4)
+    route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
+    stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
+    assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
 
 
 def test_a_light_that_stays_red_is_believed_for_two_minutes():

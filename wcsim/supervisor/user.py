@@ -112,7 +112,8 @@ class SimulatedUser:
         self._path = Path(route)
         self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
         items = crossings(route, self._street.walk) if self._street is not None else ()
-        self._kerbs = Kerbs(items, self.profile.law_share, self._rng)
+        ground = None if self._street is None else self._street.grid
+        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng)
         self._stop_m: float | None = None
         self._patience = 1.0
         self._arc_m = 0.0
@@ -229,8 +230,8 @@ class SimulatedUser:
         speed = self._change_lane(body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0)
         goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
-            self._moved = None
-            return Plan(wish=self._steered(body, goal, speed), patience=WAIT_PATIENCE)
+            self._moved = None  # who turned here already would swing the footplate over the kerb
+            return Plan(wish=self._straight_on(body, speed), patience=WAIT_PATIENCE)
         self._free_when_stuck(body, view.time_s)
         turn = self._turned(body, goal, seen, view.time_s)
         if turn is not None:
@@ -242,8 +243,7 @@ class SimulatedUser:
         x, y = self._intent.x, self._intent.y
         x = math.copysign(max(0.0, abs(x) - CALM_STICK * dt_s / STRAIGHT_S), x)
         if self._stop_m is not None and y > 0.0:
-            ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
-            y = min(y, self._steered(body, ahead, stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
+            y = min(y, self._straight_on(body, stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
         return Joystick(x, y)
 
     def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:
@@ -261,6 +261,10 @@ class SimulatedUser:
 
     def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
         return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
+
+    def _straight_on(self, body: Body, speed_mps: float) -> Joystick:
+        ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
+        return self._steered(body, ahead, speed_mps)
 
     def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> Plan | None:
         """A turn on the spot, with room made for it before; None when none is needed."""
