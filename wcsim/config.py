@@ -95,6 +95,7 @@ class WorldConfig(Model):
     reaction_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.7
     brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
     clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
+    crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
 
     @model_validator(mode="after")

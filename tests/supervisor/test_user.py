@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from wcsim.errors import ConfigError
 from wcsim.seeding import generator
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.avoidance import Body
+from wcsim.supervisor.crossing import Kerbs, crossings
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import profile, profile_names, sample
@@ -185,10 +187,10 @@ def test_stops_for_a_closed_pavement_and_gives_up(actors):
 # --- the road ---
 
 
-def cross(signals, cars=lambda t: (), seconds=70.0, **changes):
+def cross(signals, cars=lambda t: (), seconds=70.0, name="competent", seed=0, **changes):
     """Walk the crossing of the strip; (time, y of the chair's middle) each tick."""
-    street = lit(STREET)
-    sim = Sim(make_user(street=street, see_share=1.0, **changes), over_the_road(), Chair(x=32.0, y=5.5))
+    user = make_user(name, seed, lit(STREET), **{"see_share": 1.0, **changes})
+    sim = Sim(user, over_the_road(), Chair(x=32.0, y=5.5))
     log = []
     while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
         sim.actors, sim.signals = cars(sim.time_s), signals(sim.time_s)
@@ -205,7 +207,7 @@ def test_waits_at_red_and_goes_at_green():
     sim, log = cross(light(30.0), law_share=1.0)
     waiting = log[log[:, 0] < 30.0, 1]
     assert waiting.min() - 0.57 > 4.0  # the footplate stays on the pavement
-    assert waiting[-1] < 5.2  # and the user is at the kerb
+    assert waiting[-1] < 5.6  # and the user is a metre from it
     assert sim.user.arrived and not sim.user.gave_up
     straight_over, _ = cross(light(0.0), law_share=1.0)
     assert straight_over.user.arrived and straight_over.time_s < 35.0
@@ -216,10 +218,68 @@ def test_who_does_not_care_crosses_at_red():
     assert log[-1, 1] < 0.0
 
 
-def test_a_light_that_stays_red_is_believed_for_a_minute():
+@pytest.mark.parametrize("away_share", [0.3, 0.6])
+def test_who_obeys_and_looks_away_does_not_enter_at_red(away_share):
+    """The red comes early or while the chair rolls up to the kerb; 50 s of red, and 25 users who look away."""
+    entered = 0
+    for seed in range(25):
+        red_from_s = 0.2 * seed
+
+        def signals(t, red_from_s=red_from_s):
+            return light(50.0 if t >= red_from_s else 0.0)(t)
+
+        changes = {"law_share": 1.0, "away_share": away_share}
+        _, log = cross(signals, name="inattentive", seed=seed, seconds=50.0, **changes)
+        entered += bool((log[(log[:, 0] >= red_from_s), 1] < 4.0 + 0.57).any())
+    assert entered == 0
+
+
+def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
+    sim = on_pavement(make_user("inattentive", street=STREET, noise=0.0, see_share=1.0))
+    sim.actors = tuple(actor(PERSON, 8.0, y, name=str(y)) for y in (4.5, 5.5, 6.5))
+    user = sim.user
+    while not 0.0 < user.intent.y < 0.35 or sim.chair.v < 0.6:  # it has seen them, and brakes
+        sim.tick()
+    user._perception.attend = lambda dt_s, calm: False
+    user._intent = Joystick(0.19, user.intent.y)
+    held = [user.intent]
+    for _ in range(40):
+        sim.tick()
+        held.append(user.intent)
+    assert [wish.x for wish in held[:6]] == pytest.approx([0.19, 0.15, 0.11, 0.07, 0.03, 0.0])
+    assert all(wish.x == 0.0 for wish in held[5:]) and abs(sim.chair.w) < 1e-6
+    assert all(b.y <= a.y for a, b in pairwise(held)) and held[-1].y < 0.15
+    assert sim.chair.v < 0.05 and ORACLE.clearance(sim.chair.plant(), sim.actors) > 0.1
+
+
+def kerbs(route, ground=None) -> Kerbs:
+    return Kerbs(crossings(route, lit(STREET).walk), Path(route), ground, 1.0, generator(0, "user"))
+
+
+def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
+    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    stop_m = 11.5 - 0.57 - 0.3
+    assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
+    assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
+    assert here.stop_m(11.0, 0.0, green, ()) is None  # began at green
+    assert here.stop_m(11.2, 0.0, red, ()) is None
+
+
+@pytest.mark.parametrize(("beside_m", "before_m"), [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
+def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(beside_m, before_m):
+    """The road begins at y = 4; the way runs beside it and turns onto the crossing at x = 40."""
+    y = 4.0 + beside_m
+    bare = polyline((30, y), (40, y), (40, 4), (40, -4), (40, -5.5), step_m=0.5)
+    on_road = (bare.points_W_m[:, 1] <= 4) & (bare.points_W_m[:, 1] > -4)
+    route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
+    stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
+    assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
+
+
+def test_a_light_that_stays_red_is_believed_for_two_minutes():
     sim, log = cross(light(1e9), law_share=1.0, seconds=250.0)
     started_s = log[np.argmax(log[:, 1] < 4.0), 0]
-    assert sim.user.arrived and 60.0 < started_s < 85.0
+    assert sim.user.arrived and 130.0 < started_s < 155.0
 
 
 def test_patience_at_a_closed_crossing_is_long_but_ends():

@@ -10,8 +10,11 @@ from shapely import Polygon, box
 from tests.samples import strip_walk
 from wcsim.errors import TownError
 from wcsim.seeding import generator
+from wcsim.supervisor.crossing import crossings
 from wcsim.towns.paths import shortest_inside
 from wcsim.towns.routes import Router
+from wcsim.towns.street import load_street
+from wcsim.towns.town import find_town
 from wcsim.types import Street, WalkEdge, WalkGraph, WayKind
 
 
@@ -75,6 +78,39 @@ def test_drawn_routes_are_fine_and_repeatable(manhattan: Street) -> None:
             edge = manhattan.walk.edges[index]
             assert shapely.LineString(edge.points_W_m).distance(shapely.Point(point)) < 1e-6
     assert np.mean((np.array(lengths_m) >= 40.0) & (np.array(lengths_m) <= 260.0)) > 0.8
+
+
+def over_a_crossing(street: Street, share: float, seed: int, routes: int = 40) -> float:
+    """The share of drawn routes that lead over a crossing within the first 80 m."""
+    router, rng, found = Router(street.walk), generator(seed, "share"), 0
+    for _ in range(routes):
+        start, _ = router.random_start(rng)
+        items = crossings(router.route(start, router.random_goal(rng, start, 60.0, 400.0, share)), street.walk)
+        found += bool(items) and items[0].start_m <= 81.0
+    return found / routes
+
+
+@pytest.mark.parametrize("name", ["monaco", "manhattan"])
+def test_a_share_of_the_routes_of_a_town_leads_over_a_crossing_nearby(name: str) -> None:
+    street = load_street(find_town(name))
+    before, after = over_a_crossing(street, 0.0, 3), over_a_crossing(street, 1.0, 3)
+    assert after >= before + 0.1, (before, after)
+
+
+def test_without_a_crossing_in_reach_any_destination_is_taken() -> None:
+    nodes = np.array([[0.0, 0.0], [300.0, 0.0]])
+    line = WalkEdge(sumo_id=":w", start=0, end=1, points_W_m=nodes, kind=WayKind.SIDEWALK, width_m=2.0)
+    router = Router(WalkGraph(nodes_W_m=nodes, edges=(line,)))
+    x, y = router.random_goal(generator(1, "goal"), (10.0, 0.0), 60.0, 200.0, 1.0)
+    assert 0.0 < x < 300.0 and y == 0.0
+
+
+def test_no_share_draws_as_if_there_were_none(manhattan: Street) -> None:
+    router = Router(manhattan.walk)
+    start, _ = router.random_start(generator(4, "test"))
+    plain, none = generator(4, "goal"), generator(4, "goal")
+    assert router.random_goal(plain, start, 60.0, 400.0) == router.random_goal(none, start, 60.0, 400.0, 0.0)
+    assert plain.random() == none.random()
 
 
 HOLES = st.lists(st.tuples(st.floats(1, 9), st.floats(1, 9), st.floats(0.3, 2)), max_size=4)

@@ -160,7 +160,7 @@ class Seat:
         """After an arrival, or when the user gave up: the episode goes on to another place."""
         x, y, _ = self.chair.state().p_WB_m.tolist()
         rng = seeding.generator(self._seed, "goal", self.index, self._episode, self._step)
-        self._follow(self._router.route((x, y), self._router.random_goal(rng, (x, y), *GOAL_RANGE_M)))
+        self._follow(self._router.route((x, y), self._draw_goal(rng, (x, y))))
 
     def observe(
         self,
@@ -280,7 +280,10 @@ class Seat:
             if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
                 break
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
-        return self._start(xy, yaw_rad, self._router.random_goal(rng, xy, *GOAL_RANGE_M))
+        return self._start(xy, yaw_rad, self._draw_goal(rng, xy))
+
+    def _draw_goal(self, rng: np.random.Generator, xy: XY) -> XY:
+        return self._router.random_goal(rng, xy, *GOAL_RANGE_M, self._config.world.crossing_share)
 
 
 def _require_in_town(start: StartSpec | None, router: Router) -> None:

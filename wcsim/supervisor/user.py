@@ -8,6 +8,7 @@ that answers late and not quite exactly. Only the stick is shown to the agent; t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,8 @@ import numpy as np
 from wcsim.errors import ConfigError
 from wcsim.frames import wrap
 from wcsim.supervisor import avoidance
-from wcsim.supervisor.avoidance import HALF_LENGTH_M, Body
-from wcsim.supervisor.crossing import Crossing, crossings, has_light, is_red, vehicle_comes
+from wcsim.supervisor.avoidance import Body
+from wcsim.supervisor.crossing import Crossing, Kerbs, crossings
 from wcsim.supervisor.edges import Edges
 from wcsim.supervisor.hand import Hand, SwitchHand, on_disc
 from wcsim.supervisor.path import Path
@@ -36,13 +37,12 @@ CORNER_AHEAD_M = 5.0
 SLOPE_MPS, SLOPE_AHEAD_M = 0.8, 4.0  # how fast a ramp is driven on, and how far ahead it is seen
 CORRECTION_ERROR = 0.25  # relative, of one corrective movement
 CALM_STICK = 0.2  # who steers more than this looks at the street
+STRAIGHT_S = 0.5  # so long after the beginning of a look elsewhere the stick is straight
 ARRIVED_M = 0.5
 PROGRESS_M = 0.25  # less than this is being blocked
-RED_BELIEVED_S = 60.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
-WAIT_PATIENCE = 8.0  # at a light or for a vehicle the user waits this many times longer,
+WAIT_PATIENCE = 12.0  # at a light or for a vehicle the user waits this many times longer,
 TURN_PATIENCE = 3.0  # and this many times while turning round
 LONGEST_STEP_S = 0.05
-KERB_GAP_M = 0.3  # left between footplate and road while waiting
 HAIRPIN_M = 1.0
 NEAREST_GOAL_M = 0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
 GOAL_FARTHER_M = tuple(0.25 * step for step in range(1, 11))
@@ -50,7 +50,6 @@ STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
 CREEP_MPS, BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
 STUCK_S, STUCK_M, STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
 FREE_M = 0.5  # and is backed up so far
-LIGHT_SEEN_M, TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +111,11 @@ class SimulatedUser:
         """Take a new destination; patience and progress begin anew. Raises ConfigError for a route without points."""
         self._path = Path(route)
         self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
-        self._crossings = crossings(route, self._street.walk) if self._street is not None else ()
-        self._obeys: dict[Crossing, bool] = {}
-        self._red_since_s: dict[Crossing, float] = {}
+        items = crossings(route, self._street.walk) if self._street is not None else ()
+        ground = None if self._street is None else self._street.grid
+        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng)
+        self._stop_m: float | None = None
+        self._patience = 1.0
         self._arc_m = 0.0
         self._furthest_m = -math.inf
         self._blocked_s = 0.0
@@ -144,6 +145,11 @@ class SimulatedUser:
         return self._witness
 
     @property
+    def obeys(self) -> Mapping[Crossing, bool]:
+        """The crossings of this route that the user has come to, and whether it keeps to the law; for measurements."""
+        return self._kerbs.obeys if self._path is not None else {}
+
+    @property
     def route_progress_m(self) -> float:
         """How far along the present route the chair is."""
         return self._arc_m if self._path is not None else 0.0
@@ -171,13 +177,14 @@ class SimulatedUser:
         if self._path is None:
             return
         body = self._body(view, self._path)
-        patience = 1.0
         self._witness = None
         if self._perception.attend(dt_s, abs(self._intent.x) < CALM_STICK):
             plan = self._plan(view, body, self._path)
-            patience = plan.patience
+            self._patience = plan.patience
             self._intent = self._corrected(plan.wish, view.time_s)
-        self._judge_progress(self._path, dt_s / patience)
+        else:
+            self._intent = self._carried_on(body, dt_s)
+        self._judge_progress(self._path, dt_s / self._patience)
         if self.arrived or self.gave_up:
             self._intent = Joystick(0.0, 0.0)
         self._hand.want(self._intent)
@@ -213,21 +220,31 @@ class SimulatedUser:
         if self._edges is not None:
             slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, SLOPE_AHEAD_M)
             speed = min(speed, math.hypot(SLOPE_MPS, stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
-        kerb_m = self._kerb_to_wait_at(view, body, seen)
+        kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         if kerb_m is not None:
             speed = min(speed, stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
-        speed = min(speed, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
+        safe = avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s)
+        if safe < speed:
+            speed, self._stop_m = safe, body.arc_m + 0.5 * safe**2 / BRAKE_MPS2
         goal_m = body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
         speed = self._change_lane(body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0)
         goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
-            self._moved = None
-            return Plan(wish=self._steered(body, goal, speed), patience=WAIT_PATIENCE)
+            self._moved = None  # who turned here already would swing the footplate over the kerb
+            return Plan(wish=self._straight_on(body, speed), patience=WAIT_PATIENCE)
         self._free_when_stuck(body, view.time_s)
         turn = self._turned(body, goal, seen, view.time_s)
         if turn is not None:
             return turn
         return Plan(wish=self._steered(body, goal, speed))
+
+    def _carried_on(self, body: Body, dt_s: float) -> Joystick:
+        """What the hand does during a look elsewhere: it lets go of the steering, and goes on with a stop."""
+        x, y = self._intent.x, self._intent.y
+        x = math.copysign(max(0.0, abs(x) - CALM_STICK * dt_s / STRAIGHT_S), x)
+        if self._stop_m is not None and y > 0.0:
+            y = min(y, self._straight_on(body, stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
+        return Joystick(x, y)
 
     def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:
         """Where to steer at or beyond a place of the route: far enough off to say a direction.
@@ -244,6 +261,10 @@ class SimulatedUser:
 
     def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
         return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
+
+    def _straight_on(self, body: Body, speed_mps: float) -> Joystick:
+        ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
+        return self._steered(body, ahead, speed_mps)
 
     def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> Plan | None:
         """A turn on the spot, with room made for it before; None when none is needed."""
@@ -296,30 +317,6 @@ class SimulatedUser:
             self._lane_m = lane
         off = abs(body.left_m - self._lane_m) > 0.15
         return min(speed_mps, 0.6 * desired_mps) if off or lane is None else speed_mps
-
-    def _kerb_to_wait_at(self, view: UserView, body: Body, seen: Seen) -> float | None:
-        """Arc where the chair's middle must stop because of a light or a vehicle; None when the way is free."""
-        behind_m = -math.inf
-        for item in self._crossings:
-            stop_m = item.start_m - HALF_LENGTH_M - KERB_GAP_M
-            island = stop_m > behind_m + HALF_LENGTH_M  # too short a refuge is no place to wait
-            behind_m = item.end_m
-            to_go_m = stop_m - body.arc_m
-            if not -0.4 < to_go_m < LIGHT_SEEN_M or not island:
-                continue
-            if item not in self._obeys:
-                self._obeys[item] = bool(self._rng.random() < self.profile.law_share)
-            if not self._obeys[item]:
-                continue
-            if is_red(item, view.signals):
-                if to_go_m < TRAFFIC_SEEN_M:
-                    since_s = self._red_since_s.setdefault(item, view.time_s)
-                if to_go_m >= TRAFFIC_SEEN_M or view.time_s - since_s < RED_BELIEVED_S:
-                    return stop_m
-            watched = to_go_m < TRAFFIC_SEEN_M and (item in self._red_since_s or not has_light(item, view.signals))
-            if watched and vehicle_comes(item, seen.vehicles):
-                return stop_m
-        return None
 
     def _corrected(self, wish: Joystick, time_s: float) -> Joystick:
         """Who steers in single corrections changes the plan only now and then, and misses its size."""

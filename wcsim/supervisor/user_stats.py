@@ -64,7 +64,7 @@ class Tremor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pauses:
-    """Stretches in which an intent stood still though the chair was driven."""
+    """Stretches in which nobody corrected an intent though the chair was driven."""
 
     share: float
     mean_s: float | None
@@ -126,9 +126,9 @@ def fit_hand(log: HandLog, smooth_s: float = 0.0) -> HandFit:
 
 
 def pauses(intents: F64, tick_s: float) -> Pauses:
-    """Stretches in which an intent (N, 2) did not change at all; rest and backing up, steady as they are, count not."""
+    """Stretches in which an intent (N, 2) only let go of the steering, if anything; rest and backing up count not."""
     driven = (np.abs(intents[1:]).max(axis=1) > 0.0) & (intents[1:, 1] >= 0.0)
-    still = (np.diff(intents, axis=0) == 0.0).all(axis=1) & driven
+    still = (np.diff(intents[:, 1]) == 0.0) & (np.diff(np.abs(intents[:, 0])) <= 0.0) & driven
     lengths = [stop - start for start, stop in stretches(still)]
     mean_s = tick_s * float(np.mean(lengths)) if lengths else None
     return Pauses(share=float(still.sum()) / max(1, int(driven.sum())), mean_s=mean_s)

@@ -10,11 +10,12 @@ import shapely
 
 from wcsim.errors import TownError
 from wcsim.towns.plane import length_of
-from wcsim.types import F64, I32, Route, WalkEdge, WalkGraph, WayKind
+from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
 
 SPACING_M = 1.0  # of a route's points
 START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
 CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
+SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do
 SPUR_M, SPUR_GAP_M, SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
 
 XY = tuple[float, float]
@@ -67,16 +68,25 @@ class Router:
         yaw_rad = float(np.arctan2(ahead[1] - here[1], ahead[0] - here[0]))
         return (float(here[0]), float(here[1])), yaw_rad if rng.random() < 0.5 else _turned(yaw_rad)
 
-    def random_goal(self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float) -> XY:
-        """A place on a pavement, min_m to max_m of way from `start_xy`, or as near to that as the town allows."""
-        reach_m, near_m = self._reach(start_xy, max_m)
+    def random_goal(
+        self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float, crossing_share: float = 0.0
+    ) -> XY:
+        """A place on a pavement, min_m to max_m of way from `start_xy`, or as near to that as the town allows.
+
+        With the chance `crossing_share` it is one of those to which the way leads over a crossing within `SOON_M`,
+        where there are any.
+        """
+        over_road = crossing_share > 0.0 and bool(rng.random() < crossing_share)
+        reach_m, near_m, over = self._reach(start_xy, max_m)
         middle_m = near_m + 0.5 * self._length_m[self._starts]
         fits = (middle_m >= min_m) & (middle_m <= max_m)
         if not fits.any():
-            reach_m, near_m = self._reach(start_xy, None)
+            reach_m, near_m, over = self._reach(start_xy, None)
             middle_m = near_m + 0.5 * self._length_m[self._starts]
             miss_m = np.maximum(min_m - middle_m, middle_m - max_m)
             fits = miss_m <= miss_m.min() + 1e-9
+        if over_road and (fits & over).any():
+            fits &= over
         weights = np.where(fits, self._length_m[self._starts], 0.0)
         index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
         edge, length_m = self.walk.edges[index], float(self._length_m[index])
@@ -99,19 +109,33 @@ class Router:
                 graph.add_edge(edge.start, edge.end, weight=cost_m, index=index)
         return graph
 
-    def _reach(self, start_xy: XY, cutoff_m: float | None) -> tuple[dict[int, float], F64]:
-        """Cost of the way from a point to each node, up to a limit, and to the nearer end of each edge of `_starts`."""
+    def _reach(self, start_xy: XY, cutoff_m: float | None) -> tuple[dict[int, float], F64, Bool]:
+        """Cost of the way from a point to each node, up to a limit, and to the nearer end of each edge of `_starts`.
+
+        The last of the three says to which of these edges the way leads over a crossing within `SOON_M`.
+        """
         first, at_m = self._snap(start_xy)
         edge = self.walk.edges[first]
         ends = ((edge.start, at_m), (edge.end, float(self._length_m[first]) - at_m))
         reach_m: dict[int, float] = {}
+        over: dict[int, bool] = {}
         for node, offset_m in ends:
-            found = networkx.single_source_dijkstra_path_length(self._graph, node, cutoff=cutoff_m)
-            for other, cost_m in found.items():
-                reach_m[other] = min(reach_m.get(other, np.inf), offset_m + cost_m)
-        edges = (self.walk.edges[index] for index in self._starts.tolist())
-        near_m = [min(reach_m.get(e.start, np.inf), reach_m.get(e.end, np.inf)) for e in edges]
-        return reach_m, np.array(near_m)
+            before, found = networkx.dijkstra_predecessor_and_distance(self._graph, node, cutoff=cutoff_m)
+            crosses = {node: False}
+            for other, cost_m in found.items():  # nearest first, so what lies before is known
+                if other != node:
+                    last = before[other][0]
+                    soon = offset_m + found[last] <= SOON_M
+                    crosses[other] = crosses[last] or (soon and self._is_crossing(last, other))
+                if offset_m + cost_m < reach_m.get(other, np.inf):
+                    reach_m[other], over[other] = offset_m + cost_m, crosses[other]
+        edges = [self.walk.edges[index] for index in self._starts.tolist()]
+        nearer = [min((e.start, e.end), key=lambda node: reach_m.get(node, np.inf)) for e in edges]
+        near_m = np.array([reach_m.get(node, np.inf) for node in nearer])
+        return reach_m, near_m, np.array([over.get(node, False) for node in nearer], np.bool_)
+
+    def _is_crossing(self, a: int, b: int) -> bool:
+        return self.walk.edges[self._graph[a][b]["index"]].kind is WayKind.CROSSING
 
     def _snap(self, xy: XY) -> tuple[int, float]:
         """The nearest edge and the distance along it."""
