@@ -232,6 +232,9 @@ class Events:
     gave_up: bool
     progress_m: float = 0.0  # along the route during this tick
     jam_teleports: int = 0
+    on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
+    crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
+    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -79,7 +79,8 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         follow = 1.0 if distance <= 0.1768 + 1e-6 else 0.0
         penalty = 0.0 if follow else -2.0 * min((distance - 0.1768) / (2.0 - 0.1768), 1.0)
         reward = RewardTerms(base=follow, joystick=penalty, accel=0.0, tilt=0.0, crash=-100.0 if crashed else 0.0)
-        info = self._info(distance, reward, crashed, truncated)
+        asked, given = Joystick(*map(float, stick)), Joystick(*map(float, point))
+        info = {**self._info(distance, reward, crashed, truncated), "asked": asked, "given": given}
         return self._observe(), reward.total, crashed, truncated, info
 
     def _info(self, distance, reward, crashed, truncated):

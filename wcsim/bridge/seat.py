@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim import seeding
+from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
@@ -90,6 +91,7 @@ class Seat:
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
+        self._on_road = OnRoad()
 
     @property
     def spawned(self) -> bool:
@@ -122,6 +124,7 @@ class Seat:
         self.stand()
         self.user = self._new_user()
         self._obstacles = ObstacleWatch(self._street.grid)
+        self._crossing = CrossingWatch(self._street.grid, self._street.walk)
         self._follow(start.route)
 
     def _vary(self) -> None:
@@ -151,8 +154,9 @@ class Seat:
         self.user.hand(world.substeps, world.tick_s / world.substeps)
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
-        """Show the user the street."""
+        """Show the user the street, and see where in it the chair is."""
         self.user.look(self._view(time_s, others, signals))
+        self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
         self._progressed_m = self.user.route_progress_m - self._progress_m
         self._progress_m = self.user.route_progress_m
 
@@ -189,6 +193,9 @@ class Seat:
             gave_up=not first and self.user.gave_up,
             progress_m=0.0 if first else self._progressed_m,
             jam_teleports=jam_teleports,
+            on_carriageway=self._on_road.on_carriageway,
+            crossed=self._on_road.crossed,
+            entered_red=self._on_road.entered_red,
         )
 
     def _crash_reason(self) -> str:

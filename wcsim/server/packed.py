@@ -249,6 +249,9 @@ def _packed_events(events: Events) -> PackedEvents:
         events.gave_up,
         events.progress_m,
         events.jam_teleports,
+        events.on_carriageway,
+        events.crossed,
+        events.entered_red,
     )
 
 
@@ -263,6 +266,9 @@ def _events(events: PackedEvents) -> Events:
         gave_up=events.gave_up,
         progress_m=events.progress_m,
         jam_teleports=events.jam_teleports,
+        on_carriageway=events.on_carriageway,
+        crossed=events.crossed,
+        entered_red=events.entered_red,
     )
 
 

@@ -80,6 +80,9 @@ class PackedEvents(_Part, frozen=True):
     gave_up: bool
     progress_m: b.Number
     jam_teleports: b.Count
+    on_carriageway: bool
+    crossed: bool
+    entered_red: bool
 
 
 class PackedDrawn(_Part, frozen=True):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.types import F64, ActorState, Route, SignalState, WalkGraph, WayKind
+from wcsim.types import F64, ActorState, Route, SignalState, WalkEdge, WalkGraph, WayKind
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
@@ -55,7 +55,7 @@ def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
     return tuple(found)
 
 
-def is_red(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
+def is_red(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> bool:
     """Whether the pedestrian signal forbids to start; without a signal, or with it switched off, it never does."""
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
