@@ -10,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.samples import strip_street
+from tests.worlds import open_world
 from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
-from wcsim.types import ActorKind, ActorState, SignalState, WayKind
+from wcsim.towns.street import load_street
+from wcsim.towns.town import find_town
+from wcsim.types import ActorKind, ActorState, Command, Joystick, SeatSpec, SignalState, StartSpec, WayKind
 
 HALF_M = 0.5
 TICK_S = 0.1
@@ -157,3 +160,28 @@ def test_nobody_crosses_more_often_than_the_sides_change(places):
         if abs(y) >= 4.0 and (y > 0) != (side > 0):
             side, sides = -side, sides + 1
     assert sum(moment.crossed for moment in seen) <= sides
+
+
+def test_a_wheelchair_that_crosses_tells_it_once(corner):
+    """In the world: a careless user drives over a crossing whatever its light shows."""
+    street = load_street(find_town(str(corner)))
+    (edge, *_) = (e for e in street.walk.edges if e.kind is WayKind.CROSSING)
+    (x0, y0), (x1, y1) = edge.points_W_m[0], edge.points_W_m[-1]
+    length_m = math.dist((x0, y0), (x1, y1))
+    ux, uy = (x1 - x0) / length_m, (y1 - y0) / length_m
+    start = StartSpec(
+        p_W_m=(x0 - 2.0 * ux, y0 - 2.0 * uy), yaw_rad=math.atan2(uy, ux), goal_W_m=(x1 + 2.5 * ux, y1 + 2.5 * uy)
+    )
+    spec = SeatSpec(profile="competent", start=start)
+    with open_world(corner, "world.demand_scale=0", spec=spec) as world:
+        seen = []
+        while not (seen and (seen[-1].arrived or len(seen) > 400)):
+            command = Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.6))
+            seen.append(world.tick((command,)).clients[0].events)
+            at_m = float(np.dot(world.seats[0].as_actor().p_W_m[:2] - (x0, y0), (ux, uy)))
+            assert seen[-1].on_carriageway == (0.0 < at_m < length_m) or min(abs(at_m), abs(at_m - length_m)) < 0.4
+            if at_m > length_m + 1.0:
+                break
+    assert sum(events.crossed for events in seen) == 1
+    assert not any(events.entered_red for events in seen) or edge.tls_id
+    assert 0.5 * length_m < 0.1 * sum(events.on_carriageway for events in seen) < 3.0 * length_m
