@@ -35,7 +35,7 @@ class Script(gym.Env):
 
     def _info(self, distance):
         truth = Truth(
-            intent=Joystick(0, 0), danger=self.k >= 2, safe_actions=np.ones(81, bool), clearance_m=1, progress_m=0
+            intent=Joystick(0, 0), danger=self.k >= 2, first_s=np.full(81, np.inf), clearance_m=1, progress_m=0
         )
         events = Events(
             episode=0, step=self.k, crashed=self.k == self.crash_at, truncated=False, arrived=self.k == 2,
@@ -105,9 +105,9 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
         def _info(self, distance):
             info = super()._info(distance)
-            safe = np.zeros(81, bool)
-            safe[self.k] = True
-            return {**info, "truth": replace(info["truth"], safe_actions=safe)} if self.truth else info
+            first_s = np.ones(81)
+            first_s[self.k] = np.inf
+            return {**info, "truth": replace(info["truth"], first_s=first_s)} if self.truth else info
 
     asked: list[int] = []
     oracle = baseline("oracle", CONFIG)

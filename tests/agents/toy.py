@@ -109,7 +109,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         stick = self.joystick()
         return Truth(
             intent=Joystick(float(stick[0]), float(stick[1])), danger=self.clearance() < 1.0, progress_m=0.0,
-            safe_actions=np.ones(len(self.actions), dtype=bool), clearance_m=self.clearance(),
+            first_s=np.full(len(self.actions), np.inf), clearance_m=self.clearance(),
         )
 
     def _new_goal(self) -> None:

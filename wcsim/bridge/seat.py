@@ -82,7 +82,7 @@ class Seat:
         self._router = router
         plant = plant_spec(config.chair)
         wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
-        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points)
+        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Variation(config, index)
         self.fitting: Fitting | None = None
         self._seed = 0
@@ -203,13 +203,13 @@ class Seat:
         return crash_reason(chair.imu(), chair.state(), chair.contacts(), self._config.reward)
 
     def truth(self, others: Sequence[ActorState]) -> Truth:
-        """Danger and safe actions on the true geometry, for a seat that asked for them."""
+        """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
         plant = self.chair.state()
-        seen = self._oracle.assess(plant, self.user.joystick, others)
+        seen = self._oracle.assess(plant, self.user.joystick, others, tuple(self._waiting))
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,
-            safe_actions=seen.safe_actions,
+            first_s=seen.first_s,
             clearance_m=seen.clearance_m,
             progress_m=self._progressed_m,
         )
