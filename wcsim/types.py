@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
+import numpy as np
+
 from wcsim.arrays import F32 as F32
 from wcsim.arrays import F64 as F64
 from wcsim.arrays import I32 as I32
@@ -214,9 +216,15 @@ class Truth(ComparesArrays):
 
     intent: Joystick  # the user's clean intent
     danger: bool  # holding the user's command for 0.5 s and then braking would end badly
-    safe_actions: Bool  # (A,) the same question for each action of the set
+    first_s: F64  # (A,) for each action of the set: seconds until that would go wrong, infinity when it ends well
     clearance_m: float  # free distance around the chair now
     progress_m: float  # along the route during this tick
+
+    @property
+    def safe_actions(self) -> Bool:
+        """(A,) which actions end well."""
+        safe: Bool = np.isinf(self.first_s)
+        return safe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,6 +240,9 @@ class Events:
     gave_up: bool
     progress_m: float = 0.0  # along the route during this tick
     jam_teleports: int = 0
+    on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
+    crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
+    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -149,15 +149,19 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
     assert isinstance(oracle, SeesTruth) and not isinstance(baseline("dwa", RunConfig(cameras=(CAMERA,))), SeesTruth)
     ahead = {"joystick": np.array([0.1, 0.9], np.float32)}
 
-    def chosen(safe):
-        truth = Truth(intent=Joystick(0, 0), danger=True, safe_actions=safe, clearance_m=1.0, progress_m=0.0)
+    def chosen(safe, first_s=1.0):
+        first_s = np.where(safe, np.inf, first_s)
+        truth = Truth(intent=Joystick(0, 0), danger=True, first_s=first_s, clearance_m=1.0, progress_m=0.0)
         oracle.see(truth)
         return tuple(actions.points[oracle.act(ahead)])
 
     everything = np.ones(len(actions), bool)
     assert chosen(everything) == (0.0, 1.0)
     assert chosen(everything & (actions.points[:, 1] < 0.6)) == (0.0, 0.5)
-    assert chosen(~everything) == (0.0, 0.0)
+    assert chosen(~everything) == (0.0, 0.0)  # all fail together: the gentlest
+    backwards = 1.0 + (actions.points[:, 1] < -0.4)
+    assert chosen(~everything, backwards) == (0.0, -0.5)  # those that fail last, gently
+    assert chosen(~everything, np.where(np.arange(81) == 7, 1.05, 1.0)) == tuple(actions.points[7])
     with pytest.raises(PolicyError, match="see"):
         oracle.act(ahead)
     with pytest.raises(PolicyError, match=r"env\.truth"):

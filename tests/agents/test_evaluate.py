@@ -1,3 +1,4 @@
+import io
 import json
 import math
 from dataclasses import replace
@@ -5,6 +6,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from rich.console import Console
 
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.baselines import baseline
@@ -12,11 +14,13 @@ from wcsim.agents.evaluate import evaluate
 from wcsim.agents.testing import TestResult, open_policy, run_test
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
-from wcsim.types import Joystick, Truth
+from wcsim.types import Events, Joystick, Truth
 
 KEYS = (
-    "policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "free_share", "kpi2_mean_steps", "crashes",
-    "km", "crashes_per_km", "speed_mps",
+    "policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "kpi1_moving_mean", "kpi1_moving_within",
+    "free_share", "blocked_share", "freezes", "kpi2_mean_steps", "crashes", "crash_reasons", "km", "crashes_per_km",
+    "speed_mps", "routes_completed", "routes_given_up", "crossings", "crossings_per_km", "standing_on_carriageway_s",
+    "red_entries",
 )  # fmt: skip
 CAMERA = toy_camera(24, 32)
 CONFIG = RunConfig(cameras=(CAMERA,))
@@ -31,9 +35,17 @@ class Script(gym.Env):
 
     def _info(self, distance):
         truth = Truth(
-            intent=Joystick(0, 0), danger=self.k >= 2, safe_actions=np.ones(81, bool), clearance_m=1, progress_m=0
+            intent=Joystick(0, 0), danger=self.k >= 2, first_s=np.full(81, np.inf), clearance_m=1, progress_m=0
         )
-        return {"joystick_distance": distance, "speed_mps": self.speed_mps, "truth": truth if self.truth else None}
+        events = Events(
+            episode=0, step=self.k, crashed=self.k == self.crash_at, truncated=False, arrived=self.k == 2,
+            crash_reason="tilt" if self.k == self.crash_at else "", gave_up=self.k == 3,
+            crossed=self.k in (1, 2), entered_red=self.k == 1, on_carriageway=self.k >= 4,
+        )  # fmt: skip
+        return {
+            "joystick_distance": distance, "speed_mps": self.speed_mps, "truth": truth if self.truth else None,
+            "events": events, "asked": Joystick(0.0, 0.2 + 0.2 * self.k), "given": Joystick(0.0, 0.0),
+        }  # fmt: skip
 
     def reset(self, *, seed=None, options=None):
         self.seeds.append(seed)
@@ -63,6 +75,17 @@ def test_the_indicators_of_a_scripted_drive():
     assert (row.kpi2_mean_steps, row.crashes, row.episodes) == (6, 2, 2)
     assert (row.km, row.crashes_per_km) == (pytest.approx(0.12), pytest.approx(2 / 0.12))
     assert env.seeds == [7, None]
+    assert row.kpi1_moving_mean == pytest.approx(0.05)  # the stick is out by more than 0.3 in all steps
+    assert (row.kpi1_moving_within, row.blocked_share) == (1.0, 1.0)
+    assert (row.routes_completed, row.routes_given_up, row.crossings, row.red_entries) == (2, 2, 4, 2)
+    assert row.crossings_per_km == pytest.approx(4 / 0.12)
+    assert row.crash_reasons == {"tilt": 2}
+    assert (row.freezes, row.standing_on_carriageway_s) == (0, 0.0)  # it never stands
+
+
+def test_a_policy_that_stands_freezes_on_the_carriageway():
+    row = evaluate(FOLLOW, Script(crash_at=6, speed_mps=0.0), episodes=2, max_steps=100, seed=7, tick_s=1.0)
+    assert (row.freezes, row.standing_on_carriageway_s) == (2, 6.0)  # one an episode; 3 steps of each on the road
 
 
 def test_a_cut_episode_survived_and_little_was_measured():
@@ -82,9 +105,9 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
         def _info(self, distance):
             info = super()._info(distance)
-            safe = np.zeros(81, bool)
-            safe[self.k] = True
-            return {**info, "truth": replace(info["truth"], safe_actions=safe)} if self.truth else info
+            first_s = np.ones(81)
+            first_s[self.k] = np.inf
+            return {**info, "truth": replace(info["truth"], first_s=first_s)} if self.truth else info
 
     asked: list[int] = []
     oracle = baseline("oracle", CONFIG)
@@ -94,11 +117,34 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
         evaluate(oracle, Danger(truth=False), episodes=1, max_steps=9, seed=0)
 
 
+def shown(result, width=120):
+    console = Console(width=width, file=io.StringIO())
+    console.print(*result.tables())
+    return console.file.getvalue()
+
+
+def cells(text):
+    return [line.split() for line in text.splitlines() if line.split()[:1] == ["follow"]]
+
+
 def test_the_table_calls_the_oracle_an_upper_bound():
     row = evaluate(FOLLOW, Script(), episodes=1, max_steps=5, seed=0)
     result = TestResult(town="a", seed=0, profile="b", rows=(row, replace(row, policy="oracle")))
-    assert "upper bound" in str(result.table().caption)
-    assert replace(result, rows=(row,)).table().caption is None
+    assert "upper bound" in shown(result)
+    assert "upper bound" not in shown(replace(result, rows=(row,)))
+
+
+def test_the_tables_show_what_was_counted_and_drops_when_there_are_some():
+    row = evaluate(FOLLOW, Script(), episodes=2, max_steps=9, seed=0, tick_s=10.0)
+    result = TestResult(town="a", seed=0, profile="b", rows=(row,))
+    text = shown(result, width=80)
+    assert max(map(len, text.splitlines())) <= 80
+    following, there = cells(text)
+    assert following[1:] == ["0.250", "33%", "0.050", "0.050", "100%", "33%", "100.0%", "0", "6"]
+    assert there[1:] == ["2", "0.12", "16.67", "1.00", "2", "2", "4", "33.3", "2", "0.0"]
+    fell = replace(result, rows=(row, replace(row, crash_reasons={"drop": 3, "tilt": 2})))
+    assert "drops" not in text and "drops" in shown(fell)
+    assert [row[-1] for row in cells(shown(fell))[2:]] == ["0", "3"]
 
 
 def test_nonsense_is_refused():
@@ -121,8 +167,7 @@ def test_a_test_of_several_policies_towns_and_profiles():
     assert list(data) == ["town", "seed", "profile", "rows"]
     assert [row["policy"] for row in data["rows"]] == ["follow", "zero"]
     assert results[0].rows == results[1].rows  # the same seed gives the same drive
-    table = results[0].table()
-    assert table.row_count == 2
+    assert [table.row_count for table in results[0].tables()] == [2, 2]
 
 
 def test_the_environment_is_closed_when_a_policy_fails():

@@ -79,7 +79,8 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         follow = 1.0 if distance <= 0.1768 + 1e-6 else 0.0
         penalty = 0.0 if follow else -2.0 * min((distance - 0.1768) / (2.0 - 0.1768), 1.0)
         reward = RewardTerms(base=follow, joystick=penalty, accel=0.0, tilt=0.0, crash=-100.0 if crashed else 0.0)
-        info = self._info(distance, reward, crashed, truncated)
+        asked, given = Joystick(*map(float, stick)), Joystick(*map(float, point))
+        info = {**self._info(distance, reward, crashed, truncated), "asked": asked, "given": given}
         return self._observe(), reward.total, crashed, truncated, info
 
     def _info(self, distance, reward, crashed, truncated):
@@ -108,7 +109,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         stick = self.joystick()
         return Truth(
             intent=Joystick(float(stick[0]), float(stick[1])), danger=self.clearance() < 1.0, progress_m=0.0,
-            safe_actions=np.ones(len(self.actions), dtype=bool), clearance_m=self.clearance(),
+            first_s=np.full(len(self.actions), np.inf), clearance_m=self.clearance(),
         )
 
     def _new_goal(self) -> None:

@@ -133,6 +133,25 @@ def test_truth_comes_only_when_asked_for(corner):
         assert truth.clearance_m > 0.0
 
 
+def test_the_truth_knows_of_the_commands_that_wait(corner):
+    """A chair that is driven in a bend until something comes: every answer is that of a chair which drives on."""
+    spec = SeatSpec(profile="competent", truth=True)
+    differs = 0
+    with open_world(corner, "world.action_delay_ticks=3", "world.demand_scale=0", spec=spec) as world:
+        sticks = [Joystick(0.0, 0.0)] * 3
+        for tick in range(200):
+            sticks.append(Joystick(-0.1 - 0.05 * (tick % 3), 0.8))
+            (client,) = world.tick((Command(seat=0, tick=tick, joystick=sticks[-1]),)).clients
+            if client.first is not None:
+                break
+            seat, others = world.seats[0], world._others(world.seats[0])
+            said = seat._oracle.assess(client.plant, client.user, others, sticks[-3:])
+            assert client.truth is not None and client.truth.danger == said.danger
+            np.testing.assert_array_equal(client.truth.first_s, said.first_s)
+            differs += bool((said.first_s != seat._oracle.assess(client.plant, client.user, others).first_s).any())
+    assert differs > 3
+
+
 def test_a_slow_camera_repeats_its_image_with_its_old_tick(corner):
     with open_world(corner, "cameras.0.every_ticks=3") as world:
         taken = [follow(world).clients[0].sensors.cameras[0].taken_tick for _ in range(7)]

@@ -19,7 +19,9 @@ from wcsim.physics import engine
 
 ROW_KEYS = {
     *("policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "free_share", "kpi2_mean_steps"),
-    *("crashes", "km", "crashes_per_km", "speed_mps"),
+    *("crashes", "km", "crashes_per_km", "speed_mps", "kpi1_moving_mean", "kpi1_moving_within", "blocked_share"),
+    *("freezes", "crash_reasons", "routes_completed", "routes_given_up", "crossings", "crossings_per_km"),
+    *("standing_on_carriageway_s", "red_entries"),
 }
 TOWN_KEYS = {
     *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable", "mesh_faults"),
@@ -102,7 +104,8 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     told = wcsim("test", "follow", "--town", corner, *words, *QUICK)
     assert told.code == 0
     assert fits(told.out)
-    for text in ("slow user, seed 4", "tremor user, seed 4", "SIMULATION ONLY", "KPI 1", "KPI 2", "m/s"):
+    words_shown = ("KPI 1", "KPI 2", "m/s", "moving", "getting there", "given")
+    for text in ("slow user, seed 4", "tremor user, seed 4", "SIMULATION ONLY", *words_shown):
         assert text in told.out
     result = read("t.json")
     assert (result["town"], result["seed"], result["profile"]) == ("pedestrian-crossing", 4, "slow,tremor")

@@ -107,6 +107,13 @@ def test_a_snapshot_survives_the_wire(ended):
     assert reply.client.truth.safe_actions.dtype == np.bool_
 
 
+@pytest.mark.parametrize("flag", ["arrived", "gave_up", "on_carriageway", "crossed", "entered_red"])
+def test_every_event_arrives_as_itself(ended, flag):
+    quiet = dict.fromkeys(("arrived", "gave_up", "on_carriageway", "crossed", "entered_red"), False)
+    client = replace(ended, events=replace(ended.events, **{**quiet, flag: True}))
+    assert m.decode_reply(m.encode(m.Frame(0, 3, 0, client))).client.events == client.events
+
+
 def test_numbers_arrive_to_the_bit(ended):
     odd = np.array([1 / 3, -0.0, 5e-324])
     client = replace(ended, plant=replace(ended.plant, p_WB_m=odd))

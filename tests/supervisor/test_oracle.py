@@ -138,9 +138,8 @@ def test_one_call_says_the_same_as_three():
     state, others = plant(21.0, 6.4, 0.1, 1.3), (actor(ActorKind.PEDESTRIAN, 24.0, 5.4, math.pi, 1.2),)
     once = ORACLE.assess(state, FORWARD, others)
     assert once.danger == ORACLE.danger(state, FORWARD, others)
-    np.testing.assert_array_equal(once.safe_actions, ORACLE.safe_actions(state, others))
+    np.testing.assert_array_equal(np.isinf(once.first_s), ORACLE.safe_actions(state, others))
     assert once.clearance_m == ORACLE.clearance(state, others)
-    assert (np.isfinite(once.first_s) == ~once.safe_actions).all()
 
 
 @pytest.mark.parametrize("name", ["competent", "tremor", "inattentive"])
@@ -204,3 +203,66 @@ def test_casters_behind_feel_kerbs_too():
     above_the_kerb = plant(15.0, 4.55, UP, 0.0)  # the road is behind
     assert not ORACLE.danger(above_the_kerb, backwards, ())
     assert mid.danger(above_the_kerb, backwards, ())
+
+
+LATE = (FORWARD,) * 2  # a delay of two ticks, the stick held
+
+
+def test_a_wall_is_seen_earlier_by_who_is_obeyed_late():
+    """With two commands waiting the answer is that of the moment in which they have been driven."""
+    chair = Chair(x=60.0, y=4.5, yaw=UP, v=1.25)
+    while not ORACLE.assess(chair.plant(), FORWARD, (), LATE).danger:
+        assert not ORACLE.danger(chair.plant(), FORWARD, ())
+        drive(chair, FORWARD, 1)
+    drive(chair, FORWARD, 1)
+    assert not ORACLE.danger(chair.plant(), FORWARD, ())
+    drive(chair, FORWARD, 2)
+    assert ORACLE.danger(chair.plant(), FORWARD, ())
+
+
+def test_waiting_commands_are_driven_before_any_other():
+    """What they lead into, no action mends; what they lead away from is no danger."""
+    close, far = plant(60.0, 8.0, UP, 0.8), plant(60.0, 5.0, UP, 0.8)
+    doomed = ORACLE.assess(close, STOP, (), (Joystick(0.0, 1.0),) * 5)
+    assert doomed.danger and len(set(doomed.first_s)) == 1 and doomed.first_s[0] <= 0.5
+    assert not ORACLE.assess(far, STOP, (), (FORWARD,) * 5).danger
+    once = ORACLE.assess(far, FORWARD, (), (STOP,) * 10)
+    at_rest = ORACLE.assess(plant(60.0, 5.0 + 0.3, UP), FORWARD, ())
+    assert once.danger == at_rest.danger
+    assert np.isinf(once.first_s[ACTIONS.nearest((0.0, 0.0))])
+
+
+def test_seconds_count_from_now():
+    standing = plant(60.0, 8.15, UP)
+    now, late = (ORACLE.assess(standing, FORWARD, (), waiting).first_s for waiting in ((), (STOP,) * 3))
+    failing = np.isfinite(now)
+    assert failing.any() and not failing.all()
+    np.testing.assert_allclose(late[failing], now[failing] + 0.3, atol=1e-9)
+    np.testing.assert_array_equal(np.isfinite(late), failing)
+
+
+@pytest.mark.parametrize(("tick_s", "steps"), [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
+def test_a_waiting_command_lasts_a_tick(tick_s, steps):
+    oracle = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points, tick_s)
+    rolled = oracle._steps((FORWARD, STOP))
+    assert rolled.shape == (steps, 2)
+    assert (rolled[: (steps + 1) // 2, 1] > 0.5).all() and (rolled[(steps + 1) // 2 :] == 0.0).all()
+
+
+def test_others_come_nearer_while_commands_wait():
+    """A car that reaches the chair only after three seconds of waiting is among those that are looked at."""
+    standing, car = plant(40.0, 0.0, UP), (actor(ActorKind.CAR, 40.0 - 36.0, 0.0, 0.0, 11.0),)
+    assert not ORACLE.assess(standing, STOP, car).danger
+    late = ORACLE.assess(standing, STOP, car, (Joystick(1.0, 0.0),) * 10 + (Joystick(-1.0, 0.0),) * 20)
+    assert late.danger and 2.5 < late.first_s.max() < 3.5
+
+
+def test_a_long_wait_leaves_as_long_a_look_at_what_comes_after_it():
+    """Somebody stands where the chair, told to stop after 3.8 s, comes to rest."""
+    chair = plant(5.0, 5.5, 0.0, 1.25)
+    stood = [actor(ActorKind.PEDESTRIAN, 5.0 + ahead_m, 5.5) for ahead_m in np.arange(4.0, 9.0, 0.05)]
+    rest = ACTIONS.nearest((0.0, 0.0))
+    fails_s = [ORACLE.assess(chair, STOP, (one,), (FORWARD,) * 38).first_s[rest] for one in stood]
+    reached_s = [later_s for later_s in fails_s if np.isfinite(later_s)]
+    assert max(reached_s) > 4.2 and len(reached_s) < len(fails_s)
+    assert reached_s == sorted(reached_s)

@@ -14,7 +14,7 @@ from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.physics.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import Bool, Truth
+from wcsim.types import F64, Truth
 
 NAMES = ("follow", "random", "zero", "stop", "dwa")
 """What sees no more than a network does."""
@@ -113,11 +113,11 @@ class Stop:
 
 @dataclass(slots=True, kw_only=True)
 class OracleDriver:
-    """The safe action nearest to the user's joystick, by the true geometry; the stick at rest when none is safe."""
+    """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is."""
 
     actions: ActionSet
     name: str = UPPER_BOUND
-    _safe: Bool | None = field(init=False, default=None)
+    _first_s: F64 | None = field(init=False, default=None)
 
     def begin(self) -> None:
         """Nothing is remembered."""
@@ -129,17 +129,18 @@ class OracleDriver:
         """Take the truth of the moment to act in. Raises PolicyError without one."""
         if truth is None:
             raise PolicyError("the oracle got no truth from its environment; expected env.truth = true: set it")
-        self._safe = truth.safe_actions
+        self._first_s = truth.first_s
 
     def act(self, observation: Observation) -> int:
         """The user's wish as far as it ends well."""
-        if self._safe is None:
+        if self._first_s is None:
             raise PolicyError("the oracle was asked to act before it saw the truth; expected see() before each act()")
-        safe, self._safe = self._safe, None  # the truth of one moment says nothing of the next
-        if not safe.any():
-            return self.actions.nearest((0.0, 0.0))
+        first_s, self._first_s = self._first_s, None  # the truth of one moment says nothing of the next
+        latest = first_s == first_s.max()  # infinity, where any ends well
         distances = self.actions.distances(np.asarray(observation[JOYSTICK_KEY])[None])[0]
-        return int(np.argmin(np.where(safe, distances, np.inf)))
+        if np.isfinite(first_s).all():  # of those that fail together the gentlest
+            distances = np.hypot(self.actions.points[:, 0], self.actions.points[:, 1])
+        return int(np.argmin(np.where(latest, distances, np.inf)))
 
 
 def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:

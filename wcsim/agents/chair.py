@@ -135,7 +135,8 @@ class Chair:
         if self._terms:
             terms = replace(terms, extra=sum(term.reward(before, after) for term in self._terms))
         self._seen = self._window.add(judged.observation)
-        info = self._info(after, terms, self._actions.distance(action, (asked.x, asked.y)))
+        given = Joystick(*self._actions.points[action].tolist())
+        info = self._info(after, terms, self._actions.distance(action, (asked.x, asked.y)), (asked, given))
         return Step(self._seen, float(terms.total), judged.terminated, judged.truncated, info)
 
     def cut(self) -> Step:
@@ -148,18 +149,35 @@ class Chair:
             raise ProtocolError("there is no episode to cut; expected one that has begun")
         last, self.now = self.now, None
         nothing = replace(
-            last.events, truncated=True, arrived=False, gave_up=False, progress_m=0.0, jam_teleports=0
+            last.events,
+            truncated=True,
+            arrived=False,
+            gave_up=False,
+            progress_m=0.0,
+            jam_teleports=0,
+            crossed=False,
+            entered_red=False,
         )
         info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
         return Step(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
 
-    def _info(self, snapshot: ClientSnapshot, terms: RewardTerms | None, distance: float) -> Info:
+    def _info(
+        self,
+        snapshot: ClientSnapshot,
+        terms: RewardTerms | None,
+        distance: float,
+        sticks: tuple[Joystick, Joystick] | None = None,
+    ) -> Info:
+        """What an agent is told beside its observation; `sticks` are the user's and its own answer to it."""
         plant = snapshot.plant
+        asked, given = sticks or (None, None)
         return {
             "state": plant,
             "imu": snapshot.sensors.imu,
             "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
             "joystick_distance": distance,
+            "asked": asked,
+            "given": given,
             "reward_terms": terms,
             "truth": snapshot.truth,
             "drawn": snapshot.drawn,

@@ -18,6 +18,7 @@ from wcsim.agents.protocol import Policy
 from wcsim.agents.runfolder import policy_path
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
+from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
 
 MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
@@ -26,16 +27,29 @@ Progress = Callable[[str], None]
 CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 """What makes the same street look different to a network."""
 
-COLUMNS: tuple[tuple[str, str, str], ...] = (
+Columns = tuple[tuple[str, str, str], ...]
+FOLLOWING: Columns = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
     ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
     ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
+    ("kpi1_moving_mean", "moving\nfree", "{:.3f}"),
+    ("kpi1_moving_within", "\nwithin", "{:.0%}"),
     ("free_share", "free\nsteps", "{:.0%}"),
+    ("blocked_share", "\nblocked", "{:.1%}"),
+    ("freezes", "\nfreezes", "{:d}"),
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
+)
+GETTING_THERE: Columns = (
     ("crashes", "\ncrashes", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
     ("crashes_per_km", "crash\n/km", "{:.2f}"),
     ("speed_mps", "\nm/s", "{:.2f}"),
+    ("routes_completed", "routes\ndone", "{:d}"),
+    ("routes_given_up", "given\nup", "{:d}"),
+    ("crossings", "cross-\nings", "{:d}"),
+    ("crossings_per_km", "\n/km", "{:.1f}"),
+    ("red_entries", "at\nred", "{:d}"),
+    ("standing_on_carriageway_s", "s stood\non road", "{:.1f}"),
 )
 
 
@@ -59,18 +73,21 @@ class TestResult:
             "rows": [row.to_json() for row in self.rows],
         }
 
-    def table(self) -> Table:
-        """The rows for a console, 80 columns wide at most: a long path is folded, a number never is."""
+    def tables(self) -> tuple[Table, Table]:
+        """The rows for a console, 80 columns wide at most: a long path is folded, a number never is.
+
+        The first is about following the user, the second about getting there.
+        """
         title = f"{self.town}, {self.profile} user, seed {self.seed}"
-        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-        table.add_column("\npolicy", overflow="fold", min_width=8)
-        for _, heading, _ in COLUMNS:
-            table.add_column(heading, justify="right", no_wrap=True)
+        drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
+        there = _table("getting there", GETTING_THERE, drops)
+        following = _table(f"{title}: following", FOLLOWING)
         if any(row.policy == baselines.UPPER_BOUND for row in self.rows):
-            table.caption, table.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
+            there.caption, there.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
         for row in self.rows:
-            table.add_row(Text(row.policy), *[_cell(getattr(row, key), text) for key, _, text in COLUMNS])
-        return table
+            following.add_row(*_cells(row, FOLLOWING))
+            there.add_row(*_cells(row, GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))
+        return following, there
 
 
 def run_test(
@@ -137,5 +154,14 @@ def window_for(policies: Sequence[Policy]) -> int:
     return max((policy.file.window for policy in policies if isinstance(policy, NetPolicy)), default=1)
 
 
-def _cell(value: float | int | None, text: str) -> str:
-    return "-" if value is None else text.format(value)
+def _table(title: str, columns: Columns, more: Sequence[str] = ()) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("\npolicy", overflow="fold", min_width=8)
+    for heading in (*(heading for _, heading, _ in columns), *(f"\n{heading}" for heading in more)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _cells(row: EvalRow, columns: Columns) -> list[Text]:
+    values = [(getattr(row, key), text) for key, _, text in columns]
+    return [Text(row.policy), *(Text("-" if value is None else text.format(value)) for value, text in values)]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim import seeding
+from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
@@ -81,7 +82,7 @@ class Seat:
         self._router = router
         plant = plant_spec(config.chair)
         wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
-        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points)
+        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Variation(config, index)
         self.fitting: Fitting | None = None
         self._seed = 0
@@ -90,6 +91,7 @@ class Seat:
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
+        self._on_road = OnRoad()
 
     @property
     def spawned(self) -> bool:
@@ -122,6 +124,7 @@ class Seat:
         self.stand()
         self.user = self._new_user()
         self._obstacles = ObstacleWatch(self._street.grid)
+        self._crossing = CrossingWatch(self._street.grid, self._street.walk)
         self._follow(start.route)
 
     def _vary(self) -> None:
@@ -151,8 +154,9 @@ class Seat:
         self.user.hand(world.substeps, world.tick_s / world.substeps)
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
-        """Show the user the street."""
+        """Show the user the street, and see where in it the chair is."""
         self.user.look(self._view(time_s, others, signals))
+        self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
         self._progressed_m = self.user.route_progress_m - self._progress_m
         self._progress_m = self.user.route_progress_m
 
@@ -189,6 +193,9 @@ class Seat:
             gave_up=not first and self.user.gave_up,
             progress_m=0.0 if first else self._progressed_m,
             jam_teleports=jam_teleports,
+            on_carriageway=self._on_road.on_carriageway,
+            crossed=self._on_road.crossed,
+            entered_red=self._on_road.entered_red,
         )
 
     def _crash_reason(self) -> str:
@@ -196,13 +203,13 @@ class Seat:
         return crash_reason(chair.imu(), chair.state(), chair.contacts(), self._config.reward)
 
     def truth(self, others: Sequence[ActorState]) -> Truth:
-        """Danger and safe actions on the true geometry, for a seat that asked for them."""
+        """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
         plant = self.chair.state()
-        seen = self._oracle.assess(plant, self.user.joystick, others)
+        seen = self._oracle.assess(plant, self.user.joystick, others, tuple(self._waiting))
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,
-            safe_actions=seen.safe_actions,
+            first_s=seen.first_s,
             clearance_m=seen.clearance_m,
             progress_m=self._progressed_m,
         )

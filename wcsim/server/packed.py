@@ -216,7 +216,7 @@ def _packed_truth(truth: Truth) -> PackedTruth:
         truth.intent.x,
         truth.intent.y,
         truth.danger,
-        truth.safe_actions.tobytes(),
+        truth.first_s.tobytes(),
         truth.clearance_m,
         truth.progress_m,
     )
@@ -226,10 +226,18 @@ def _truth(truth: PackedTruth) -> Truth:
     return Truth(
         intent=Joystick(truth.x, truth.y),
         danger=truth.danger,
-        safe_actions=np.frombuffer(truth.safe_actions, np.bool_),
+        first_s=_first_s(truth.first_s),
         clearance_m=truth.clearance_m,
         progress_m=truth.progress_m,
     )
+
+
+def _first_s(data: bytes) -> F64:
+    """Seconds, infinity among them. Raises ProtocolError for anything else."""
+    first_s: F64 = np.frombuffer(data[: len(data) // 8 * 8], np.float64)
+    if len(data) % 8 or not (first_s >= 0.0).all():
+        raise ProtocolError(f"a truth with {len(data)} bytes of seconds; expected 8 for each action, none below 0")
+    return first_s
 
 
 def _contact(touch: PackedContact) -> Contact:
@@ -249,6 +257,9 @@ def _packed_events(events: Events) -> PackedEvents:
         events.gave_up,
         events.progress_m,
         events.jam_teleports,
+        events.on_carriageway,
+        events.crossed,
+        events.entered_red,
     )
 
 
@@ -263,6 +274,9 @@ def _events(events: PackedEvents) -> Events:
         gave_up=events.gave_up,
         progress_m=events.progress_m,
         jam_teleports=events.jam_teleports,
+        on_carriageway=events.on_carriageway,
+        crossed=events.crossed,
+        entered_red=events.entered_red,
     )
 
 

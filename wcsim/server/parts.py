@@ -53,7 +53,7 @@ class PackedTruth(_Part, frozen=True):
     x: b.Stick
     y: b.Stick
     danger: bool
-    safe_actions: Annotated[bytes, msgspec.Meta(max_length=1024)]  # a byte for each action
+    first_s: Annotated[bytes, msgspec.Meta(max_length=8 * 1024)]  # float64, one for each action
     clearance_m: b.Number
     progress_m: b.Number
 
@@ -80,6 +80,9 @@ class PackedEvents(_Part, frozen=True):
     gave_up: bool
     progress_m: b.Number
     jam_teleports: b.Count
+    on_carriageway: bool
+    crossed: bool
+    entered_red: bool
 
 
 class PackedDrawn(_Part, frozen=True):

@@ -10,7 +10,7 @@ import numpy as np
 
 from wcsim.supervisor.avoidance import HALF_LENGTH_M
 from wcsim.supervisor.path import Path
-from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, WalkGraph, WayKind
+from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, WalkEdge, WalkGraph, WayKind
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
@@ -151,7 +151,7 @@ def kerb_m(ground: Ground, path: Path, start_m: float) -> float:
     return start_m
 
 
-def is_red(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
+def is_red(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> bool:
     """Whether the pedestrian signal forbids to start; without a signal, or with it switched off, it never does."""
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:

@@ -2,22 +2,24 @@
 
 A command is dangerous when holding it for 0.5 s and then letting the stick go (the chair brakes at its comfortable
 rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. Everything else
-is free.
+is free. Where commands reach the chair late, those that still wait are driven first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.supervisor.rollout import free_distance, roll_out
+from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
 from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
+FASTEST_MPS = 5.0  # of any chair
 OTHER_LEVEL_M = 2.5  # higher or lower than this, an actor is on a bridge or in a tunnel
 FAR_M = 25.5
 
@@ -27,7 +29,6 @@ class Assessment:
     """Everything the oracle says of one moment."""
 
     danger: bool
-    safe_actions: Bool  # (A,)
     first_s: F64  # (A,) seconds until each action goes wrong, infinity when it is safe
     clearance_m: float
 
@@ -35,7 +36,9 @@ class Assessment:
 class Oracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
-    def __init__(self, grid: Ground, chair: ChairConfig, outline: Outline, wheels_m: F64, actions: F64) -> None:
+    def __init__(
+        self, grid: Ground, chair: ChairConfig, outline: Outline, wheels_m: F64, actions: F64, tick_s: float = 0.1
+    ) -> None:
         """Prepare the arrays.
 
         Args:
@@ -44,6 +47,7 @@ class Oracle:
             outline: The chair seen from above.
             wheels_m: (W, 2) where its wheels stand in B, the left and right drive wheel first, then pairs of casters.
             actions: (A, 2) joystick positions of the action set.
+            tick_s: How long a command lasts.
         """
         self._grid = grid
         self._chair = chair
@@ -51,37 +55,44 @@ class Oracle:
         self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
         self._commands = shaped(actions, chair)
         self._limits = limits_of(chair)
+        self._tick_s = tick_s
 
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
         commands = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
-        return bool(np.isfinite(self._roll_out(plant, commands, actor_table(plant, actors))[0]))
+        return bool(np.isfinite(self._roll_out(plant, commands, actor_table(plant, actors), ())[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, actor_table(plant, actors)))
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, actor_table(plant, actors), ()))
         return safe
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
         return self._clearance(plant, actor_table(plant, actors))
 
-    def assess(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> Assessment:
-        """All answers at once; cheaper than three calls."""
-        table = actor_table(plant, actors)
+    def assess(
+        self,
+        plant: PlantState,
+        joystick: Joystick,
+        actors: Iterable[ActorState],
+        waiting: Sequence[Joystick] = (),
+    ) -> Assessment:
+        """All answers at once; `waiting` are the commands that the chair obeys before the next one, one a tick."""
+        table = actor_table(plant, actors, later_s=len(waiting) * self._tick_s)
         own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
-        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table)
+        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table, waiting)
         return Assessment(
             danger=bool(np.isfinite(first_s[-1])),
-            safe_actions=np.isinf(first_s[:-1]),
             first_s=first_s[:-1],
             clearance_m=self._clearance(plant, table),
         )
 
-    def _roll_out(self, plant: PlantState, commands: F64, table: F64) -> F64:
+    def _roll_out(self, plant: PlantState, commands: F64, table: F64, waiting: Sequence[Joystick]) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         first_s: F64 = roll_out(
             _state(plant),
+            self._steps(waiting),
             commands,
             self._limits,
             self._hull,
@@ -93,6 +104,12 @@ class Oracle:
             table,
         )
         return first_s
+
+    def _steps(self, waiting: Sequence[Joystick]) -> F64:
+        """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""
+        sticks = shaped(np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair)
+        steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
+        return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
     def _clearance(self, plant: PlantState, table: F64) -> float:
         grid = self._grid.around(plant.p_WB_m)
@@ -116,15 +133,21 @@ def shaped(joysticks: F64, chair: ChairConfig) -> F64:
     return np.ascontiguousarray(joysticks * scale[:, None], dtype=np.float64)
 
 
-def actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M) -> F64:
-    """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`)."""
+def actor_table(
+    plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
+) -> F64:
+    """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`).
+
+    The roll-out of a command begins `later_s` from now.
+    """
     x, y, z = plant.p_WB_m.tolist()
     rows = []
     for actor in actors:
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
-        reach = max(REACH_M + LONGEST_ROLL_OUT_S * (abs(vx) + abs(vy)), within_m) + 0.5 * (length + width)
+        meets_m = REACH_M + later_s * FASTEST_MPS + (LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
+        reach = max(meets_m, within_m) + 0.5 * (length + width)
         if abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M:
             rows.append((ax, ay, actor.yaw_rad, 0.0, 0.5 * length, 0.5 * width, vx, vy, 0.0))
     table = np.array(rows, np.float64).reshape(-1, 9)

@@ -41,6 +41,7 @@ BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 @exact_kernel
 def roll_out(
     state: F64,
+    waiting: F64,
     commands: F64,
     limits: F64,
     hull: F64,
@@ -55,6 +56,7 @@ def roll_out(
 
     Args:
         state: (5,) x, y, yaw, v, w of the drive axle.
+        waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (7,) see the column names above.
         hull: (3,) see the column names above.
@@ -74,8 +76,12 @@ def roll_out(
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, commands[k], limits, hull, wheels, allowed_gap, height_cm, clearance_dm, origin_m, cell_m, actors
-        )
+            state, waiting, commands[k], limits, hull, wheels, allowed_gap,
+            height_cm, clearance_dm, origin_m, cell_m, actors,
+        )  # fmt: skip
+        if first_s[k] <= len(waiting) * STEP_S:  # before any command begins
+            first_s[:] = first_s[k]
+            break
     return first_s
 
 
@@ -106,6 +112,7 @@ def free_distance(state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m
 @exact_kernel
 def _one(
     state: F64,
+    waiting: F64,
     command: F64,
     limits: F64,
     hull: F64,
@@ -124,11 +131,14 @@ def _one(
     _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, before)
     before2[:] = before
     now = np.empty(len(wheels), np.int64)
-    for i in range(int(LONGEST_S / STEP_S)):
-        held = i * STEP_S < HOLD_S - 1e-9
+    waits = len(waiting)
+    for i in range(waits + int(LONGEST_S / STEP_S)):
+        held = (i - waits) * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
             break
         stick_x, stick_y = (command[0], command[1]) if held else (0.0, 0.0)
+        if i < waits:
+            stick_x, stick_y = waiting[i, 0], waiting[i, 1]
         v_before = v
         v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
         yaw_before = yaw
