@@ -74,10 +74,7 @@ def _list() -> int:
 
 def _check(options: CheckOptions) -> int:
     started_s = time.monotonic()
-    town = find_town(options.town)
-    told = Console(stderr=True, highlight=False, style="dim")
-    told.print(f"opening the net of {town.name}, building its street, and routing its demand", markup=False)
-    report = check_town(town)
+    report = check_town(find_town(options.town))
     code = print_report(report)
     if options.json is not None:
         write_json(options.json, report_json(report, time.monotonic() - started_s))
