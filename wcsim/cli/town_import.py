@@ -138,7 +138,7 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
 
 
 def _stage(told: str) -> None:
-    Console(stderr=True, highlight=False).print(told, style="dim", markup=False)
+    Console(stderr=True, highlight=False).print(told, style="dim", markup=False, soft_wrap=True)
 
 
 def _needed(box: Box | None) -> Box:

@@ -113,7 +113,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
             console.print(f"{done * config.world.tick_s:.0f} of {options.seconds:g} s", style="dim")
 
     def stage(told: str) -> None:
-        console.print(told, style="dim", markup=False)
+        console.print(told, style="dim", markup=False, soft_wrap=True)
 
     order = RecordOrder(
         seconds=options.seconds,

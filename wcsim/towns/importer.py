@@ -172,24 +172,27 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    notes = _notes(order, built, ways)
-    if told := left_out_note(left_out):
-        notes += (told,)
     crossings = len(built.net.lanes(LaneKind.CROSSING))
-    notes += (f"the map has {crossings_mapped} crossings and the net {crossings}: the others are guessed",)
-    if parking.vehicles:
-        notes += (f"{len(parking.vehicles)} of the vehicles are parked and never drive",)
-    if not extract.bounded:
-        notes += (f"the extract names no bounds, so it was taken at {_size(extract.box)}; --bbox W,S,E,N cuts it",)
+    notes = (
+        left_out_note(left_out),
+        f"the map has {crossings_mapped} crossings and the net {crossings}: the others are guessed",
+        f"{len(parking.vehicles)} of the vehicles are parked and never drive" if parking.vehicles else "",
+        *_unbounded_note(extract),
+    )
     return Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
-        notes=notes,
+        notes=(*_notes(order, built, ways), *filter(None, notes)),
         left_out=left_out,
         parked=len(parking.vehicles),
         crossings_mapped=crossings_mapped,
     )
+
+
+def _unbounded_note(extract: Extract) -> tuple[str, ...]:
+    told = f"the extract names no bounds, so it was taken at {_size(extract.box)}; --bbox W,S,E,N cuts it"
+    return () if extract.bounded else (told,)
 
 
 def _size(box: Box) -> str:
