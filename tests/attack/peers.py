@@ -66,12 +66,10 @@ class Attacker:
         """The next that is said."""
         return [m.decode_reply(part) for part in self._socket.recv_multipart()]
 
-    def hear_but(self, kind: type[m.Waiting]) -> Sequence[m.Reply]:
-        """The next that is said and is not of this kind."""
-        while True:
-            told = [reply for reply in self.hear() if not isinstance(reply, kind)]
-            if told:
-                return told
+    def news(self, within_ms: int) -> Sequence[m.Reply]:
+        """What is said within that time, but that others are waited for."""
+        told = self.hear() if self.answers(within_ms) else ()
+        return [reply for reply in told if not isinstance(reply, m.Waiting)]
 
     def answers(self, within_ms: int) -> bool:
         """Whether anything is said within that time."""
