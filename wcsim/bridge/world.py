@@ -157,7 +157,7 @@ class World:
         return self._sumo.actors_at(np.zeros((1, 2)), math.inf)
 
     def mishaps(self) -> tuple[int, int]:
-        """Vehicles that SUMO took out of a jam during the last step, and collisions that it saw, those of vehicles."""
+        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
         return self._sumo.teleports, self._sumo.collisions()
 
     def close(self) -> None:

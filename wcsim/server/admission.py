@@ -17,13 +17,12 @@ from wcsim.errors import (
 )
 from wcsim.reading import shown
 from wcsim.server import messages as m
+from wcsim.server.bounds import MOST_METRES, MOST_STEPS
 from wcsim.server.events import Rules
 from wcsim.server.members import Roll
 from wcsim.supervisor.profiles import RECORDED, profile_names
 from wcsim.types import CLIENT_NAME, SeatSpec
 
-MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
-MOST_METRES = 1e6
 _NAME = re.compile(CLIENT_NAME)
 
 

@@ -16,6 +16,8 @@ MOST_TEXT = 4000  # characters of a message for people
 MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
 MAX_SEED = (1 << 63) - 1
 MAX_PROCESS = 1 << 22  # of Linux
+MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
+MOST_METRES = 1e6
 MOST_PICTURE_BYTES = 2048 * 2048 * 4
 
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
@@ -28,12 +30,12 @@ Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
 SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
 Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
 Process = Annotated[int, msgspec.Meta(ge=0, le=MAX_PROCESS)]
-Steps = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]  # as env.max_steps
+Steps = Annotated[int, msgspec.Meta(ge=1, le=MOST_STEPS)]
 Pixels = Annotated[int, msgspec.Meta(ge=0, le=2048)]
 Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks
 # A stick beyond its range is the core's to refuse, by name; here only what is no position at all.
 Stick = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
-Metres = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Metres = Annotated[float, msgspec.Meta(ge=-MOST_METRES, le=MOST_METRES)]
 Radians = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
 Number = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
