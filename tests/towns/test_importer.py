@@ -24,7 +24,7 @@ from wcsim.towns.osmfilter import filter_osm
 from wcsim.towns.place import parse_box
 from wcsim.towns.tools import run_tool
 from wcsim.towns.town import Town
-from wcsim.towns.workplace import clear_stale
+from wcsim.towns.workplace import clear_stale, workplace
 from wcsim.towns.xmlio import parse_root, read_bytes, read_root
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "towns"
@@ -36,6 +36,22 @@ def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
     osm = tmp_path / "tiny.osm"
     osm.write_text(tiny_osm(), encoding="utf-8")
     return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
+
+
+def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Path.mkdir
+
+    def ended(self: Path, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        made(self, mode, parents, exist_ok)
+        if self.name.startswith(".small-"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", ended)
+    with pytest.raises(KeyboardInterrupt), workplace("small", tmp_path / "towns" / "small"):
+        raise AssertionError("the signal came before")
+    assert not list((tmp_path / "towns").iterdir())
 
 
 def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOrder) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -32,7 +31,7 @@ from wcsim.towns.parking import Parking, find_parking
 from wcsim.towns.place import Box, check_box, middle_of, size_m
 from wcsim.towns.town import NOT_TOWNS, Town, open_town
 from wcsim.towns.trial import ROUNDS, stuck_ways
-from wcsim.towns.workplace import move_in_place, new_workplace
+from wcsim.towns.workplace import move_in_place, workplace
 from wcsim.towns.xmlio import without_comments, write_gzip
 
 Stage = Callable[[str], None]  # what begins now, in words
@@ -90,14 +89,12 @@ def import_town(
     stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
     side = _side(order, extract.box)
-    work = new_workplace(order.name, order.out)
     try:
-        made = _build(order, extract, side, work, meanwhile, stage)
-        move_in_place(work, order.out)
+        with workplace(order.name, order.out) as work:
+            made = _build(order, extract, side, work, meanwhile, stage)
+            move_in_place(work, order.out)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
     return replace(made, town=open_town(shown))
 

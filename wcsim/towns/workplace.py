@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
 import shutil
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _OLD = "-old"
 
 
-def new_workplace(name: str, out: Path) -> Path:
-    """A fresh folder beside `out`; first those go that imports of that name left when they were killed."""
+@contextmanager
+def workplace(name: str, out: Path) -> Iterator[Path]:
+    """A fresh folder beside `out`, gone at the end unless it was moved; first what killed imports of that name left.
+
+    It is named before it is made: a signal that comes right after its making ends the import, and the folder with it.
+    """
     out.parent.mkdir(parents=True, exist_ok=True)
     clear_stale(name, out)
-    return Path(tempfile.mkdtemp(prefix=f".{name}-{os.getpid()}-", dir=out.parent))
+    work = out.parent / f".{name}-{os.getpid()}-{secrets.token_hex(8)}"
+    try:
+        work.mkdir(mode=0o700)
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
 
 
 def clear_stale(name: str, out: Path) -> None:
