@@ -24,7 +24,7 @@ Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max
 
 
 class MassPart(Model):
-    """Chair and user together; wheels, forks, arms and anti-tips are part of the chair's mass."""
+    """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
 
     chair_kg: Annotated[float, Field(ge=50.0, le=200.0)]
     user_kg: Annotated[float, Field(ge=25.0, le=150.0)]
@@ -58,8 +58,17 @@ class ArmPart(Model):
     mass_kg: PartKg
 
 
+class BeamPart(Model):
+    """A beam across the frame that carries both casters of a pair and rocks about a lengthwise pivot in its middle."""
+
+    pivot_z_m: Annotated[float, Field(ge=0.0, le=0.5)]
+    stop_deg: Annotated[float, Field(gt=0.0, le=15.0)]  # to either side
+    friction_Nm: Annotated[float, Field(ge=0.0, le=200.0)]
+    mass_kg: PartKg
+
+
 class CasterPart(Model):
-    """A pair of swivelling casters, rigid or each on a sprung arm."""
+    """A pair of swivelling casters: rigid, each on a sprung arm, or both on a rocking beam."""
 
     swivel_x_m: Annotated[float, Field(ge=-0.8, le=0.8)]  # from the drive axle to the swivel's axis
     track_m: Annotated[float, Field(ge=0.30, le=0.75)]
@@ -72,6 +81,7 @@ class CasterPart(Model):
     swivel_friction_Nm: Annotated[float, Field(ge=0.0, le=5.0)]
     friction: Friction
     arm: ArmPart | None = None
+    beam: BeamPart | None = None
 
 
 class AntitipPart(Model):

@@ -71,6 +71,12 @@ def _motors_left_on(body: int, client: int, links: dict[str, int]) -> None:
             )
 
 
+def _stuck(body: int, client: int, links: dict[str, int]) -> None:
+    pybullet.setJointMotorControl2(
+        body, links["beam_0"], pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=1e4, physicsClientId=client
+    )
+
+
 def _half_friction(patch: Patch) -> None:
     friction = plant_body._friction
     patch.setattr(plant_body, "_friction", lambda spec, link: 0.5 * friction(spec, link))
@@ -105,6 +111,9 @@ FAULTS: dict[str, tuple[Plant, str]] = {
     ),
     "wrong gravity": (lambda patch: patch.setattr(engine, "GRAVITY_MPS2", 9.0), "mass"),
     "no parking brake": (_setting(drive._BRAKE_TORQUE, 0.0), "parked_10deg_up"),
+    "a beam that is stuck": (_after_loading(_stuck), "twisted_ramp_load"),
+    "a beam that is stuck, to who stops": (_after_loading(_stuck), "twisted_ramp_stop"),
+    "a beam that is stuck, to who turns": (_after_loading(_stuck), "twisted_ramp_turn"),
     "small drive wheels": (_replaced(r'radius="0.178"', 'radius="0.165"', 2), "turn_in_place"),
 }
 """By name: how to plant it, and the row that turns red."""

@@ -17,8 +17,9 @@ from wcsim.config import ChairConfig, ImuConfig, load_run_config, with_overrides
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.plant import PlantSpec, plant_spec, varied
+from wcsim.physics.plant_check import check_plant
 from wcsim.physics.plant_urdf import urdf
-from wcsim.plant_file import known_plants
+from wcsim.plant_file import known_plants, read_plant
 
 RWD, MWD = (plant_spec(ChairConfig(plant=name)) for name in ("rwd", "mwd"))
 PLANTS = [pytest.param(RWD, id="rwd"), pytest.param(MWD, id="mwd")]
@@ -178,9 +179,29 @@ def test_masses_centre_and_friction_are_those_of_the_file(spec):
 def test_the_urdf_names_every_part(spec):
     text = urdf(spec)
     assert text.count("<joint ") == 2 + 4 * len(spec.casters) + 2 * len(spec.antitips) + (
-        2 * sum(pair.arm is not None for pair in spec.casters)
+        sum(2 * (pair.arm is not None) + (pair.beam is not None) for pair in spec.casters)
     )
     assert text.count("<box ") == len(spec.frame.boxes)
+
+
+def test_a_caster_has_an_arm_or_a_beam():
+    beam = RWD.casters[0].beam
+    assert beam is not None
+    both = tuple(pair.model_copy(update={"beam": beam}) for pair in MWD.casters)
+    file = read_plant("mwd").model_copy(update={"casters": both})
+    with pytest.raises(ConfigError, match=r"casters\.0 has an arm and a beam; expected one of them"):
+        check_plant(file, 100.0, 0.5, "both")
+
+
+def test_the_casters_of_a_beam_stand_on_steps_of_different_height():
+    with rig() as r:
+        r.drive(NEUTRAL, 10)
+        beam = r.chair._body.joints[2]
+        for angle_rad in (0.08, -0.08):
+            pybullet.resetJointState(r.chair.body_id, beam, angle_rad, 0.0, physicsClientId=r.engine.client)
+            r.drive(NEUTRAL, 20)
+            turned = pybullet.getJointState(r.chair.body_id, beam, physicsClientId=r.engine.client)[0]
+            assert abs(turned) < 0.01  # level ground brings it back
 
 
 def test_a_sprung_caster_gives_way_and_comes_back():

@@ -1,13 +1,14 @@
 """The statics that the tilt table is held against."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from wcsim.config import ChairConfig
 from wcsim.errors import PhysicsError
 from wcsim.physics.plant import plant_spec
-from wcsim.physics.trials.balance import Foot, Spring, Stand, loads_N, rigid_tip_rad, tip_rad, uphill
+from wcsim.physics.trials.balance import Beam, Foot, Spring, Stand, loads_N, rigid_tip_rad, tip_rad, uphill
 from wcsim.physics.trials.declared import FORWARD_DOWN, LEFT_DOWN, REAR_DOWN, com_m, stand, worst_swivel_rad
 
 DIRECTIONS = (FORWARD_DOWN, REAR_DOWN, LEFT_DOWN)
@@ -51,8 +52,23 @@ def test_what_cannot_stand_is_refused():
         tip_rad(cart(x_m=0.7), FORWARD_DOWN)
 
 
+def test_a_beam_leaves_a_triangle_to_stand_on():
+    free = Beam(pivot_z_m=0.0, stop_rad=math.radians(10.0), weight_N=0.0, com_z_m=0.0)
+    feet = [replace(foot, beam=free) if foot.name.startswith("front") else foot for foot in cart().feet]
+    chair = replace(cart(), feet=tuple(feet))
+    triangle = math.atan(0.3 * 0.4 / 0.5)  # from a rear foot to the pivot, below the centre of mass 0.1 m ahead
+    assert tip_rad(chair, LEFT_DOWN) == pytest.approx(triangle, abs=1e-3)
+    loads = loads_N(chair)
+    assert loads["front_l"] == pytest.approx(loads["front_r"]) == pytest.approx(0.3 * 981.0, rel=1e-3)
+    stuck = [replace(foot, beam=replace(free, stop_rad=1e-9)) if foot.beam else foot for foot in feet]
+    assert tip_rad(replace(chair, feet=tuple(stuck)), LEFT_DOWN) == pytest.approx(math.atan(0.3 / 0.5), abs=1e-3)
+    high = [replace(foot, beam=replace(free, pivot_z_m=0.2)) if foot.beam else foot for foot in feet]
+    assert tip_rad(replace(chair, feet=tuple(high)), LEFT_DOWN) > triangle + 0.02
+
+
 def test_the_rigid_plant_tips_on_its_tip_lines():
     spec = plant_spec(ChairConfig())
+    spec = replace(spec, casters=tuple(pair.model_copy(update={"beam": None}) for pair in spec.casters))
     for downhill in DIRECTIONS:
         chair = stand(spec, worst_swivel_rad(spec, downhill)).without("antitip")
         assert tip_rad(chair, downhill) == pytest.approx(rigid_tip_rad(chair, downhill), abs=math.radians(0.05))

@@ -61,7 +61,7 @@ class PlantSpec:
 
     @property
     def frame_mass_kg(self) -> float:
-        """Mass of the base link: everything but wheels, forks, arms and anti-tips."""
+        """Mass of the base link: everything but wheels, forks, arms, beams and anti-tips."""
         return self.whole_kg - sum(mass for mass, _ in self._parts())
 
     @property
@@ -133,6 +133,8 @@ class PlantSpec:
             ]
             if pair.arm is not None:
                 parts.append((2.0 * pair.arm.mass_kg, (pair.swivel_x_m, 0.0, swivel_z_m)))
+            if pair.beam is not None:
+                parts.append((pair.beam.mass_kg, (pair.swivel_x_m, 0.0, swivel_z_m)))
         parts += [(2.0 * item.mass_kg, (item.p_m[0], 0.0, item.p_m[2])) for item in self.antitips]
         return parts
 

@@ -18,7 +18,7 @@ FRAME: Final = -1  # PyBullet's index of the base link
 _MOST_RADPS: Final = 30.0  # of any joint: a car that hits a caster would whirl its light fork round, into itself
 _SPARE: Final = 1.5  # faster chairs need their casters to turn so much faster than they roll at top speed
 _STABLE: Final = 0.8  # of the damping at which a sprung arm would swing up without end
-_JOINT_ORDER: Final = ("wheel", "arm", "swivel", "caster")
+_JOINT_ORDER: Final = ("wheel", "arm", "beam", "swivel", "caster")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +90,7 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
         drives=(links["wheel_l"], links["wheel_r"]),
         arms=tuple(links[name] for name in arms),
         springs=tuple(_spring(spec, _pair(name)) for name in arms),
-        part={index: _part(name) for name, index in links.items() if _part(name) not in ("arm", "swivel")},
+        part={index: _part(name) for name, index in links.items() if _part(name) not in ("arm", "beam", "swivel")},
         tyres={index: tyre for name, index in links.items() if (tyre := _tyre(spec, name)) is not None},
     )
     least_radius_m = min(pair.radius_m for pair in spec.casters)
@@ -110,7 +110,7 @@ def _load(text: str, client: int) -> int:
 
 
 def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, client: int) -> None:
-    """Friction per part, no damping, and PyBullet's default joint motors off but for the swivels' bearing friction."""
+    """Friction per part, no damping, and PyBullet's default joint motors off but for the friction of bearings."""
     # in a call of their own: beside one of these three PyBullet puts a link's friction on the base instead
     pybullet.changeDynamics(
         body.id, FRAME, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=most_radps, physicsClientId=client
@@ -128,10 +128,18 @@ def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, client: i
     _turn_rotors(body, spec, client)
     for name, index in body.links.items():
         if not name.startswith("antitip"):
-            torque = spec.casters[_pair(name)].swivel_friction_Nm if name.startswith("swivel") else 0.0
+            torque = _bearing_Nm(spec, name)
             pybullet.setJointMotorControl2(
                 body.id, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=client
             )
+
+
+def _bearing_Nm(spec: PlantSpec, link: str) -> float:
+    """Friction in the bearing of a link's joint."""
+    if _part(link) == "swivel":
+        return spec.casters[_pair(link)].swivel_friction_Nm
+    beam = spec.casters[_pair(link)].beam if _part(link) == "beam" else None
+    return beam.friction_Nm if beam is not None else 0.0
 
 
 def _turn_rotors(body: ChairBody, spec: PlantSpec, client: int) -> None:

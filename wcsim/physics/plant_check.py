@@ -25,7 +25,7 @@ def check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, nam
         frame_com_z_m: Height of their centre of mass.
         name: What the plant is called in the message.
     """
-    faults = [*_masses(file, frame_mass_kg, frame_com_z_m), *_support(file), *_springs(file)]
+    faults = [*_masses(file, frame_mass_kg, frame_com_z_m), *_support(file), *_springs(file), *_beams(file)]
     faults += [*_above_ground(file), *_apart(file)]
     if faults:
         raise ConfigError(f"plant {name!r}: " + "; ".join(faults))
@@ -34,8 +34,8 @@ def check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, nam
 def _masses(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float) -> Iterator[str]:
     if frame_mass_kg < LEAST_FRAME_KG:
         yield (
-            f"wheels, casters, arms and anti-tips leave {frame_mass_kg:.1f} kg for frame and user; expected at least "
-            f"{LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({file.mass.chair_kg:g} kg)"
+            f"wheels, casters, arms, beams and anti-tips leave {frame_mass_kg:.1f} kg for frame and user; expected at "
+            f"least {LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({file.mass.chair_kg:g} kg)"
         )
     elif frame_com_z_m <= 0.0:
         yield f"mass.com_z_m {file.mass.com_z_m:g} m puts the frame's centre of mass below the ground; expected higher"
@@ -78,6 +78,13 @@ def _springs(file: PlantFile) -> Iterator[str]:
                 f"casters.{number}.arm stands {1000 * up_m:.0f} mm up at rest; expected between "
                 f"{-1000 * arm.down_m:.0f} and {1000 * arm.up_m:.0f} mm: change preload_N or stiffness_Npm"
             )
+
+
+def _beams(file: PlantFile) -> Iterator[str]:
+    """A pair hangs on arms or on a beam, not on both."""
+    for number, pair in enumerate(file.casters):
+        if pair.arm is not None and pair.beam is not None:
+            yield f"casters.{number} has an arm and a beam; expected one of them"
 
 
 def _above_ground(file: PlantFile) -> Iterator[str]:

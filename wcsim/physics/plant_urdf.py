@@ -1,7 +1,7 @@
 """A plant as URDF text.
 
-Joints are named like the link that they carry: `wheel_l`; for each pair of casters by its number `arm_0_l` (when
-sprung), `swivel_0_l` and `caster_0_l`; `antitip_0_l`; and the same with `_r`.
+Joints are named like the link that they carry: `wheel_l`; for each pair of casters by its number `beam_0` (when
+they share one), `arm_0_l` (when sprung), `swivel_0_l` and `caster_0_l`; `antitip_0_l`; and the same with `_r`.
 """
 
 from __future__ import annotations
@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
+from wcsim.frames import rad
 from wcsim.physics.plant import FORK_COM_M, FORK_M, PlantSpec
-from wcsim.plant_file import ArmPart, CasterPart
+from wcsim.plant_file import ArmPart, BeamPart, CasterPart
 
 Vec3 = tuple[float, float, float]
 _ORIGIN: Final[Vec3] = (0.0, 0.0, 0.0)
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
+BEAM_INERTIA_KGM2: Final = 0.01  # about its length, small beside everything else
 _ARM_INERTIA_KGM2: Final = 0.01
 _ARM_EFFORT_N: Final = 1e4
 _ARM_MPS: Final = 20.0
+_BEAM_EFFORT_NM: Final = 1e4
+_BEAM_RADPS: Final = 50.0
 
 
 def urdf(spec: PlantSpec) -> str:
@@ -51,10 +55,14 @@ def _wheels(spec: PlantSpec) -> Iterator[str]:
 
 def _casters(spec: PlantSpec) -> Iterator[str]:
     for number, pair in enumerate(spec.casters):
+        parent, x_m, z_m = "frame", pair.swivel_x_m, pair.radius_m + FORK_M
+        if pair.beam is not None:
+            parent, x_m, z_m = f"beam_{number}", 0.0, z_m - pair.beam.pivot_z_m
+            yield from _beam(parent, pair, pair.beam)
         for side, sign in _SIDES:
-            at = (pair.swivel_x_m, sign * 0.5 * pair.track_m, pair.radius_m + FORK_M)
+            at = (x_m, sign * 0.5 * pair.track_m, z_m)
             if pair.arm is None:
-                yield from _caster(f"{number}_{side}", pair, "frame", at)
+                yield from _caster(f"{number}_{side}", pair, parent, at)
             else:
                 yield from _arm(f"arm_{number}_{side}", pair.arm, at)
                 yield from _caster(f"{number}_{side}", pair, f"arm_{number}_{side}", _ORIGIN)
@@ -63,7 +71,17 @@ def _casters(spec: PlantSpec) -> Iterator[str]:
 def _arm(name: str, arm: ArmPart, at_m: Vec3) -> Iterator[str]:
     yield f'<link name="{name}">{_inertial(arm.mass_kg, (_ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
     limit = f'<limit lower="{-arm.down_m}" upper="{arm.up_m}" effort="{_ARM_EFFORT_N}" velocity="{_ARM_MPS}"/>'
-    yield _joint(name, "frame", at_m, axis="0 0 1", limit=limit)
+    yield _joint(name, "frame", at_m, axis="0 0 1", kind="prismatic", limit=limit)
+
+
+def _beam(name: str, pair: CasterPart, beam: BeamPart) -> Iterator[str]:
+    """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
+    long = beam.mass_kg * pair.track_m**2 / 12.0
+    com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
+    yield f'<link name="{name}">{_inertial(beam.mass_kg, (long, BEAM_INERTIA_KGM2, long), com)}</link>'
+    stop_rad = rad(beam.stop_deg)
+    limit = f'<limit lower="{-stop_rad}" upper="{stop_rad}" effort="{_BEAM_EFFORT_NM}" velocity="{_BEAM_RADPS}"/>'
+    yield _joint(name, "frame", (pair.swivel_x_m, 0.0, beam.pivot_z_m), axis="1 0 0", kind="revolute", limit=limit)
 
 
 def _caster(name: str, pair: CasterPart, parent: str, at_m: Vec3) -> Iterator[str]:
@@ -93,9 +111,11 @@ def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
     )
 
 
-def _joint(child: str, parent: str, at_m: Vec3, axis: str | None, limit: str = "") -> str:
-    """A joint that is fixed without an axis, slides within a limit, and else turns."""
-    kind = "fixed" if axis is None else "prismatic" if limit else "continuous"
+def _joint(
+    child: str, parent: str, at_m: Vec3, axis: str | None, kind: str = "continuous", limit: str = ""
+) -> str:
+    """A joint of one of URDF's kinds; fixed without an axis."""
+    kind = "fixed" if axis is None else kind
     moves = f'<axis xyz="{axis}"/>{limit}' if axis else ""
     return (
         f'<joint name="{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'

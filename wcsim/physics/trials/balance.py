@@ -8,7 +8,9 @@ of the table, so that only the height, pitch and roll of the frame are unknown.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -33,7 +35,7 @@ _CLOSE: Final = 1e-6  # of the weight
 _MOST_ROUNDS: Final = 60
 _STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
 _PRESSED: Final = np.array([-5e-5, 0.0, 0.0])  # every wheel touches: one that just does not gives Newton no slope
-_LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)  # downhill, where it may come to lean on an anti-tip
+_LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)  # downhill, where it may come to lean on an anti-tip or a stop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,16 @@ class Spring:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Beam:
+    """A beam that carries feet and rocks freely about a lengthwise pivot in the chair's middle plane."""
+
+    pivot_z_m: float
+    stop_rad: float
+    weight_N: float  # of all that rocks
+    com_z_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Foot:
     """A wheel or ball that can stand on the table, in B with its arm at rest."""
 
@@ -58,6 +70,7 @@ class Foot:
     half_width_m: float = 0.0
     friction: float = 1.0
     spring: Spring | None = None
+    beam: Beam | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +140,7 @@ def tip_rad(stand: Stand, downhill: Vec2) -> float:
         raise PhysicsError("the plant tips at rest; expected one that stands: check its masses and wheels")
     tilt, step = 0.0, _COARSE_RAD
     hanging = any(load == 0.0 for load in _Table(stand, 0.0, downhill).loads(pose).values())
-    leans = _LEANS_RAD if hanging else (0.0,)
+    leans = _LEANS_RAD if hanging or any(foot.beam for foot in stand.feet) else (0.0,)
     while step > _FINE_RAD:
         after = _rest(stand, tilt + step, downhill, pose, upper, leans)
         if after is None:
@@ -142,11 +155,11 @@ def tip_rad(stand: Stand, downhill: Vec2) -> float:
 def _rest(
     stand: Stand, tilt_rad: float, downhill: Vec2, pose: F64, upper: frozenset[str], leans_rad: tuple[float, ...]
 ) -> F64 | None:
-    """The pose in which it stands with a load on its uphill feet, near `pose` or leaning back on an anti-tip."""
+    """The pose in which it stands with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
     least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
     for lean in leans_rad:
         table = _Table(stand, tilt_rad, downhill)
-        found = table.settle(pose + lean * np.array([0.0, -downhill[0], downhill[1]]))
+        found = table.settle(pose - lean * np.array([0.0, *downhill]))
         if found is not None and sum(load for name, load in table.loads(found).items() if name in upper) > least_N:
             return found
     return None
@@ -178,6 +191,8 @@ class _Table:
             for s in springs
         ]
         self._stiff, self._preload, self._least, self._most, self._unsprung = np.array(numbers).T
+        beams = [foot.beam for foot, _, _ in edges]
+        self._beams = [(beam, np.array([b == beam for b in beams])) for beam in dict.fromkeys(beams) if beam]
         self._mass, self._weight_N = stand.mass_kg, stand.mass_kg * GRAVITY_MPS2
         self._com = np.array(stand.com_m)
         self._down = np.array(downhill)
@@ -190,10 +205,30 @@ class _Table:
         low = axis * axis[:, 2:] - _UP  # straight down, but in the wheel's plane
         place = self._centre @ turn.T + low * (self._radius / np.linalg.norm(low, axis=1))[:, None]
         depth = -(place[:, 2] + pose[0])
+        for beam, carried in self._beams:
+            depth[carried] -= self._rocked_m(beam, place[carried], depth[carried], self._share[carried], turn)
         firm = FIRM_N_PER_M * np.maximum(depth, 0.0)
         load, compressed = self._sprung_loads(depth, turn[:, 2])
         place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
         return place, self._share * np.where(self._sprung, load, firm), compressed
+
+    def _rocked_m(self, beam: Beam, place: F64, depth: F64, share: F64, turn: F64) -> F64:
+        """How far a beam lifts its feet, (E,), so that their loads turn it no more, or it leans on a stop.
+
+        Friction that holds the chair is taken in proportion to the load, as for arms.
+        """
+        axis, arm = turn[:, 0], place - beam.pivot_z_m * turn[:, 2]
+        push = np.append(-self._sin / self._cos * self._down, 1.0)
+        lift_m = np.cross(axis, arm)[:, 2]
+        moment_m = np.cross(arm, push) @ axis
+        firm = FIRM_N_PER_M * share
+        hangs = beam.weight_N * np.append(self._sin * self._down, -self._cos)
+        own_Nm = (beam.com_z_m - beam.pivot_z_m) * float(np.cross(turn[:, 2], hangs) @ axis)
+
+        def turned_Nm(angle_rad: float) -> float:
+            return own_Nm + float((firm * np.maximum(depth - angle_rad * lift_m, 0.0)) @ moment_m)
+
+        return lift_m * _zero(turned_Nm, beam.stop_rad, depth / lift_m)
 
     def _sprung_loads(self, depth: F64, arm: F64) -> tuple[F64, F64]:
         """Loads and compressions of sprung feet whose arms move along `arm`, a unit vector in T.
@@ -253,6 +288,18 @@ class _Table:
         for name, load in zip(self._names, self._contacts(pose)[1], strict=True):
             sums[name] += float(load)
         return sums
+
+
+def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
+    """Where a function that falls in straight pieces between kinks is zero; `most` to either side of zero at most."""
+    angles = sorted({-most, most, *(float(kink) for kink in kinks if abs(kink) < most)})
+    values = [falling(angle) for angle in angles]
+    if values[0] <= 0.0:
+        return angles[0]
+    for (a, high), (b, low) in pairwise(zip(angles, values, strict=True)):
+        if low <= 0.0:
+            return a + (b - a) * high / (high - low)
+    return angles[-1]
 
 
 def _standing(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:

@@ -8,8 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from wcsim.frames import rad
+from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.plant import FORK_COM_M, FORK_M, PlantSpec
-from wcsim.physics.trials.balance import Foot, Spring, Stand, Vec2, Vec3, rigid_tip_rad
+from wcsim.physics.plant_urdf import BEAM_INERTIA_KGM2
+from wcsim.physics.trials.balance import Beam, Foot, Spring, Stand, Vec2, Vec3, rigid_tip_rad
 from wcsim.plant_file import CasterPart
 from wcsim.types import F64
 
@@ -82,6 +85,7 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
                 half_width_m=0.5 * pair.width_m,
                 friction=pair.friction,
                 spring=_spring(pair),
+                beam=_beam(pair),
             )
 
 
@@ -94,6 +98,24 @@ def _spring(pair: CasterPart) -> Spring | None:
         least_m=-pair.arm.down_m,
         most_m=pair.arm.up_m,
         unsprung_kg=pair.mass_kg + pair.fork_mass_kg + pair.arm.mass_kg,
+    )
+
+
+def _beam(pair: CasterPart) -> Beam | None:
+    if pair.beam is None:
+        return None
+    swivel_z_m = pair.radius_m + FORK_M
+    parts = (
+        (2.0 * pair.mass_kg, pair.radius_m),
+        (2.0 * pair.fork_mass_kg, swivel_z_m - FORK_COM_M),
+        (pair.beam.mass_kg, swivel_z_m),
+    )
+    mass_kg = sum(part for part, _ in parts)
+    return Beam(
+        pivot_z_m=pair.beam.pivot_z_m,
+        stop_rad=rad(pair.beam.stop_deg),
+        weight_N=mass_kg * GRAVITY_MPS2,
+        com_z_m=sum(part * z_m for part, z_m in parts) / mass_kg,
     )
 
 
@@ -122,6 +144,10 @@ def _parts(spec: PlantSpec) -> Iterator[Part]:
             yield pair.fork_mass_kg, fork, (pair.fork_inertia_kgm2,) * 3
             if pair.arm is not None:
                 yield pair.arm.mass_kg, (pair.swivel_x_m, y, swivel_z), (_ARM_INERTIA_KGM2,) * 3
+            if pair.beam is not None:  # half of a rod as long as the pair's track
+                long = 0.5 * pair.beam.mass_kg * pair.track_m**2 / 12.0
+                at = (pair.swivel_x_m, 0.0, swivel_z)
+                yield 0.5 * pair.beam.mass_kg, at, (long, 0.5 * BEAM_INERTIA_KGM2, long)
         for antitip in spec.antitips:
             x, y, z = antitip.p_m
             yield antitip.mass_kg, (x, sign * y, z), (antitip.inertia_kgm2,) * 3

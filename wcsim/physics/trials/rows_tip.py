@@ -16,7 +16,10 @@ from wcsim.physics.trials.tilt_table import expected_tip_rad, measured_tip_rad
 COM_HEIGHTS_M: Final = (0.50, 0.60)
 _TOLERANCE_DEG: Final = 1.0
 _LEAST_LEFT, _MOST_LEFT = 0.5, 0.98
-_METHOD: Final = "tilt table at 0.2 deg/s, brakes on, casters at their worst angle; tip = uphill wheels leave it"
+_METHOD: Final = (
+    "tilt table at 0.2 deg/s, brakes on, casters at their worst angle (sideways on a beam: off, trailing); "
+    "tip = uphill wheels leave it"
+)
 _SOURCE: Final = "tip line through the declared contact points below the declared centre of mass, within 1 deg"
 
 

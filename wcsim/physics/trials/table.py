@@ -14,11 +14,12 @@ from wcsim.physics.plant import plant_spec
 from wcsim.physics.trials.row import Row, Setup, Trial, measured
 from wcsim.physics.trials.rows_driving import driving_trials
 from wcsim.physics.trials.rows_kerb import kerb_trials
+from wcsim.physics.trials.rows_ramp import ramp_trials
 from wcsim.physics.trials.rows_tip import falling_rows, tip_trials
 from wcsim.physics.trials.rows_weight import weight_trials
 
 Progress = Callable[[str], None]
-_MAKERS: Final = (weight_trials, driving_trials, kerb_trials)
+_MAKERS: Final = (weight_trials, driving_trials, ramp_trials, kerb_trials)
 
 
 def trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:

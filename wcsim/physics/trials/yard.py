@@ -35,6 +35,16 @@ def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     return _mesh(vertices, [[0, 1, 2], [0, 2, 3]], [ClassId.ROAD] * 2)
 
 
+def grid_street(height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float) -> StreetMesh:
+    """Road around the origin, so far ahead, back and to the sides, as high as a function of x and y says."""
+    columns, rows = round(2.0 * long_m / cell_m) + 1, round(2.0 * wide_m / cell_m) + 1
+    xs, ys = np.linspace(-long_m, long_m, columns).tolist(), np.linspace(-wide_m, wide_m, rows).tolist()
+    vertices = [(x, y, height_m(x, y)) for x in xs for y in ys]
+    corners = [i * rows + k for i in range(columns - 1) for k in range(rows - 1)]
+    faces = [face for a in corners for face in ([a, a + rows, a + rows + 1], [a, a + rows + 1, a + 1])]
+    return _mesh(vertices, faces, [ClassId.ROAD] * len(faces))
+
+
 def step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
     """A level road up to x = FACE_X_M and level ground `rise_m` higher (or lower) behind that face."""
     x, far, half, h = FACE_X_M, FACE_X_M + _HALF_M, _HALF_M, rise_m
@@ -185,6 +195,14 @@ class Yard:
                 force=_FIRM_NM,
                 physicsClientId=self.client,
             )
+
+    def free(self, prefix: str) -> None:
+        """Take the bearing friction from the joints of links whose names begin so."""
+        for name, index in self.links().items():
+            if name.startswith(prefix):
+                pybullet.setJointMotorControl2(
+                    self.body, index, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client
+                )
 
     def loads_N(self) -> dict[str, float]:
         """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""
