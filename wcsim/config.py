@@ -125,6 +125,7 @@ class RewardConfig(Model):
     pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
     crash: NotNegative = 100.0
     body_on_ground_Ns: NotNegative = 20.0
+    drop: bool = True  # beyond the paper: a wheel that falls off a kerb is a crash
 
     @model_validator(mode="after")
     def _windows_are_open(self) -> RewardConfig:

@@ -234,7 +234,7 @@ class Events:
     episode: int
     step: int  # steps of this episode so far, this one included
     crashed: bool
-    crash_reason: str  # "", "collision", "acceleration", "tilt"
+    crash_reason: str  # "", "collision", "drop", "acceleration", "tilt"
     truncated: bool
     arrived: bool
     gave_up: bool

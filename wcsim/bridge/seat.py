@@ -11,6 +11,7 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
+from wcsim.bridge.falls import fell
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
@@ -199,8 +200,9 @@ class Seat:
         )
 
     def _crash_reason(self) -> str:
-        chair = self.chair
-        return crash_reason(chair.imu(), chair.state(), chair.contacts(), self._config.reward)
+        chair, config = self.chair, self._config.reward
+        dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
+        return crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
 
     def truth(self, others: Sequence[ActorState]) -> Truth:
         """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.config import YAW_SLOWDOWN_S_PER_M
+from wcsim.constants import KERB_STEP_CM
 from wcsim.frames import rad
 from wcsim.jit import exact_kernel
 from wcsim.types import F64, U8
@@ -22,7 +23,6 @@ HOLD_S = 0.5
 STEP_S = 0.05
 LONGEST_S = 4.0
 
-KERB_STEP_CM = 5  # a wheel takes this much up or down
 DEEPENING_M = 0.03  # who already touches may move, if not closer
 ACTOR_MARGIN_M = 0.05
 LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
