@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.samples import straight_route, strip_street
+from tests.samples import USUAL_OUTLINE, straight_route, strip_street
 from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
 from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
 from tests.yardstick import multiple
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle, shaped
-from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import ActorKind, Joystick
 
 STREET = strip_street()

@@ -251,8 +251,8 @@ class Seat:
             rng,
             chair.v_max_mps,
             chair.yaw_rate_max_radps,
-            self._street,
             self.chair.outline,
+            self._street,
         )
 
     def _follow(self, route: Route) -> None:

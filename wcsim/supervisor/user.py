@@ -29,7 +29,6 @@ from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
 # Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
-USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)
 LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
 BRAKE_MPS2 = 0.6
 CORNER_RADPS = 1.0
@@ -72,8 +71,8 @@ class SimulatedUser:
         rng: np.random.Generator,
         v_max_mps: float,
         yaw_rate_max_radps: float,
+        outline: Outline,
         street: Street | None = None,
-        outline: Outline = USUAL_OUTLINE,
     ) -> None:
         """A user who stands still until `follow` and the first `look`.
 
@@ -82,9 +81,9 @@ class SimulatedUser:
             rng: Source of all chance of this user.
             v_max_mps: Top speed of the chair.
             yaw_rate_max_radps: Fastest turn in place.
+            outline: The chair's box.
             street: What a person sees of kerbs and crossings; without it the user keeps within 0.35 m of its route and
                 knows no crossing.
-            outline: The chair's box.
         """
         self.profile = profile
         self.arrived = False
@@ -113,7 +112,8 @@ class SimulatedUser:
         self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
         items = crossings(route, self._street.walk) if self._street is not None else ()
         ground = None if self._street is None else self._street.grid
-        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng)
+        half_length_m, _ = self._outline.half_lw_m
+        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng, half_length_m)
         self._stop_m: float | None = None
         self._patience = 1.0
         self._arc_m = 0.0
@@ -209,6 +209,7 @@ class SimulatedUser:
             speed_mps=view.speed_mps,
             arc_m=max(there.arc_m, self._arc_m),
             left_m=there.left_m,
+            half_m=self._outline.half_lw_m,
         )
 
     def _plan(self, view: UserView, body: Body, path: Path) -> Plan:
@@ -311,7 +312,8 @@ class SimulatedUser:
         room = (avoidance.DEFAULT_ROOM_M, avoidance.DEFAULT_ROOM_M)
         if self._edges is not None:
             left_m, right_m = self._edges.room(body.arc_m, avoidance.HORIZON_M)
-            room = (left_m - avoidance.BESIDE_M, right_m - avoidance.BESIDE_M)
+            beside_m = body.half_m[1] + avoidance.EDGE_MARGIN_M
+            room = (left_m - beside_m, right_m - beside_m)
         lane = avoidance.choose_lane(blocked, room, self._lane_m, home_m)
         if lane is not None:
             self._lane_m = lane
