@@ -13,6 +13,7 @@ from tests.supervisor.kinematics import Chair, Sim, lateral, polyline
 from tests.supervisor.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
+from wcsim.joystick import pushed, shaped
 from wcsim.seeding import generator
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.avoidance import Body
@@ -20,6 +21,7 @@ from wcsim.supervisor.crossing import Kerbs, crossings
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import profile, profile_names, sample
+from wcsim.supervisor.steering import steer
 from wcsim.supervisor.user import SimulatedUser
 from wcsim.types import ActorKind, Joystick, SignalState
 
@@ -50,7 +52,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 def test_the_competent_user_keeps_its_line_around_corners(quantised):
     for seed in range(3):
         rng = generator(seed, "user")
-        user = SimulatedUser(sample(profile("competent"), rng), rng, 1.67, 1.5, USUAL_OUTLINE)
+        user = SimulatedUser(sample(profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
         sim = Sim(user, CORNERS, Chair(), quantised)
         off = lateral(sim.run(90.0).array(), CORNERS)
         assert user.arrived
@@ -352,3 +354,12 @@ def test_before_its_first_route_the_user_does_nothing():
 def test_an_impossible_step_is_refused(steps, dt_s):
     with pytest.raises(ConfigError, match="at least one"):
         make_user("slow").hand(steps, dt_s)
+
+
+def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
+    body = Body(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
+    for chair in (ChairConfig(), ChairConfig(deadband=0.2), ChairConfig(deadband=0.05, shape_exponent=2.0)):
+        stick = steer(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
+        _, asked = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
+        assert asked * chair.v_max_mps == pytest.approx(0.5)
+        assert pushed(asked, chair) == pytest.approx(stick.y)

@@ -245,12 +245,11 @@ class Seat:
         if isinstance(self._person, Recording):
             return RecordedUser(self._person, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
-        exact, chair = self._person, self._config.chair
+        exact = self._person
         return SimulatedUser(
             sample(exact, rng) if self.spec.start is None else exact,
             rng,
-            chair.v_max_mps,
-            chair.yaw_rate_max_radps,
+            self._config.chair,
             self.chair.outline,
             self._street,
         )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
 from wcsim.frames import wrap
 from wcsim.supervisor import avoidance
@@ -69,8 +70,7 @@ class SimulatedUser:
         self,
         profile: UserProfile,
         rng: np.random.Generator,
-        v_max_mps: float,
-        yaw_rate_max_radps: float,
+        chair: ChairConfig,
         outline: Outline,
         street: Street | None = None,
     ) -> None:
@@ -79,8 +79,7 @@ class SimulatedUser:
         Args:
             profile: Parameters, used as they are (see `profiles.sample`).
             rng: Source of all chance of this user.
-            v_max_mps: Top speed of the chair.
-            yaw_rate_max_radps: Fastest turn in place.
+            chair: What its drive makes of a joystick.
             outline: The chair's box.
             street: What a person sees of kerbs and crossings; without it the user keeps within 0.35 m of its route and
                 knows no crossing.
@@ -89,7 +88,7 @@ class SimulatedUser:
         self.arrived = False
         self.gave_up = False
         attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
-        self._limits = (v_max_mps, yaw_rate_max_radps)
+        self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
         self._lookahead_s = LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
         self._street = street
@@ -215,7 +214,7 @@ class SimulatedUser:
     def _plan(self, view: UserView, body: Body, path: Path) -> Plan:
         seen = self._perception.look(view)
         self._witness = (view, seen)
-        speed = self.profile.speed_share * self._limits[0]
+        speed = self.profile.speed_share * self._chair.v_max_mps
         speed = min(speed, path.speed_limit(body.arc_m, CORNER_RADPS, BRAKE_MPS2, CORNER_AHEAD_M))
         speed = min(speed, stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
         if self._edges is not None:
@@ -261,7 +260,7 @@ class SimulatedUser:
         return goal
 
     def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
-        return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
+        return steer(body, goal, speed_mps, self._chair, self._delay_s, self._intent.x)
 
     def _straight_on(self, body: Body, speed_mps: float) -> Joystick:
         ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
@@ -304,7 +303,7 @@ class SimulatedUser:
 
     def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
         """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
-        desired_mps = self.profile.speed_share * self._limits[0]
+        desired_mps = self.profile.speed_share * self._chair.v_max_mps
         blocked = avoidance.blocked_lanes(path, body, seen.things, desired_mps)
         if not blocked:
             self._lane_m = home_m
