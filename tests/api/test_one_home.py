@@ -10,10 +10,10 @@ from wcsim import constants, joystick
 
 ROOT = Path(wcsim.__file__).parent
 HOMES = {
-    "constants.py": {"GRAVITY_MPS2", "KERB_STEP_M", "OTHER_LEVEL_M"},
+    "constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
     "joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
 }
-GONE = {"USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
+GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
 GRAVITY = 9.81
 
 
