@@ -11,7 +11,7 @@ from tests.framing import chained, record_ends
 from tests.worlds import quick_config
 from wcsim.bridge.fingerprint import fingerprint
 from wcsim.bridge.record import as_recorded
-from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
+from wcsim.bridge.trace import TraceHeader, TraceWriter, chair_box_m, record_of
 from wcsim.bridge.world import World
 from wcsim.server.journal import (
     Admitted,
@@ -57,6 +57,7 @@ class JournaledWorld:
             fingerprint=fingerprint(),
             origin_m=town.file.origin_m,
             origin_z_m=self.world.street.net_z_m,
+            chair_box_m=chair_box_m(config.chair),
         )
         self.trace = TraceWriter(run / "beside.trace", trace)
         self.writer.append(EpochBegun(epoch=0, seed=seed))

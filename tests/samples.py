@@ -11,9 +11,10 @@ import itertools
 
 import numpy as np
 
-from wcsim.types import ClassId, OneTile, Route, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
+from wcsim.types import ClassId, OneTile, Outline, Route, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
 
 KERB_M = 0.12
+USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)  # of plant rwd
 X_M = np.array([-20.0, 0.0, 20.0, 36.56, 38.0, 42.0, 43.44, 60.0, 80.0, 100.0])
 CELL_M = 0.1
 

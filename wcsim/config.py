@@ -30,7 +30,6 @@ from wcsim.sensors_file import DepthNoiseConfig as DepthNoiseConfig
 from wcsim.sensors_file import ImuConfig as ImuConfig
 from wcsim.vary_file import VaryConfig as VaryConfig
 
-YAW_SLOWDOWN_S_PER_M = 0.6  # of every chair: its fastest turn falls as 1 / (1 + 0.6 v)
 CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
 _JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
 _VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
@@ -125,6 +124,7 @@ class RewardConfig(Model):
     pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
     crash: NotNegative = 100.0
     body_on_ground_Ns: NotNegative = 20.0
+    drop: bool = True  # beyond the paper: a wheel that falls off a kerb is a crash
 
     @model_validator(mode="after")
     def _windows_are_open(self) -> RewardConfig:

@@ -149,6 +149,16 @@ class Outline:
         """Length, width and height."""
         return self.length_m, self.width_m, self.height_m
 
+    @property
+    def half_lw_m(self) -> tuple[float, float]:
+        """Half the length and half the width."""
+        return 0.5 * self.length_m, 0.5 * self.width_m
+
+    @property
+    def front_x_m(self) -> float:
+        """Its front, ahead of the drive axle."""
+        return self.middle_x_m + 0.5 * self.length_m
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
@@ -234,7 +244,7 @@ class Events:
     episode: int
     step: int  # steps of this episode so far, this one included
     crashed: bool
-    crash_reason: str  # "", "collision", "acceleration", "tilt"
+    crash_reason: str  # "", "collision", "drop", "acceleration", "tilt"
     truncated: bool
     arrived: bool
     gave_up: bool

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
+from tests.samples import USUAL_OUTLINE
 from wcsim.agents.baselines import NAMES, UPPER_BOUND, baseline
 from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
 from wcsim.agents.evaluate import evaluate
@@ -15,7 +16,7 @@ from wcsim.supervisor.observation import encode_depth
 from wcsim.types import Joystick, Truth
 
 CAMERA = CameraConfig(width_px=80, height_px=60)
-WATCH = CorridorWatch(CAMERA, ChairConfig())
+WATCH = CorridorWatch(CAMERA, ChairConfig(), USUAL_OUTLINE)
 FORWARD = (0.0, 1.0)
 
 
@@ -89,7 +90,8 @@ def test_corridor_is_mirror_symmetric():
     points = np.c_[g.uniform(-1, 5, 500), g.uniform(-3, 3, 500), np.zeros(500)]
     mirrored = points * [1, -1, 1]
     for turn in (0.0, 0.3, 1.5):
-        assert np.array_equal(in_corridor(points, 1.0, turn, 2.5), in_corridor(mirrored, 1.0, -turn, 2.5))
+        left, right = ((points, turn), (mirrored, -turn))
+        assert np.array_equal(*(in_corridor(p, 1.0, w, 2.5, USUAL_OUTLINE) for p, w in (left, right)))
 
 
 def test_two_derivations_of_the_viewing_rays_agree():

@@ -15,6 +15,7 @@ from wcsim.agents.env import WheelchairEnv
 from wcsim.agents.evaluate import evaluate
 from wcsim.agents.stepmap import StepMap
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
+from wcsim.joystick import limits_of
 from wcsim.physics.drive import stopping_distance_m
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
@@ -23,7 +24,7 @@ CAMERA = CameraConfig(width_px=96, height_px=72)
 CONFIG = RunConfig(cameras=(CAMERA,))
 POINTS = action_set("square81").points
 CHAIR = np.array([-0.34, 0.80, 0.31])
-LIMITS = np.array([1.67, 0.4, 1.0, 1.5, 2.5, 4.0, 1.5])
+LIMITS = limits_of(ChairConfig())
 AHEAD = np.array([0.0, 1.0], np.float32)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tests.samples import USUAL_OUTLINE
 from wcsim.bridge.lanes import Brakes, LaneShape, OnLane
 from wcsim.bridge.orders import ChairInStreet
 from wcsim.types import ActorKind, ActorState
@@ -32,7 +33,8 @@ def walker(x: float, y: float, yaw: float = 0.0, name: str = "p:a", speed: float
 
 
 def chair(x: float, y: float = 0.0, vx: float = 0.0, vy: float = 0.0, on_road: bool = True) -> ChairInStreet:
-    return ChairInStreet(p_W_m=np.array([x, y]), v_W_mps=np.array([vx, vy]), on_road=on_road)
+    half_m = USUAL_OUTLINE.half_lw_m
+    return ChairInStreet(p_W_m=np.array([x, y]), v_W_mps=np.array([vx, vy]), on_road=on_road, half_m=half_m)
 
 
 @dataclass

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.bridge.roads import actor, chair, walker
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.bridge.deflect import SIDESTEP_MPS, Deflection
 from wcsim.bridge.footprint import gap_to_box
-from wcsim.bridge.orders import CHAIR_HALF_M, LET_GO, Attention
+from wcsim.bridge.orders import LET_GO, Attention
 from wcsim.types import ActorKind, ClassId
 
 TICK_S = 0.1
@@ -40,7 +40,7 @@ def walk(people, chairs, ticks=150, share=1.0, others=()):
 def gap_m(person, there) -> float:
     x, y = there.p_W_m
     radius = 0.5 * max(person.size_lwh_m[:2])
-    return gap_to_box(*person.p_W_m[:2].tolist(), x, y, 1.0, 0.0, *CHAIR_HALF_M) - radius
+    return gap_to_box(*person.p_W_m[:2].tolist(), x, y, 1.0, 0.0, *USUAL_OUTLINE.half_lw_m) - radius
 
 
 def test_a_person_walks_round_a_standing_chair_and_comes_back():

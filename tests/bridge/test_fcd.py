@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -12,7 +13,9 @@ from wcsim.bridge.fcd import write_fcd
 from wcsim.bridge.record import TRACE, RecordOrder, record_town
 from wcsim.bridge.trace import TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.trace_file import read_trace
+from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
+from wcsim.physics.plant import plant_spec
 from wcsim.towns.tools import sumo_home
 from wcsim.towns.town import find_town
 from wcsim.towns.xmlio import read_root
@@ -62,6 +65,18 @@ def test_the_wheelchair_is_in_it_front_first(run):
     assert np.allclose(ahead_m, 0.80 * np.array([math.sin(heading_rad), math.cos(heading_rad)]), atol=0.02)
 
 
+def test_another_wheelchair_has_the_front_of_its_own_plant(corner, tmp_path):
+    outline = plant_spec(ChairConfig(plant="mwd")).outline
+    order = RecordOrder(seconds=0.2, seed=3, chairs=1, folder=tmp_path, outputs=())
+    record_town(find_town(str(corner)), quick_config("chair.plant='mwd'"), order, lambda scenario: None)
+    write_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
+    header, records = read_trace(tmp_path / TRACE)
+    element = steps(tmp_path / "replay.xml")[0.0]["wheelchair.0"]
+    front_m = np.array([float(element.get("x")), float(element.get("y"))])
+    assert math.dist(front_m, records[0].plants[0, :2] + header.origin_m) == pytest.approx(outline.front_x_m, abs=0.02)
+    assert outline.front_x_m < 0.7  # 0.8 m with plant rwd
+
+
 def test_elements_and_attributes_are_those_of_sumos_schema(run):
     schema = read_root(sumo_home() / "data" / "xsd" / "fcd_file.xsd")
     known = {
@@ -99,3 +114,8 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     assert read_trace(tmp_path / "old")[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
         write_fcd(tmp_path / "old", tmp_path / "x.xml")
+    chair = replace(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
+    with TraceWriter(tmp_path / "c", TraceHeader(name="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
+        writer.append(chair)
+    with pytest.raises(WcsimError, match="kept no sizes of actors and chairs"):
+        write_fcd(tmp_path / "c", tmp_path / "x.xml")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from wcsim.config import ChairConfig
-from wcsim.physics.drive import PI_KI_PER_S2, PI_KP_PER_S, SPEED_BAND_MPS, STEER_S, yaw_rate_limit
+from wcsim.physics.drive import PI_KI_PER_S2, PI_KP_PER_S, SPEED_BAND_MPS, STEER_S
 from wcsim.physics.plant import PlantSpec
 from wcsim.types import Joystick
 
@@ -69,7 +69,7 @@ def target(joystick: Joystick, v_ref_mps: float, chair: ChairConfig) -> Target:
     """
     stick = shaped(joystick, chair.deadband, chair.shape_exponent)
     v = stick.y * chair.v_max_mps * (chair.reverse_share if stick.y < 0.0 else 1.0)
-    limit = yaw_rate_limit(max(abs(v), abs(v_ref_mps)), chair)
+    limit = chair.yaw_rate_max_radps / (1.0 + 0.6 * max(abs(v), abs(v_ref_mps)))
     return Target(v_mps=v, w_radps=0.0 - stick.x * limit)
 
 

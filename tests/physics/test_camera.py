@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.physics.render_oracle import actor
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.camera import (
@@ -132,7 +132,8 @@ def test_colours_are_taken_only_when_asked_for(mesh):
 
 def test_a_chair_sees_the_others_but_not_itself(mesh):
     def chair(seat, x):
-        return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]))
+        q_WB = np.array([0.0, 0.0, 0.0, 1.0])
+        return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
 
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
         me = rig.shoot(0, 0, plant(), (), [chair(0, 0.0)])[0].class_id.copy()

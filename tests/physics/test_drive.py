@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics import drive_reference
+from wcsim import joystick
 from wcsim.config import ChairConfig
 from wcsim.physics import drive
 from wcsim.physics.plant import plant_spec
@@ -37,7 +38,7 @@ chairs = st.builds(
 
 @given(sticks, st.floats(0.0, 0.5), st.floats(1.0, 3.0))
 def test_the_shaped_stick_stays_in_the_disc_and_keeps_its_direction(stick, deadband, exponent):
-    x, y = drive.shaped(stick.x, stick.y, deadband, exponent)
+    x, y = joystick.shaped(stick.x, stick.y, deadband, exponent)
     assert math.hypot(x, y) <= 1.0 + 1e-12
     if math.sqrt(stick.x**2 + stick.y**2) <= deadband:
         assert (x, y) == (0.0, 0.0)
@@ -47,15 +48,15 @@ def test_the_shaped_stick_stays_in_the_disc_and_keeps_its_direction(stick, deadb
 
 
 def test_deadband_and_shape():
-    assert drive.shaped(0.0, 0.05, 0.08, 1.0) == (0.0, 0.0)
-    assert drive.shaped(0.0, 3.0, 0.08, 1.5) == (0.0, 1.0)
-    assert drive.shaped(-0.5, 0.0, 0.0, 2.0) == (-0.25, 0.0)
+    assert joystick.shaped(0.0, 0.05, 0.08, 1.0) == (0.0, 0.0)
+    assert joystick.shaped(0.0, 3.0, 0.08, 1.5) == (0.0, 1.0)
+    assert joystick.shaped(-0.5, 0.0, 0.0, 2.0) == (-0.25, 0.0)
 
 
 @given(st.floats(0.0, 2 * math.pi), st.floats(0.0, 1.5), st.floats(0.0, 1.5))
 def test_more_stick_never_asks_for_less(angle, a, b):
     small, large = sorted((a, b))
-    outs = [drive.shaped(r * math.cos(angle), r * math.sin(angle), 0.08, 1.5) for r in (small, large)]
+    outs = [joystick.shaped(r * math.cos(angle), r * math.sin(angle), 0.08, 1.5) for r in (small, large)]
     assert math.hypot(*outs[0]) <= math.hypot(*outs[1]) + 1e-12
 
 
@@ -63,8 +64,8 @@ def test_more_stick_never_asks_for_less(angle, a, b):
 def test_targets_stay_within_the_limits(stick, v_now):
     v, w = drive.target(stick.x, stick.y, v_now, SETTING)
     assert -CHAIR.reverse_share * CHAIR.v_max_mps - 1e-12 <= v <= CHAIR.v_max_mps + 1e-12
-    assert abs(w) <= drive.yaw_rate_limit(v_now, CHAIR) + 1e-12
-    assert abs(w) <= drive.yaw_rate_limit(v, CHAIR) + 1e-12
+    assert abs(w) <= joystick.yaw_rate_limit(v_now, CHAIR.yaw_rate_max_radps) + 1e-12
+    assert abs(w) <= joystick.yaw_rate_limit(v, CHAIR.yaw_rate_max_radps) + 1e-12
 
 
 @given(sticks, speeds)
@@ -76,7 +77,7 @@ def test_left_and_right_are_mirror_images(stick, v_now):
 def test_right_is_clockwise_and_back_is_slower():
     assert drive.target(1.0, 0.0, 0.0, SETTING)[1] == pytest.approx(-1.5)
     assert drive.target(0.0, -1.0, 0.0, SETTING)[0] == pytest.approx(-0.668)
-    assert drive.yaw_rate_limit(1.67, CHAIR) == pytest.approx(1.5 / (1 + 0.6 * 1.67))
+    assert joystick.yaw_rate_limit(1.67, CHAIR.yaw_rate_max_radps) == pytest.approx(1.5 / (1 + 0.6 * 1.67))
 
 
 @pytest.mark.parametrize(("profile", "speed_mps"), [("indoor", 0.6), ("pavement", 1.67), ("road", 2.78)])

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
+from tests.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig, load_run_config, with_overrides
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.chair import Wheelchair
@@ -339,6 +340,13 @@ def test_frictions_motors_and_springs_change_without_a_new_body(monkeypatch):
             chair.become(varied(MWD, {"mass.user_kg": 90.0}))
     assert found == [0.5, 0.72, 0.3, 0.2]
     assert np.array_equal(first.p_m, again.p_m) and not np.array_equal(first.p_m, other.p_m)
+
+
+def test_the_tests_usual_outline_is_that_of_plant_rwd():
+    outline = RWD.outline
+    got = (*outline.size_lwh_m, outline.middle_x_m, outline.front_x_m, *outline.half_lw_m)
+    usual = USUAL_OUTLINE
+    assert got == pytest.approx((*usual.size_lwh_m, usual.middle_x_m, 0.8, 0.5675, 0.31))
 
 
 def test_springs_that_the_step_cannot_follow_are_refused():

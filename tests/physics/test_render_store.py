@@ -9,13 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.physics.render_oracle import actor, crowd
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.physics.camera import FreeCamera, look_along
 from wcsim.physics.renderer import riders
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import (
-    CHAIR_BOX_CENTRE_B_M,
-    CHAIR_SIZE_LWH_M,
     ChairPose,
     chair_instances,
     gait_phases,
@@ -159,23 +157,23 @@ def test_every_kind_has_a_template_and_its_classes(table):
 
 def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origin():
     points = np.concatenate([piece.part.vertices_m for piece in riders.wheelchair()])
-    assert np.ptp(points, axis=0) == pytest.approx(CHAIR_SIZE_LWH_M, abs=0.03)
+    assert np.ptp(points, axis=0) == pytest.approx((1.12, 0.62, 1.45), abs=0.03)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     wheels = np.concatenate([p.part.vertices_m for p in riders.wheelchair() if p.paint is Paint.TYRE])
     drive = wheels[wheels[:, 2] > 0.25]  # only the drive wheels are so high
-    assert drive[:, 0].mean() - middle[0] == pytest.approx(-CHAIR_BOX_CENTRE_B_M[0], abs=0.02)
+    assert drive[:, 0].mean() - middle[0] == pytest.approx(-USUAL_OUTLINE.middle_x_m, abs=0.02)
 
 
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE)
 @settings(deadline=None)  # the first call compiles
 def test_one_turn_in_three_spellings(yaw, pitch, roll):
     q = np.array(rotation_quaternion(yaw, pitch, roll))
-    chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q)
+    chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q, outline=USUAL_OUTLINE)
     row = chair_instances([chair])
     T_WM = transforms(row)[0]
     R = rotation_of(q)
-    assert T_WM[:, :3] / CHAIR_SIZE_LWH_M == pytest.approx(R, abs=1e-9)
-    assert T_WM[:, 3] == pytest.approx(chair.p_WB_m + R @ CHAIR_BOX_CENTRE_B_M)
+    assert T_WM[:, :3] / USUAL_OUTLINE.size_lwh_m == pytest.approx(R, abs=1e-9)
+    assert T_WM[:, 3] == pytest.approx(chair.p_WB_m + R @ (USUAL_OUTLINE.middle_x_m, 0.0, 0.0))
     forward = [math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), math.sin(pitch)]
     assert R[:, 0] == pytest.approx(forward, abs=1e-9)  # nose up is positive
 

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.samples import USUAL_OUTLINE
+from wcsim.config import ChairConfig
 from wcsim.seeding import generator
 from wcsim.supervisor.profiles import profile
 from wcsim.supervisor.user import SimulatedUser
@@ -36,4 +38,4 @@ def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0,
 
 def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:
     exact = replace(profile(name), **changes)
-    return SimulatedUser(exact, generator(seed, "user"), 1.67, 1.5, street)
+    return SimulatedUser(exact, generator(seed, "user"), ChairConfig(), USUAL_OUTLINE, street)

@@ -1,6 +1,7 @@
 """Lanes around things, speeds in front of them, and the room that a street leaves."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,7 @@ from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Thing
 
 PATH = Path(straight_route())
-BODY = Body(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0)
+BODY = Body(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
 
 
 def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> Thing:
@@ -27,6 +28,14 @@ def test_a_post_blocks_its_own_width_and_the_chairs():
     ((low, high),) = lanes(thing(3.0, 0.1))
     assert (low + high) / 2 == pytest.approx(0.1)
     assert high - low == pytest.approx(2 * (0.2 + 0.31 + 0.2))
+
+
+def test_a_wider_chair_keeps_farther_away_and_a_longer_one_stops_earlier():
+    wide, long = replace(BODY, half_m=(0.57, 0.41)), replace(BODY, half_m=(0.77, 0.31))
+    (usual,), (wider,) = (blocked_lanes(PATH, body, [thing(3.0, 0.1)], 1.3) for body in (BODY, wide))
+    assert wider == pytest.approx((usual[0] - 0.1, usual[1] + 0.1))
+    usual_mps, longer_mps = (safe_speed(body, [thing(3.0, 0.0)], 0.8, 0.3) for body in (BODY, long))
+    assert usual_mps**2 - longer_mps**2 == pytest.approx(2 * 0.8 * 0.2)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The room that a street leaves beside a route, and how far a user keeps from its edges."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from tests.samples import straight_route, strip_street
 from wcsim.supervisor.edges import FARTHEST_M, Edges, spread, wanted_aside
 from wcsim.supervisor.path import Path
+from wcsim.types import ClassId
 
 GRID = strip_street().grid
 
@@ -46,3 +48,12 @@ def test_between_two_edges_the_middle_is_kept_and_no_step_is_left():
     assert smooth[10:14] == pytest.approx([0.35] * 4)
     assert np.abs(np.diff(smooth)).max() < 0.1
     assert smooth[0] == smooth[-1] == 0.0
+
+
+@pytest.mark.parametrize(("rise_cm", "is_edge"), [(5, False), (6, True)])
+def test_a_step_that_a_wheel_takes_is_no_edge(rise_cm, is_edge):
+    grid = strip_street().grid
+    height_cm = np.where(grid.height_cm > 6, rise_cm, 0).astype(np.uint8)
+    plain = replace(grid, height_cm=height_cm, ground_class=np.full_like(grid.ground_class, ClassId.SIDEWALK))
+    _, right_m = Edges(plain, Path(straight_route(5.0))).room(5.0, 3.0)
+    assert right_m == pytest.approx(1.0 if is_edge else FARTHEST_M, abs=0.11)

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.samples import straight_route, strip_street
+from tests.samples import USUAL_OUTLINE, straight_route, strip_street
 from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
 from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
 from tests.yardstick import multiple
 from wcsim.config import ChairConfig
+from wcsim.joystick import shaped_rows
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.oracle import Oracle, shaped
-from wcsim.supervisor.user import USUAL_OUTLINE
+from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick
 
 STREET = strip_street()
@@ -172,7 +172,7 @@ def test_mirrored_streets_give_mirrored_answers():
 
 def test_shaping_is_the_drives():
     chair = ChairConfig(deadband=0.1, shape_exponent=2.0)
-    got = shaped(np.array([[0.0, 0.05], [0.0, 0.55], [3.0, 4.0], [1.0, -1.0]]), chair)
+    got = shaped_rows(np.array([[0.0, 0.05], [0.0, 0.55], [3.0, 4.0], [1.0, -1.0]]), chair)
     np.testing.assert_allclose(got, [[0, 0], [0, 0.25], [0.6, 0.8], [math.sqrt(0.5), -math.sqrt(0.5)]], atol=1e-12)
 
 

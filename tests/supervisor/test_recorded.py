@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.samples import straight_route
+from tests.samples import USUAL_OUTLINE, straight_route
 from tests.supervisor.kinematics import Chair, Sim
 from wcsim.errors import ConfigError
 from wcsim.supervisor.profiles import profile
@@ -23,7 +23,7 @@ def recorded(text, folder):
 
 def replay(recording, ticks):
     """The joystick after each tick of 0.1 s."""
-    user = RecordedUser(recording)
+    user = RecordedUser(recording, USUAL_OUTLINE)
     return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
 
 
@@ -46,7 +46,7 @@ def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
 
 def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},0,0.8\n" for k in range(101))
-    user = RecordedUser(recorded(HEAD + rows, tmp_path))
+    user = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
     sim.run(60.0)
     assert user.gave_up and not user.arrived
@@ -57,7 +57,7 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     for _ in range(5):
         sim.tick()
     assert not user.gave_up
-    near = RecordedUser(recorded(HEAD + rows, tmp_path))
+    near = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     assert Sim(near, straight_route(), Chair(x=75.0, y=5.5)).run(20.0) and near.arrived and not near.gave_up
 
 

@@ -172,6 +172,21 @@ def test_which_contacts_crash(kind, part, impulse, expected):
 
 
 @pytest.mark.parametrize(
+    ("kind", "part", "impulse", "expected"),
+    [
+        ("ground", "wheel", 500.0, "drop"),
+        ("ground", "footplate", 80.0, "drop"),  # where it falls to
+        ("kerb", "body", 80.0, "drop"),
+        ("car", "body", 3.0, "collision"),  # what pushed it
+        ("building", "wheel", 0.01, "collision"),
+    ],
+)
+def test_a_fall_explains_what_the_ground_does_and_not_what_others_do(kind, part, impulse, expected):
+    assert crash_reason(imu((41, 0, 0)), plant(25.0), [contact(kind, part, impulse)], C, dropped=True) == expected
+    assert crash_reason(imu(), plant(), [], C, dropped=True) == "drop"
+
+
+@pytest.mark.parametrize(
     ("peak", "roll_deg", "pitch_deg", "expected"),
     [
         ((0, 0, 0), 0.0, 0.0, ""),

@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from tests.supervisor.actors import make_user
 from tests.supervisor.kinematics import Chair, Sim, polyline
 from wcsim.supervisor.turning import Axle, plan_turn
-from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import StreetGrid
 
 STREET = strip_street()

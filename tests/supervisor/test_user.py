@@ -7,12 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.samples import straight_route, strip_street
+from tests.samples import USUAL_OUTLINE, straight_route, strip_street
 from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
 from tests.supervisor.kinematics import Chair, Sim, lateral, polyline
 from tests.supervisor.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
+from wcsim.joystick import pushed, shaped
 from wcsim.seeding import generator
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.avoidance import Body
@@ -20,7 +21,8 @@ from wcsim.supervisor.crossing import Kerbs, crossings
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import profile, profile_names, sample
-from wcsim.supervisor.user import USUAL_OUTLINE, SimulatedUser
+from wcsim.supervisor.steering import steer
+from wcsim.supervisor.user import SimulatedUser
 from wcsim.types import ActorKind, Joystick, SignalState
 
 STREET = strip_street()
@@ -50,7 +52,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 def test_the_competent_user_keeps_its_line_around_corners(quantised):
     for seed in range(3):
         rng = generator(seed, "user")
-        user = SimulatedUser(sample(profile("competent"), rng), rng, 1.67, 1.5)
+        user = SimulatedUser(sample(profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
         sim = Sim(user, CORNERS, Chair(), quantised)
         off = lateral(sim.run(90.0).array(), CORNERS)
         assert user.arrived
@@ -91,7 +93,8 @@ def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
     for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
         x, y = path.at(arc_m)
         for yaw_rad in np.arange(0.0, 6.2, 0.3).tolist():
-            body = Body(x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0)
+            half_m = USUAL_OUTLINE.half_lw_m
+            body = Body(x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0, half_m=half_m)
             goal, axle = user._goal(body, path, arc_m + 1.2), user._axle(body)
             assert math.dist(goal, (axle.x_m, axle.y_m)) >= 0.5
             assert path.project(*goal, arc_m + 2.0).arc_m < arc_m + 4.5
@@ -253,12 +256,13 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
 
 
 def kerbs(route, ground=None) -> Kerbs:
-    return Kerbs(crossings(route, lit(STREET).walk), Path(route), ground, 1.0, generator(0, "user"))
+    found = crossings(route, lit(STREET).walk)
+    return Kerbs(found, Path(route), ground, 1.0, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
 
 
 def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
     here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
-    stop_m = 11.5 - 0.57 - 0.3
+    stop_m = 11.5 - 0.5675 - 0.3
     assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
     assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
     assert here.stop_m(11.0, 0.0, green, ()) is None  # began at green
@@ -350,3 +354,12 @@ def test_before_its_first_route_the_user_does_nothing():
 def test_an_impossible_step_is_refused(steps, dt_s):
     with pytest.raises(ConfigError, match="at least one"):
         make_user("slow").hand(steps, dt_s)
+
+
+def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
+    body = Body(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
+    for chair in (ChairConfig(), ChairConfig(deadband=0.2), ChairConfig(deadband=0.05, shape_exponent=2.0)):
+        stick = steer(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
+        _, asked = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
+        assert asked * chair.v_max_mps == pytest.approx(0.5)
+        assert pushed(asked, chair) == pytest.approx(stick.y)

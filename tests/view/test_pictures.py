@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.physics.render_oracle import actor
-from tests.samples import straight_route, strip_street
+from tests.samples import USUAL_OUTLINE, straight_route, strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
@@ -104,7 +104,8 @@ def test_images_are_joined_at_one_height():
 def test_the_map_is_true_to_scale_with_north_up():
     view = MapView(strip_street().mesh, size_px=400, span_m=40.0)  # 10 pixels a metre
     car = actor(ActorKind.CAR, 10.0, -2.0, 0.0, 0.0, size=(6.0, 2.0, 1.5))
-    chair = ChairPose(seat=0, p_WB_m=np.array([4.0, 5.5, 0.12]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]))
+    q_WB = np.array([0.0, 0.0, 0.0, 1.0])
+    chair = ChairPose(seat=0, p_WB_m=np.array([4.0, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
     centre = np.array([10.0, 0.0, 0.0])
     empty = view.draw(centre, ()).astype(int)
     changed = np.abs(view.draw(centre, (car,)).astype(int) - empty).sum(axis=2) > 30

@@ -153,7 +153,8 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "zero":
         return Zero(actions=actions)
     if name == "stop":
-        return Stop(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair))
+        outline = plant_spec(config.chair).outline
+        return Stop(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair, outline))
     if name == "dwa":
         outline = plant_spec(config.chair).outline
         return DynamicWindow(actions, config.cameras[0], config.chair, outline, config.world.tick_s)

@@ -10,11 +10,9 @@ from wcsim.agents.protocol import DEPTH_KEY, IMU_KEY, Observation
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.frames import rad
 from wcsim.supervisor.observation import decode_depth
-from wcsim.types import F32, F64, U8, Bool
+from wcsim.types import F32, F64, U8, Bool, Outline
 
-HALF_WIDTH_M = 0.35
-MARGIN_M = 0.15  # on each side
-FRONT_M = 0.75  # footplate, ahead of the drive axle
+MARGIN_M = 0.19  # on each side
 CLEAR_M = 0.3  # to keep in front when standing
 REACTION_S = 0.4  # one tick of delay, the drive's ramp
 STEP_M = 0.15  # higher than this is in the way, deeper than this is a drop: twice what the casters climb
@@ -28,10 +26,10 @@ STRAIGHT_RADPS = 0.05
 class CorridorWatch:
     """Looks along the swept corridor of a joystick position. Keeps the viewing rays of one camera."""
 
-    def __init__(self, camera: CameraConfig, chair: ChairConfig) -> None:
+    def __init__(self, camera: CameraConfig, chair: ChairConfig, outline: Outline) -> None:
         self._rays = viewing_rays(camera)
         self._eye_B_m = np.array(camera.p_BC_m, dtype=np.float64)  # (3,)
-        self._range_m, self._chair = camera.range_m, chair
+        self._range_m, self._chair, self._outline = camera.range_m, chair, outline
         self._few = max(MIN_PIXELS, round(PIXEL_SHARE * len(self._rays)))
 
     def blocked(self, observation: Observation, x: float, y: float) -> bool:
@@ -40,7 +38,8 @@ class CorridorWatch:
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
         roll, pitch = math.pi * float(observation[IMU_KEY][3]), 0.5 * math.pi * float(observation[IMU_KEY][4])
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
-        reach_m = speed * REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2) + FRONT_M + CLEAR_M
+        stop_m = speed * REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2)
+        reach_m = stop_m + self._outline.front_x_m + CLEAR_M
         seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
         return self._obstacle(points, seen, speed, turn, reach_m, roll, pitch) or self._drop(
             points, speed, turn, reach_m, roll, pitch
@@ -52,7 +51,7 @@ class CorridorWatch:
         limit = STEP_M + SLOPE_PER_M * np.hypot(points[:, 0], points[:, 1])
         low, high = heights(points, roll, pitch)
         solid = seen & (low > limit) & (high < HEAD_M)
-        return self._enough(solid & in_corridor(points, speed, turn, reach_m))
+        return self._enough(solid & in_corridor(points, speed, turn, reach_m, self._outline))
 
     def _drop(self, points: F64, speed: float, turn: float, reach_m: float, roll: float, pitch: float) -> bool:
         """Rays that would meet level ground within the corridor, but go on below it."""
@@ -61,7 +60,7 @@ class CorridorWatch:
         ground = self._eye_B_m + self._rays * fall[:, None]
         _, high = heights(points, roll, pitch)
         deep = high < -(STEP_M + SLOPE_PER_M * np.hypot(ground[:, 0], ground[:, 1]))
-        return self._enough(down & deep & in_corridor(ground, speed, turn, reach_m))
+        return self._enough(down & deep & in_corridor(ground, speed, turn, reach_m, self._outline))
 
     def _enough(self, pixels: Bool) -> bool:
         return int(np.count_nonzero(pixels)) >= self._few
@@ -104,10 +103,10 @@ def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F6
     return np.minimum(own, level), np.maximum(own, level)
 
 
-def in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float) -> Bool:
+def in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline) -> Bool:
     """Points over which the chair passes on the arc of (speed, turn), up to `reach_m` ahead of its axle; (K,) bool."""
     x, y = points_B_m[:, 0], points_B_m[:, 1]
-    half = HALF_WIDTH_M + MARGIN_M
+    half = 0.5 * outline.width_m + MARGIN_M
     if abs(turn_radps) < STRAIGHT_RADPS:
         return np.asarray((np.abs(y) < half) & (x > 0.0) & (x < reach_m), dtype=np.bool_)
     radius = speed_mps / turn_radps  # centre of the arc at (0, radius), left positive
@@ -115,5 +114,5 @@ def in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: f
     angle = np.arctan2(x, (radius - y) * np.sign(radius))
     along = np.where(angle > 0.0, angle, 0.0) * abs(radius)
     # On a tight arc the footplate swings wide of the axle's path, so the straight box ahead of the chair counts too.
-    box = (np.abs(y) < half) & (x > 0.0) & (x < FRONT_M + CLEAR_M)
+    box = (np.abs(y) < half) & (x > 0.0) & (x < outline.front_x_m + CLEAR_M)
     return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), dtype=np.bool_)

@@ -18,9 +18,8 @@ from wcsim.agents.stepmap import CELL_M, REACH_M, StepMap
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.frames import rad
 from wcsim.jit import exact_kernel
+from wcsim.joystick import driven, limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
-from wcsim.supervisor.oracle import limits_of, shaped
-from wcsim.supervisor.rollout import driven
 from wcsim.types import F32, F64, Outline
 
 HOLD_S, STEP_S, LONGEST_S = 0.5, 0.1, 3.0
@@ -60,7 +59,7 @@ class DynamicWindow:
         self._eye_B_m = np.array(camera.p_BC_m, np.float64)
         self._ahead_rad, self._half_rad = rad(camera.yaw_deg), 0.5 * rad(camera.hfov_deg)
         self._map = StepMap()
-        self._commands = shaped(actions.points, chair)
+        self._commands = shaped_rows(actions.points, chair)
         self._limits = limits_of(chair)
         self.reset()
 

@@ -18,13 +18,13 @@ from wcsim.bridge.seat import Seat, is_clear
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
 from wcsim.errors import TownError
+from wcsim.physics.plant import plant_spec
 from wcsim.supervisor.crossing import CARRIAGEWAY, RED_BELIEVED_S, Crossing, crossings, is_red
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.recorded import RecordedUser
-from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.towns.routes import Router
 from wcsim.towns.town import Town
-from wcsim.types import Ground, SeatSpec, SignalState, StartSpec, Street, WayKind
+from wcsim.types import Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
 
 Colour = Literal["green", "red", "none"]
 CHAIRS = 6  # at work at the same time
@@ -56,8 +56,8 @@ class Approach:
     at_W_m: tuple[float, float]
 
 
-def signalled(street: Street) -> tuple[Place, ...]:
-    """The crossings of a town that have a light, from each side from which there is enough pavement before it."""
+def signalled(street: Street, outline: Outline) -> tuple[Place, ...]:
+    """The crossings of a town that have a light, from each side with enough pavement for a chair before it."""
     router = Router(street.walk)
     ends = [(tuple(e.points_W_m[0]), tuple(e.points_W_m[-1])) for e in street.walk.edges if e.kind is WayKind.SIDEWALK]
     middles = [tuple(e.points_W_m[len(e.points_W_m) // 2]) for e in street.walk.edges if e.kind is WayKind.SIDEWALK]
@@ -72,7 +72,7 @@ def signalled(street: Street) -> tuple[Place, ...]:
             continue
         a, b = tuple(edge.points_W_m[0]), tuple(edge.points_W_m[-1])
         for here, there in ((a, b), (b, a)):
-            tries = (_place(street, router, s, g, here) for s in pavements(here) for g in pavements(there))
+            tries = (_place(street, router, s, g, here, outline) for s in pavements(here) for g in pavements(there))
             place = next((found for found in tries if found is not None), None)
             if place is not None:
                 places.append(place)
@@ -85,6 +85,7 @@ def _place(
     start_xy: tuple[float, float],
     goal_xy: tuple[float, float],
     kerb_xy: tuple[float, float],
+    outline: Outline,
 ) -> Place | None:
     """The way between two places when it leads first over the crossing that begins at a kerb."""
     route = router.route(start_xy, goal_xy)
@@ -97,7 +98,7 @@ def _place(
         return None
     from_m = max(0.0, first.start_m - RUN_UP_M)
     xy, yaw_rad = path.at(from_m), path.heading(from_m)
-    if not is_clear(street.grid, USUAL_OUTLINE, np.array(xy), yaw_rad, 0.0, lambda _, __: ()):
+    if not is_clear(street.grid, outline, np.array(xy), yaw_rad, 0.0, lambda _, __: ()):
         return None
     start = StartSpec(p_W_m=xy, yaw_rad=yaw_rad, goal_W_m=path.at(path.length_m))
     return Place(start=start, crossing=first)
@@ -153,7 +154,8 @@ def approach_crossings(
     """
     done: list[Approach] = []
     with World(town, config, (None,) * CHAIRS, seed) as world:
-        todo = _ordered(signalled(world.street), count, seed, town)
+        outline = plant_spec(config.chair).outline
+        todo = _ordered(signalled(world.street, outline), count, seed, town)
         watches: dict[int, _Watch] = {}
         while todo or watches:
             for seat in range(CHAIRS):

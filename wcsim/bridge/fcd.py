@@ -18,7 +18,6 @@ from wcsim import frames
 from wcsim.bridge.trace import TickRecord, TraceHeader
 from wcsim.bridge.trace_file import read_trace
 from wcsim.errors import WcsimError
-from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.types import F64, ActorKind
 
 CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -33,15 +32,16 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     """Write one epoch of a trace as an FCD file; returns the number of its time steps.
 
     Raises:
-        WcsimError: it is no trace, has no such epoch, or was recorded before traces knew the sizes of actors.
+        WcsimError: it is no trace, has no such epoch, or was recorded before traces knew sizes.
     """
     header, records = read_trace(trace)
     chosen = [record for record in records if record.epoch == epoch]
     if not chosen:
         epochs = sorted({record.epoch for record in records})
         raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected one of {epochs or 'none: it is empty'}")
-    if any(record.actor_ids and not record.bodies for record in chosen):
-        raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors; record it again")
+    sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
+    if not sized or any(record.actor_ids and not record.bodies for record in chosen):
+        raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors and chairs; record it again")
     return write_steps(header, chosen, out)
 
 
@@ -83,13 +83,14 @@ def _actor_lines(header: TraceHeader, record: TickRecord) -> Iterator[tuple[str,
 
 
 def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
+    length_m, middle_m = header.chair_box_m or (0.0, 0.0)
     for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
         x, y, z, w = row[3:7]
         yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        middle_W_m = row[:3] + USUAL_OUTLINE.middle_x_m * frames.forward(yaw_rad, 0.0)
+        middle_W_m = row[:3] + middle_m * frames.forward(yaw_rad, 0.0)
         speed_mps = float(np.hypot(row[7], row[8]))
         name = f"{CHAIR_TYPE}.{seat}"
-        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, USUAL_OUTLINE.length_m, speed_mps, header)
+        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
 
 
 def _line(

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim import seeding
+from wcsim.constants import OTHER_LEVEL_M
 from wcsim.types import F64, ActorState, ClassId, Ground
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
-LEVEL_M = 2.5  # who is so much above or below a chair is on another level
-CHAIR_HALF_M = (0.57, 0.31)  # half the length and width of the usual wheelchair's footprint
 LET_GO = -1.0
 
 MOST_KNOWN = 10_000
@@ -26,9 +25,9 @@ class ChairInStreet:
     p_W_m: F64  # (2,) middle of the chair
     v_W_mps: F64  # (2,)
     on_road: bool  # on a carriageway or a crossing, not up on a pavement
+    half_m: tuple[float, float]  # half the length and width of its footprint
     yaw_rad: float = 0.0
     z_m: float = 0.0
-    half_m: tuple[float, float] = CHAIR_HALF_M  # half the length and width of its footprint
 
     def row(self) -> F64:
         """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
@@ -73,7 +72,7 @@ def in_street(chair: ActorState, ground: Ground) -> ChairInStreet:
 def on_level(actors: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
     """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
     heights_m = [chair.z_m for chair in chairs]
-    kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < LEVEL_M for z_m in heights_m))
+    kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
     return actors if len(kept) == len(actors) else kept
 
 

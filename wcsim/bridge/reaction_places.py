@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.bridge.orders import CHAIR_HALF_M
 from wcsim.bridge.reaction_stage import ReactionStage
 from wcsim.errors import TownError
 from wcsim.towns.netread import Lane, LaneKind, Net
@@ -26,7 +25,7 @@ FROM_ENDS_M = 12.0
 SCOUT_EVERY_S = 1.0
 SEEN_M = 2.5  # traffic this near to a place comes by there
 MOVING_MPS = 3.0
-FRONT_M = CHAIR_HALF_M[0] + 0.05
+GAP_M = 0.05  # between the front of a chair and the lane that it rolls out to
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +74,7 @@ def roll_outs(net: Net, stage: ReactionStage, many: int, scout_s: float, rng: np
     lanes = [lane for lane in _rightmost(net) if _length_m(lane) > 3.0 * FROM_ENDS_M]
     if not lanes:
         raise TownError("bench reaction: no street long enough to roll out in mid-block; choose another town")
-    ways = [_roll_out(lanes[int(rng.integers(len(lanes)))], rng) for _ in range(CANDIDATES)]
+    ways = [_roll_out(lanes[int(rng.integers(len(lanes)))], stage.half_m[0], rng) for _ in range(CANDIDATES)]
     counts = _passers(stage, np.array([way.lane_p_W_m for way in ways]), scout_s, MOVING_MPS)
     order = np.argsort(-counts, kind="stable")[: max(1, min(many, 8))]
     return [ways[i] for i in order]
@@ -108,10 +107,10 @@ def _rightmost(net: Net) -> list[Lane]:
     return found
 
 
-def _roll_out(lane: Lane, rng: np.random.Generator) -> RollOut:
+def _roll_out(lane: Lane, half_length_m: float, rng: np.random.Generator) -> RollOut:
     at_m = rng.uniform(FROM_ENDS_M, _length_m(lane) - FROM_ENDS_M)
     middle, yaw_rad = _along(lane.points_m, at_m, 0.0)
-    start, _ = _along(lane.points_m, at_m, -0.5 * lane.width_m - FRONT_M)
+    start, _ = _along(lane.points_m, at_m, -0.5 * lane.width_m - GAP_M - half_length_m)
     return RollOut(
         start_W_m=start,
         yaw_rad=yaw_rad + 0.5 * math.pi,

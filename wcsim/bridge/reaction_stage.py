@@ -16,7 +16,8 @@ from wcsim.bridge.footprint import box_of, boxes_touch, gap_to_box
 from wcsim.bridge.orders import Attention, Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
-from wcsim.config import WorldConfig
+from wcsim.config import ChairConfig, WorldConfig
+from wcsim.physics.plant import plant_spec
 from wcsim.towns.town import Town
 from wcsim.types import F64, ActorState, ClassId, Street
 
@@ -30,6 +31,7 @@ class ReactionStage:
     def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
         """Start SUMO and let it run for `warmup_s`. Raises WorldInUseError, SumoError."""
         self._ground = street.grid
+        self.half_m = plant_spec(ChairConfig()).outline.half_lw_m  # of its chairs
         self._config = config
         self._actors: tuple[ActorState, ...] = ()
         self.contacts: set[str] = set()
@@ -89,7 +91,9 @@ class ReactionStage:
         """A chair at a place of this street."""
         heading = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
         on_road = int(self._ground.class_at(p_W_m)) in ON_ROAD
-        return ChairInStreet(p_W_m=p_W_m, v_W_mps=speed_mps * heading, on_road=on_road, yaw_rad=yaw_rad)
+        return ChairInStreet(
+            p_W_m=p_W_m, v_W_mps=speed_mps * heading, on_road=on_road, half_m=self.half_m, yaw_rad=yaw_rad
+        )
 
     def close(self) -> None:
         """End SUMO."""

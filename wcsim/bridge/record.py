@@ -10,7 +10,7 @@ import numpy as np
 
 from wcsim.bridge.fingerprint import fingerprint
 from wcsim.bridge.stage import RunPlace
-from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
+from wcsim.bridge.trace import TraceHeader, TraceWriter, chair_box_m, record_of
 from wcsim.bridge.traffic import Traffic
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
@@ -121,6 +121,7 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
         fingerprint=fingerprint(),
         origin_m=town.file.origin_m,
         origin_z_m=net_z_m,
+        chair_box_m=chair_box_m(config.chair),
     )
 
 

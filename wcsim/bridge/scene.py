@@ -23,6 +23,7 @@ from wcsim.bridge.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import TownError, WcsimError
+from wcsim.physics.plant import plant_spec
 from wcsim.scene_file import SceneFile, SceneSeat
 from wcsim.towns.scenes import build_scene
 from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
@@ -48,7 +49,7 @@ def run_scene(folder: Path, trace: Path) -> SceneFacts:
     Raises TownError when the scene cannot be built or run.
     """
     with open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
-        meter = SceneMeter(world.snapshot, scene, world.street)
+        meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
         digest = hashlib.blake2b(digest_size=8)
         for snapshot, commands in play(world, scene):
             meter.add(snapshot, world.config.world.tick_s)

@@ -11,7 +11,7 @@ from wcsim.bridge.scene_facts import SceneFacts
 from wcsim.bridge.scene_others import OthersMeter
 from wcsim.bridge.scene_way import WayMeter
 from wcsim.scene_file import SceneFile, SceneSeat
-from wcsim.types import F64, ClientSnapshot, Snapshot, Street
+from wcsim.types import F64, ClientSnapshot, Outline, Snapshot, Street
 
 STANDS_MPS = 0.05
 SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
@@ -20,10 +20,10 @@ SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels 
 class SceneMeter:
     """Adds up what happens in a scene."""
 
-    def __init__(self, first: Snapshot, scene: SceneFile, street: Street) -> None:
+    def __init__(self, first: Snapshot, scene: SceneFile, street: Street, outline: Outline) -> None:
         self._chairs = [_ChairMeter(client, seat) for client, seat in zip(first.clients, scene.seats, strict=True)]
-        self._others = OthersMeter()
-        self._way = WayMeter(street.grid, street.walk, len(scene.seats))
+        self._others = OthersMeter(outline)
+        self._way = WayMeter(street.grid, street.walk, len(scene.seats), outline)
 
     def add(self, snapshot: Snapshot, dt_s: float) -> None:
         """One tick."""

@@ -7,8 +7,7 @@ from typing import Literal
 
 from wcsim.bridge.footprint import Box, box_of, boxes_touch, gap_to_box
 from wcsim.bridge.scene_facts import ALONE_M, FASTEST_MPS
-from wcsim.supervisor.user import USUAL_OUTLINE
-from wcsim.types import ActorKind, ActorState, ClientSnapshot, Snapshot
+from wcsim.types import ActorKind, ActorState, ClientSnapshot, Outline, Snapshot
 
 Group = Literal["vehicle", "rider", "person", "chair"]
 
@@ -22,9 +21,10 @@ _RIDERS = (ActorKind.BICYCLE, ActorKind.SCOOTER, ActorKind.MOTORCYCLE)
 
 
 class OthersMeter:
-    """Adds up what others do near any chair."""
+    """Adds up what others do near any chair; all of them have one outline."""
 
-    def __init__(self) -> None:
+    def __init__(self, outline: Outline) -> None:
+        self._outline = outline
         self.closest_m: dict[Group, float] = dict.fromkeys(("vehicle", "rider", "person", "chair"), ALONE_M)
         self.seen: set[str] = set()
         self.overtook: set[tuple[int, str]] = set()  # by seat and actor
@@ -38,7 +38,7 @@ class OthersMeter:
     def add(self, snapshot: Snapshot) -> None:
         """One tick."""
         self.seen.update(actor.id for actor in snapshot.actors)
-        boxes = [chair_box(client) for client in snapshot.clients]
+        boxes = [chair_box(client, self._outline) for client in snapshot.clients]
         for i, box in enumerate(boxes):
             for other in boxes[:i]:
                 self._come_near("chair", box_gap_m(box, other))
@@ -77,12 +77,11 @@ class OthersMeter:
                 self.gave_way.add(actor.id)
 
 
-def chair_box(client: ClientSnapshot) -> Box:
-    """A chair's box on the ground."""
+def chair_box(client: ClientSnapshot, outline: Outline) -> Box:
+    """The box on the ground of a chair with this outline."""
     x, y, _ = client.plant.p_WB_m.tolist()
     cos, sin = math.cos(client.plant.yaw_rad), math.sin(client.plant.yaw_rad)
-    half_m = 0.5 * USUAL_OUTLINE.length_m, 0.5 * USUAL_OUTLINE.width_m
-    return x + USUAL_OUTLINE.middle_x_m * cos, y + USUAL_OUTLINE.middle_x_m * sin, cos, sin, *half_m
+    return x + outline.middle_x_m * cos, y + outline.middle_x_m * sin, cos, sin, *outline.half_lw_m
 
 
 def box_gap_m(a: Box, b: Box) -> float:

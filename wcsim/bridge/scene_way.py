@@ -7,7 +7,7 @@ import numpy as np
 from wcsim.bridge.scene_facts import ALONE_M
 from wcsim.bridge.scene_others import chair_box
 from wcsim.supervisor.crossing import Crossing, is_red
-from wcsim.types import F64, ClassId, Ground, Snapshot, WalkEdge, WalkGraph, WayKind
+from wcsim.types import F64, ClassId, Ground, Outline, Snapshot, WalkEdge, WalkGraph, WayKind
 
 LOOK_ASIDE_M, STEP_M = 4.0, 0.05
 PAVEMENT = (ClassId.SIDEWALK, ClassId.LOWERED_KERB)
@@ -17,7 +17,8 @@ _OFFSETS_M = np.arange(0.0, LOOK_ASIDE_M, STEP_M)
 class WayMeter:
     """Adds up what the chairs' ways are like."""
 
-    def __init__(self, ground: Ground, walk: WalkGraph, seats: int) -> None:
+    def __init__(self, ground: Ground, walk: WalkGraph, seats: int, outline: Outline) -> None:
+        self._outline = outline
         self.narrowest_m = ALONE_M
         self.red_starts = self.green_starts = 0
         self._ground = ground
@@ -28,7 +29,7 @@ class WayMeter:
     def add(self, snapshot: Snapshot) -> None:
         """One tick."""
         for seat, client in enumerate(snapshot.clients):
-            x, y, cos, sin, long_m, _ = chair_box(client)
+            x, y, cos, sin, long_m, _ = chair_box(client, self._outline)
             here_W_m = np.array([x, y])
             if int(self._ground.class_at(here_W_m)) in PAVEMENT:
                 width_m = free_width_m(self._ground, here_W_m, np.array([-sin, cos]))

@@ -11,6 +11,7 @@ import numpy as np
 
 from wcsim import seeding
 from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
+from wcsim.bridge.falls import fell
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
@@ -199,8 +200,9 @@ class Seat:
         )
 
     def _crash_reason(self) -> str:
-        chair = self.chair
-        return crash_reason(chair.imu(), chair.state(), chair.contacts(), self._config.reward)
+        chair, config = self.chair, self._config.reward
+        dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
+        return crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
 
     def truth(self, others: Sequence[ActorState]) -> Truth:
         """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
@@ -243,14 +245,13 @@ class Seat:
         if isinstance(self._person, Recording):
             return RecordedUser(self._person, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
-        exact, chair = self._person, self._config.chair
+        exact = self._person
         return SimulatedUser(
             sample(exact, rng) if self.spec.start is None else exact,
             rng,
-            chair.v_max_mps,
-            chair.yaw_rate_max_radps,
-            self._street,
+            self._config.chair,
             self.chair.outline,
+            self._street,
         )
 
     def _follow(self, route: Route) -> None:

@@ -22,8 +22,6 @@ FAR_OFF_M = 1.5  # further from its line it is put back
 STUCK_S = 3.0
 LEVEL_M = 0.03
 SKIP_M = 2.0
-# Where drive wheels and casters stand.
-WHEELS_B_M = np.array([(0.0, 0.27, 0.0), (0.0, -0.27, 0.0), (0.45, 0.24, 0.0), (0.45, -0.24, 0.0)])
 # A caster swivels about its stem, and beside a kerb a hand's breadth decides what is below it.
 AROUND_M = 0.15 * np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 SINK_M, FLOAT_M = 0.06, 0.20  # a chair with a wheel deeper in the ground, or all of them higher, stands on nothing
@@ -48,6 +46,7 @@ class _Tour:
     def __init__(self, world: World) -> None:
         self.world = world
         self.chair = world.seats[0].chair
+        self.wheels_B_m = np.array([(x, y, 0.0) for x, y in self.chair.spec.stand_m()])
         self.driven_m = 0.0
         self.put_on = self.ticks = self.on_nothing = 0
         self.worst: tuple[float, float, float] | None = None
@@ -77,7 +76,7 @@ class _Tour:
             here, ahead = _at(line, arc_m, at_m), _at(line, arc_m, at_m + 0.5)
             yaw_rad = math.atan2(*(ahead - here)[::-1])
             cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-            wheels = here + WHEELS_B_M[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+            wheels = here + self.wheels_B_m[:, :2] @ np.array([[cos, sin], [-sin, cos]])
             if float(np.ptp(grid.raised_at(wheels[:, None] + AROUND_M))) < LEVEL_M:
                 break
             at_m += 0.25
@@ -107,7 +106,7 @@ class _Tour:
     def _stands(self, plant: PlantState) -> bool:
         """Whether the town has ground under every wheel, and no wheel has sunk into it, nor do all of them float."""
         grid = self.world.street.grid
-        wheels_W_m = plant.p_WB_m + WHEELS_B_M @ rotation_of(plant.q_WB).T
+        wheels_W_m = plant.p_WB_m + self.wheels_B_m @ rotation_of(plant.q_WB).T
         ground_m = grid.height_at(wheels_W_m[:, None, :2] + AROUND_M)  # (wheels, around)
         known = grid.class_at(wheels_W_m) != ClassId.VOID
         above_m = wheels_W_m[:, 2] - ground_m.min(axis=1)

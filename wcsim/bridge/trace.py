@@ -18,6 +18,8 @@ from types import TracebackType
 import numpy as np
 
 from wcsim.bridge.records import framed
+from wcsim.config import ChairConfig
+from wcsim.physics.plant import plant_spec
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
 MAGIC = "wcsim-trace-1"
@@ -34,6 +36,7 @@ class TraceHeader:
     fingerprint: str
     origin_m: tuple[float, float] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: float = 0.0
+    chair_box_m: tuple[float, float] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +63,12 @@ class TickRecord:
     time_s: float = 0.0  # SUMO's own time
     bodies: tuple[ActorBody, ...] = ()  # one for each actor, in their order; empty in traces of before there were any
     seats: tuple[int, ...] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
+
+
+def chair_box_m(chair: ChairConfig) -> tuple[float, float]:
+    """What a header says of the wheelchairs."""
+    outline = plant_spec(chair).outline
+    return outline.length_m, outline.middle_x_m
 
 
 def plant_row(plant: PlantState) -> F64:

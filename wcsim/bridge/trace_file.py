@@ -59,6 +59,8 @@ def _header(payload: bytes, where: str) -> TraceHeader:
     if head.pop("magic") != MAGIC:
         raise ValueError(MAGIC)
     head["origin_m"] = _numbers(head.get("origin_m", (0.0, 0.0)), 2)
+    if head.get("chair_box_m") is not None:
+        head["chair_box_m"] = _numbers(head["chair_box_m"], 2)
     header = TraceHeader(**head)
     _require(
         isinstance(header.name, str) and isinstance(header.fingerprint, str),

@@ -23,6 +23,7 @@ from wcsim.physics.plant_body import FRAME, ChairBody, check_springs, dressed, l
 from wcsim.physics.plant_urdf import urdf
 from wcsim.physics.pose import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.physics.quiet import pybullet
+from wcsim.physics.wheel_track import WheelTrack
 from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
 
 Vec3 = tuple[float, float, float]
@@ -107,6 +108,7 @@ class Wheelchair:
         self._setting = drive.settings(self._chair, spec, engine.step_s)
         self._memory = drive.new_state()
         self._imu = Imu(self._imu_config, self._com_B_m, engine.step_s, GRAVITY_MPS2)
+        self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
 
     @property
     def parked(self) -> bool:
@@ -194,6 +196,7 @@ class Wheelchair:
             self._coast_over_ghosts(suspects, touches)
         self._read()
         self._imu.sample(self._rotation, self._v_W_mps, self._w_W_radps)
+        self._track.after_step(math.hypot(*self._v_W_mps[:2]))
         for point in touches:
             self._touch(point)
 
@@ -243,6 +246,10 @@ class Wheelchair:
         """What was touched in the last closed tick."""
         return self._contacts
 
+    def wheel_track(self) -> tuple[F64, F64]:
+        """Where its wheels were since it was placed, and its speed: see `WheelTrack.samples`."""
+        return self._track.samples()
+
     def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
         """Height of the body's origin and its rotation, with all wheels on the ground or above it."""
         wheels_B_m = self._spec.stand_m()
@@ -268,6 +275,7 @@ class Wheelchair:
         self._joystick = Joystick(0.0, 0.0)
         self._log.clear()
         self._contacts = ()
+        self._track.clear()
         self._read()
         self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
         self._imu.reset(self._rotation)

@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.config import YAW_SLOWDOWN_S_PER_M, ChairConfig
+from wcsim.config import ChairConfig
 from wcsim.jit import exact_kernel
+from wcsim.joystick import STILL_MPS, follow_speed, limits_of, shaped, towards, wanted
 from wcsim.physics.plant import PlantSpec
 from wcsim.types import F64
 
@@ -22,7 +23,6 @@ PI_KI_PER_S2: Final = 1.0
 SLIP_MPS: Final = 0.1  # more than this between wheels and ground is a wheel without grip
 SPEED_BAND_MPS: Final = 0.25  # how far the controllers may lead the speed that is wanted
 STEER_S: Final = 10.0  # share of its torque that a wheel loses for each rad/s by which it outruns the turn asked for
-_STILL_MPS: Final = 1e-3
 _STILL_RADPS: Final = 1e-3
 
 # memory of the controllers
@@ -31,10 +31,9 @@ THROTTLE_MPS2, BRAKE_MPS2 = 4, 5  # integral parts of the two PI controllers
 IDLE_S, STICK_X, STICK_Y = 6, 7, 8
 _STATE_SIZE: Final = 9
 
-# settings
-_DT_S, _DEADBAND, _EXPONENT, _SMOOTHING = 0, 1, 2, 3
-_V_MAX, _REVERSE, _ACCEL, _DECEL, _JERK = 4, 5, 6, 7, 8
-_YAW_MAX, _YAW_ACCEL, _BRAKE_AFTER = 9, 10, 11
+# settings; the first are the limits of `wcsim.joystick`
+_V_MAX, _REVERSE, _ACCEL, _DECEL, _JERK, _YAW_MAX, _YAW_ACCEL = range(7)
+_DT_S, _DEADBAND, _EXPONENT, _SMOOTHING, _BRAKE_AFTER = range(7, 12)
 _HALF_TRACK, _RADIUS = 12, 13
 _STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 14, 15, 16, 17
 
@@ -49,17 +48,11 @@ def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
     damping_s = chair.tremor_damping_s
     return np.array(
         [
+            *limits_of(chair),
             dt_s,
             chair.deadband,
             chair.shape_exponent,
             1.0 - math.exp(-dt_s / damping_s) if damping_s > 0.0 else 1.0,
-            chair.v_max_mps,
-            chair.reverse_share,
-            chair.accel_mps2,
-            chair.decel_mps2,
-            chair.jerk_mps3,
-            chair.yaw_rate_max_radps,
-            chair.yaw_accel_radps2,
             chair.brake_after_s,
             0.5 * spec.wheel.track_m,
             spec.wheel.radius_m,
@@ -69,11 +62,6 @@ def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
             spec.motor.brake_torque_Nm,
         ]
     )
-
-
-def yaw_rate_limit(v_mps: float, chair: ChairConfig) -> float:
-    """The fastest turn at a speed, in rad/s: full in place, slower the faster the chair drives."""
-    return chair.yaw_rate_max_radps / (1.0 + YAW_SLOWDOWN_S_PER_M * abs(v_mps))
 
 
 def stopping_distance_m(v_mps: float, decel_mps2: float, jerk_mps3: float) -> float:
@@ -97,16 +85,6 @@ def speed_mps(axle_mps: float, wheels_mps: float) -> float:
 
 
 @exact_kernel
-def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
-    """A joystick position inside the unit disc, without its deadband, then shaped along its radius."""
-    radius = math.sqrt(x * x + y * y)
-    if not radius > deadband:
-        return 0.0, 0.0
-    out = ((min(radius, 1.0) - deadband) / (1.0 - deadband)) ** exponent
-    return x / radius * out, y / radius * out
-
-
-@exact_kernel
 def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
     """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
 
@@ -120,41 +98,13 @@ def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, f
         setting: From `settings`.
     """
     sx, sy = shaped(x, y, setting[_DEADBAND], setting[_EXPONENT])
-    v = sy * setting[_V_MAX]
-    if sy < 0.0:
-        v *= setting[_REVERSE]
-    limit = setting[_YAW_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v), abs(v_ref_mps)))
-    return v, 0.0 - sx * limit
+    return wanted(sx, sy, v_ref_mps, setting)
 
 
 @exact_kernel
 def motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
     """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
     return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
-
-
-@exact_kernel
-def _towards(value: float, goal: float, most: float) -> float:
-    return value + min(max(goal - value, -most), most)
-
-
-@exact_kernel
-def _follow_speed(state: F64, v_wanted_mps: float, setting: F64) -> None:
-    """Move the reference speed towards the wanted one within the limits of acceleration and jerk."""
-    dt_s, jerk = setting[_DT_S], setting[_JERK]
-    gap = v_wanted_mps - state[V_REF_MPS]
-    limit = setting[_DECEL] if state[V_REF_MPS] * gap < 0.0 else setting[_ACCEL]
-    # sqrt(2 j |gap|) is the acceleration from which a jerk of j ends exactly at the wanted speed; one step ahead, so
-    # that the jerk has not to catch up at the end
-    ahead = gap - state[A_REF_MPS2] * dt_s
-    a_wanted = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
-    state[A_REF_MPS2] = _towards(state[A_REF_MPS2], a_wanted, jerk * dt_s)
-    move = state[A_REF_MPS2] * dt_s
-    if abs(gap) <= abs(move) + _STILL_MPS * dt_s and abs(state[A_REF_MPS2]) <= 2.0 * jerk * dt_s + 0.1:
-        state[V_REF_MPS] = v_wanted_mps
-        state[A_REF_MPS2] = 0.0
-    else:
-        state[V_REF_MPS] += move
 
 
 @exact_kernel
@@ -221,10 +171,12 @@ def step(
     _damped(state, x, y, setting)
     v_wanted, w_wanted = target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
     idle = v_wanted == 0.0 and w_wanted == 0.0
-    _follow_speed(state, v_wanted, setting)
-    state[W_REF_RADPS] = _towards(state[W_REF_RADPS], w_wanted, setting[_YAW_ACCEL] * setting[_DT_S])
+    state[V_REF_MPS], state[A_REF_MPS2] = follow_speed(
+        state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
+    )
+    state[W_REF_RADPS] = towards(state[W_REF_RADPS], w_wanted, setting[_YAW_ACCEL] * setting[_DT_S])
     state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
-    if idle and abs(state[V_REF_MPS]) < _STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
+    if idle and abs(state[V_REF_MPS]) < STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
         state[:IDLE_S] = 0.0
         if state[IDLE_S] >= setting[_BRAKE_AFTER]:
             return 0.0, 0.0, setting[_BRAKE_TORQUE], setting[_BRAKE_TORQUE]

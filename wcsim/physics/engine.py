@@ -15,12 +15,12 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.quiet import pybullet
 from wcsim.physics.soup import Soup, split, tidy
 from wcsim.types import F64, ClassId, StreetMesh
 
-GRAVITY_MPS2: Final = 9.81
 PARK_Z_M: Final = -500.0
 MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
 GROUND_REACH_M: Final = 0.5

@@ -12,7 +12,7 @@ from typing import TypeVar
 from wcsim.bridge.fcd import write_steps
 from wcsim.bridge.record import as_recorded
 from wcsim.bridge.stage import RunPlace
-from wcsim.bridge.trace import TickRecord, TraceHeader, record_of
+from wcsim.bridge.trace import TickRecord, TraceHeader, chair_box_m, record_of
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
@@ -161,6 +161,7 @@ def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
         fingerprint=header.fingerprint,
         origin_m=world.town.file.origin_m,
         origin_z_m=world.street.net_z_m,
+        chair_box_m=chair_box_m(world.config.chair),
     )
 
 

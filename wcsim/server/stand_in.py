@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wcsim.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
 from wcsim.physics.camera import ImageSink, SeatBuffers
 from wcsim.physics.renderer.base import new_images
@@ -34,7 +35,7 @@ _COMMAND = struct.Struct("<iqdd")
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 _NOTHING = np.zeros(3)
 _IMU = ImuFrame(
-    accel_mean_mps2=np.array([0.0, 0.0, 9.81]),
+    accel_mean_mps2=np.array([0.0, 0.0, GRAVITY_MPS2]),
     accel_peak_mps2=_NOTHING,
     gyro_radps=_NOTHING,
     roll_rad=0.0,

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.perception import Thing
 
-HALF_LENGTH_M = 0.57  # of the chair
-HALF_WIDTH_M = 0.31
 HORIZON_M = 4.5  # standing things farther along the route are not steered around yet
 NEAR_M = 10.0
 DART_MPS = 2.0  # nobody steers around what shoots across faster than this
@@ -20,13 +18,12 @@ STOP_GAP_M = 0.4  # left in front of the footplate
 MEET_S = 3.5  # whom the chair meets later than this is left alone
 
 EDGE_MARGIN_M = 0.12  # between the chair's side and a kerb or wall that it drives along on purpose
-BESIDE_M = HALF_WIDTH_M + EDGE_MARGIN_M
 DEFAULT_ROOM_M = 0.35  # what the user dares without knowing the street
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """The middle of the chair as the user feels it move."""
+    """The middle of the chair as the user feels it move, and how far the chair reaches from there."""
 
     x_m: float
     y_m: float
@@ -34,26 +31,28 @@ class Body:
     speed_mps: float
     arc_m: float  # of the middle along the route
     left_m: float  # beside it
+    half_m: tuple[float, float]  # half the length and width of the chair's box
 
 
 def blocked_lanes(path: Path, body: Body, things: Sequence[Thing], desired_mps: float) -> list[tuple[float, float]]:
     """Offsets from the route (low, high; left positive) that would lead into something within the horizon."""
     lanes = []
+    half_length_m, half_width_m = body.half_m
     for thing in things:
         if math.hypot(thing.x_m - body.x_m, thing.y_m - body.y_m) > NEAR_M:
             continue
         place = path.project(thing.x_m, thing.y_m, body.arc_m)
         ahead = place.arc_m - body.arc_m
-        if ahead < -(thing.radius_m + HALF_LENGTH_M + 0.15) or (not thing.moving and ahead > HORIZON_M):
+        if ahead < -(thing.radius_m + half_length_m + 0.15) or (not thing.moving and ahead > HORIZON_M):
             continue
         heading = path.heading(place.arc_m)
         along = thing.vx_mps * math.cos(heading) + thing.vy_mps * math.sin(heading)
         across = -thing.vx_mps * math.sin(heading) + thing.vy_mps * math.cos(heading)
-        meet_s = _meet_s(ahead - HALF_LENGTH_M - thing.radius_m, desired_mps - along) if thing.moving else 0.0
+        meet_s = _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along) if thing.moving else 0.0
         if meet_s > MEET_S or abs(across) > DART_MPS:
             continue
         margin = MOVING_MARGIN_M if thing.moving else STATIC_MARGIN_M
-        half = thing.radius_m + HALF_WIDTH_M + margin
+        half = thing.radius_m + half_width_m + margin
         middle = place.left_m + across * min(meet_s, 2.0)
         lanes.append((middle - half, middle + half))
     return lanes
@@ -85,6 +84,7 @@ def choose_lane(
 def safe_speed(body: Body, things: Sequence[Thing], brake_mps2: float, reaction_s: float) -> float:
     """The speed from which the user, braking gently after the reaction time, stops behind everything straight ahead."""
     limit = math.inf
+    half_length_m, half_width_m = body.half_m
     cos, sin = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
     for thing in things:
         along = thing.vx_mps * cos + thing.vy_mps * sin
@@ -92,9 +92,9 @@ def safe_speed(body: Body, things: Sequence[Thing], brake_mps2: float, reaction_
             dx = thing.x_m + later_s * thing.vx_mps - body.x_m
             dy = thing.y_m + later_s * thing.vy_mps - body.y_m
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-            if ahead <= 0.0 or abs(left) > thing.radius_m + HALF_WIDTH_M + 0.08:
+            if ahead <= 0.0 or abs(left) > thing.radius_m + half_width_m + 0.08:
                 continue
-            gap = ahead - thing.radius_m - HALF_LENGTH_M - STOP_GAP_M - reaction_s * max(0.0, body.speed_mps - along)
+            gap = ahead - thing.radius_m - half_length_m - STOP_GAP_M - reaction_s * max(0.0, body.speed_mps - along)
             own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
             limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
     return limit

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.supervisor.avoidance import HALF_LENGTH_M
 from wcsim.supervisor.path import Path
 from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, WalkEdge, WalkGraph, WayKind
 
@@ -18,7 +17,6 @@ SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to coun
 MOVING_MPS = 0.5
 RED_BELIEVED_S = 130.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
-WAITS_M = HALF_LENGTH_M + KERB_GAP_M  # from the middle of who waits to the kerb
 LIGHT_SEEN_M, TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 ALONG_KERB_M, ROAD_STEP_M = 3.0, 0.25
 NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
@@ -49,10 +47,13 @@ class Kerbs:
         ground: Ground | None,
         law_share: float,
         rng: np.random.Generator,
+        half_length_m: float,
     ) -> None:
-        """The crossings of a route in order, the street, and the chance that the user keeps to the law at one."""
+        """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
         starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
-        self._items = tuple(zip(items, (start_m - WAITS_M for start_m in starts), strict=True))
+        self._half_length_m = half_length_m
+        self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
+        self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._law_share = law_share
         self._rng = rng
         self._obeys: dict[Crossing, bool] = {}
@@ -78,9 +79,9 @@ class Kerbs:
         """
         behind_m = -math.inf
         for item, stop_m in self._items:
-            line_m = item.start_m - WAITS_M
-            island = line_m > behind_m + HALF_LENGTH_M  # too short a refuge is no place to wait
-            stop_m, behind_m = max(stop_m, behind_m + HALF_LENGTH_M), item.end_m
+            line_m = item.start_m - self._waits_m
+            island = line_m > behind_m + self._half_length_m  # too short a refuge is no place to wait
+            stop_m, behind_m = max(stop_m, behind_m + self._half_length_m), item.end_m
             to_go_m = line_m - arc_m
             back_m = KERB_GAP_M + min(HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
             if not -back_m < to_go_m < LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from wcsim.constants import KERB_STEP_CM
 from wcsim.jit import exact_kernel
 from wcsim.supervisor.path import Path
 from wcsim.types import F64, U8, ClassId, Ground
@@ -19,7 +20,6 @@ STATION_M = 0.5
 PIECE = 20  # stations that are looked at together, within one raster of the street
 FARTHEST_M = 1.6
 STEP_M = 0.05
-KERB_STEP_CM = 4
 SOLID_DM = 1  # nearer to a wall than this is no place for the middle of a chair
 COMFORT_M = 0.66  # between the middle of the chair and an edge, where there is room
 ROAD, RAIL = int(ClassId.ROAD), int(ClassId.RAIL_TRACK)

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.config import ChairConfig
+from wcsim.constants import OTHER_LEVEL_M
+from wcsim.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
 from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
 FASTEST_MPS = 5.0  # of any chair
-OTHER_LEVEL_M = 2.5  # higher or lower than this, an actor is on a bridge or in a tunnel
 FAR_M = 25.5
 
 
@@ -53,13 +54,13 @@ class Oracle:
         self._chair = chair
         self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
         self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
-        self._commands = shaped(actions, chair)
+        self._commands = shaped_rows(actions, chair)
         self._limits = limits_of(chair)
         self._tick_s = tick_s
 
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
-        commands = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
+        commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         return bool(np.isfinite(self._roll_out(plant, commands, actor_table(plant, actors), ())[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
@@ -80,7 +81,7 @@ class Oracle:
     ) -> Assessment:
         """All answers at once; `waiting` are the commands that the chair obeys before the next one, one a tick."""
         table = actor_table(plant, actors, later_s=len(waiting) * self._tick_s)
-        own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
+        own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table, waiting)
         return Assessment(
             danger=bool(np.isfinite(first_s[-1])),
@@ -107,7 +108,7 @@ class Oracle:
 
     def _steps(self, waiting: Sequence[Joystick]) -> F64:
         """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""
-        sticks = shaped(np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair)
+        sticks = shaped_rows(np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair)
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
@@ -116,21 +117,6 @@ class Oracle:
         origin_m = np.array(grid.origin_W_m, np.float64)
         gap = free_distance(_state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, table)
         return min(float(gap), FAR_M)
-
-
-def limits_of(chair: ChairConfig) -> F64:
-    """The drive's limits (7,) in the order of `rollout`."""
-    speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2)
-    return np.array([*speeds, chair.yaw_accel_radps2, chair.jerk_mps3, chair.yaw_rate_max_radps])
-
-
-def shaped(joysticks: F64, chair: ChairConfig) -> F64:
-    """Joystick positions (K, 2) as the drive takes them: on the unit disc, without the deadband, shaped."""
-    radius = np.hypot(joysticks[:, 0], joysticks[:, 1])
-    inside = np.minimum(radius, 1.0)
-    out = np.maximum(inside - chair.deadband, 0.0) / (1.0 - chair.deadband)
-    scale = np.divide(out**chair.shape_exponent, radius, out=np.zeros_like(radius), where=radius > chair.deadband)
-    return np.ascontiguousarray(joysticks * scale[:, None], dtype=np.float64)
 
 
 def actor_table(

@@ -22,7 +22,7 @@ from wcsim.reading import FileKind, read_text, shown
 from wcsim.supervisor.hand import on_disc
 from wcsim.supervisor.path import Path
 from wcsim.supervisor.profiles import RECORDED, UserProfile, profile
-from wcsim.supervisor.user import ARRIVED_M, USUAL_OUTLINE
+from wcsim.supervisor.user import ARRIVED_M
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 
 COLUMNS = ("time_s", "x", "y")
@@ -59,7 +59,7 @@ class RecordedUser:
     What the person wanted beyond what the hand did is not known: the intent is the stick itself.
     """
 
-    def __init__(self, recording: Recording, outline: Outline = USUAL_OUTLINE) -> None:
+    def __init__(self, recording: Recording, outline: Outline) -> None:
         self.arrived = False
         self.gave_up = False
         self._recording = recording

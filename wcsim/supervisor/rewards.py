@@ -17,7 +17,7 @@ from wcsim.errors import ConfigError
 from wcsim.frames import rad
 from wcsim.types import F64, Contact, Events, ImuFrame, PlantState, RewardTerms
 
-CrashReason = Literal["", "collision", "acceleration", "tilt"]
+CrashReason = Literal["", "collision", "drop", "acceleration", "tilt"]
 
 ROLLING_PARTS = frozenset({"wheel", "caster", "antitip"})
 GROUND_KINDS = frozenset({"ground", "kerb"})
@@ -91,13 +91,17 @@ def joystick_distance(user: F64, agent: F64, config: RewardConfig) -> float:
 
 
 def crash_reason(
-    imu: ImuFrame, plant: PlantState, contacts: Sequence[Contact], config: RewardConfig
+    imu: ImuFrame, plant: PlantState, contacts: Sequence[Contact], config: RewardConfig, *, dropped: bool = False
 ) -> CrashReason:
     """Why this tick ends the episode, "" when it does not (Table 2 row "crash"; Table 1 column "maximum").
 
-    A collision goes before an acceleration and that before a tilt, because the first explains the others.
+    The first explains the others: a collision with what stands or moves in the street, a wheel that `dropped` off a
+    kerb, a collision with ground or kerb, an acceleration, a tilt.
     """
-    if any(is_collision(contact, config) for contact in contacts):
+    collisions = [contact for contact in contacts if is_collision(contact, config)]
+    if dropped and all(contact.kind in GROUND_KINDS for contact in collisions):
+        return "drop"
+    if collisions:
         return "collision"
     if any(abs(float(axis)) > config.accel_window_mps2[1] for axis in imu.accel_peak_mps2):
         return "acceleration"

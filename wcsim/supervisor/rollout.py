@@ -11,9 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.config import YAW_SLOWDOWN_S_PER_M
+from wcsim.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.frames import rad
 from wcsim.jit import exact_kernel
+from wcsim.joystick import driven
 from wcsim.types import F64, U8
 
 I64 = npt.NDArray[np.int64]
@@ -22,17 +23,13 @@ HOLD_S = 0.5
 STEP_S = 0.05
 LONGEST_S = 4.0
 
-KERB_STEP_CM = 5  # a wheel takes this much up or down
 DEEPENING_M = 0.03  # who already touches may move, if not closer
 ACTOR_MARGIN_M = 0.05
 LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
 PITCH_LIMIT = math.tan(rad(30.0))
-GRAVITY_MPS2 = 9.81
 
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
-# entries of the chair's limits (7,)
-V_MAX, REVERSE, ACCEL, DECEL, YAW_ACCEL, JERK, W_MAX = range(7)
 # entries of its hull (3,) seen from above: its middle ahead of the drive axle, half its length and half its width
 MIDDLE, HALF_L, HALF_W = range(3)
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
@@ -58,7 +55,7 @@ def roll_out(
         state: (5,) x, y, yaw, v, w of the drive axle.
         waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
-        limits: (7,) see the column names above.
+        limits: (7,) of the drive, see `wcsim.joystick`.
         hull: (3,) see the column names above.
         wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
         height_cm: (rows, cols) of the street grid.
@@ -155,33 +152,6 @@ def _one(
         before2[:] = before
         before[:] = now
     return np.inf
-
-
-@exact_kernel
-def driven(
-    v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
-) -> tuple[float, float, float]:
-    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (7,)."""
-    v_wanted = stick_y * limits[V_MAX] * (limits[REVERSE] if stick_y < 0.0 else 1.0)
-    w_wanted = -stick_x * limits[W_MAX] / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(v_wanted), abs(v)))
-    v, a = _follow_speed(v, a, v_wanted, limits, dt_s)
-    return v, w + min(max(w_wanted - w, -limits[YAW_ACCEL] * dt_s), limits[YAW_ACCEL] * dt_s), a
-
-
-@exact_kernel
-def _follow_speed(v: float, a: float, v_wanted: float, limits: F64, dt_s: float) -> tuple[float, float]:
-    """Speed and acceleration one step later: limited acceleration, limited jerk, no overshoot."""
-    gap = v_wanted - v
-    if gap == 0.0:
-        return v, 0.0
-    limit = limits[DECEL] if v * gap < 0.0 else limits[ACCEL]
-    wanted = math.copysign(min(limit, math.sqrt(2.0 * limits[JERK] * abs(gap))), gap)
-    most = limits[JERK] * dt_s
-    a += min(max(wanted - a, -most), most)
-    move = a * dt_s
-    if abs(gap) <= abs(move) or abs(gap) < 0.01:
-        return v_wanted, 0.0
-    return v + move, a
 
 
 @exact_kernel

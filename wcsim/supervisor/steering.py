@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from wcsim.config import YAW_SLOWDOWN_S_PER_M
+from wcsim.config import ChairConfig
 from wcsim.frames import wrap
+from wcsim.joystick import pushed, yaw_rate_limit
 from wcsim.supervisor.avoidance import Body
 from wcsim.types import Joystick
 
@@ -17,14 +18,13 @@ TURN_MAX_RADPS = 1.0
 DRIVE_DELAY_S = 0.1  # of the chair's own drive
 TURN_IN_PLACE_RAD = 1.0
 BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
-DEADBAND = 0.08  # of the chair; a user has learnt how far a stick must be moved before anything happens
 
 
 def steer(
     body: Body,
     goal: tuple[float, float],
     speed_mps: float,
-    limits: tuple[float, float],
+    chair: ChairConfig,
     delay_s: float,
     before_x: float,
 ) -> Joystick:
@@ -34,26 +34,25 @@ def steer(
         body: The chair's middle.
         goal: Point (x, y) in W to drive to.
         speed_mps: Wanted speed when the goal is straight ahead.
-        limits: The chair's top speed (m/s) and fastest turn in place (rad/s).
+        chair: Its limits, and how far a stick must be moved before anything happens: the user has learnt them.
         delay_s: How late the driver's hand answers.
         before_x: The stick's x of the plan before, for goals right behind.
     """
-    v_max_mps, w_max_radps = limits
     error = wrap(math.atan2(goal[1] - body.y_m, goal[0] - body.x_m) - body.yaw_rad)
     if abs(error) > BEHIND_RAD and before_x * error > 0.0:
         error = -error
     turning = abs(error) > TURN_IN_PLACE_RAD
     speed = 0.0 if turning else speed_mps * math.cos(error) ** 2
-    w_limit = w_max_radps / (1.0 + YAW_SLOWDOWN_S_PER_M * max(abs(body.speed_mps), speed))
+    w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps)
     gain = min(GAIN_MAX_PER_S, GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
     most = min(1.0, min(TURN_MAX_RADPS, GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
     x = min(most, max(-most, -gain * error / w_limit))
-    y = min(speed / v_max_mps, math.sqrt(1.0 - x * x))
+    y = min(speed / chair.v_max_mps, math.sqrt(1.0 - x * x))
     radius = math.hypot(x, y)
     if radius < 0.02:
         return Joystick(0.0, 0.0)
-    pushed = min(1.0, DEADBAND + (1.0 - DEADBAND) * radius) / radius
-    return Joystick(x * pushed, y * pushed)
+    scale = pushed(radius, chair) / radius
+    return Joystick(x * scale, y * scale)
 
 
 def stopping_speed(distance_m: float, brake_mps2: float) -> float:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim.constants import KERB_STEP_CM
 from wcsim.jit import exact_kernel
 from wcsim.types import F64, U8, Ground, Outline
 
 STEP_M = 0.2
 FARTHEST_M = 2.4
-KERB_STEP_CM = 4
 MARGIN_M = 0.05
 RAYS = 72
 RAY_STEP_M = 0.05

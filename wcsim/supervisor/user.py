@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
 from wcsim.frames import wrap
 from wcsim.supervisor import avoidance
@@ -29,7 +30,6 @@ from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
 # Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
-USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)
 LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
 BRAKE_MPS2 = 0.6
 CORNER_RADPS = 1.0
@@ -70,27 +70,25 @@ class SimulatedUser:
         self,
         profile: UserProfile,
         rng: np.random.Generator,
-        v_max_mps: float,
-        yaw_rate_max_radps: float,
+        chair: ChairConfig,
+        outline: Outline,
         street: Street | None = None,
-        outline: Outline = USUAL_OUTLINE,
     ) -> None:
         """A user who stands still until `follow` and the first `look`.
 
         Args:
             profile: Parameters, used as they are (see `profiles.sample`).
             rng: Source of all chance of this user.
-            v_max_mps: Top speed of the chair.
-            yaw_rate_max_radps: Fastest turn in place.
+            chair: What its drive makes of a joystick.
+            outline: The chair's box.
             street: What a person sees of kerbs and crossings; without it the user keeps within 0.35 m of its route and
                 knows no crossing.
-            outline: The chair's box.
         """
         self.profile = profile
         self.arrived = False
         self.gave_up = False
         attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
-        self._limits = (v_max_mps, yaw_rate_max_radps)
+        self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
         self._lookahead_s = LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
         self._street = street
@@ -113,7 +111,8 @@ class SimulatedUser:
         self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
         items = crossings(route, self._street.walk) if self._street is not None else ()
         ground = None if self._street is None else self._street.grid
-        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng)
+        half_length_m, _ = self._outline.half_lw_m
+        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng, half_length_m)
         self._stop_m: float | None = None
         self._patience = 1.0
         self._arc_m = 0.0
@@ -209,12 +208,13 @@ class SimulatedUser:
             speed_mps=view.speed_mps,
             arc_m=max(there.arc_m, self._arc_m),
             left_m=there.left_m,
+            half_m=self._outline.half_lw_m,
         )
 
     def _plan(self, view: UserView, body: Body, path: Path) -> Plan:
         seen = self._perception.look(view)
         self._witness = (view, seen)
-        speed = self.profile.speed_share * self._limits[0]
+        speed = self.profile.speed_share * self._chair.v_max_mps
         speed = min(speed, path.speed_limit(body.arc_m, CORNER_RADPS, BRAKE_MPS2, CORNER_AHEAD_M))
         speed = min(speed, stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
         if self._edges is not None:
@@ -260,7 +260,7 @@ class SimulatedUser:
         return goal
 
     def _steered(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
-        return steer(body, goal, speed_mps, self._limits, self._delay_s, self._intent.x)
+        return steer(body, goal, speed_mps, self._chair, self._delay_s, self._intent.x)
 
     def _straight_on(self, body: Body, speed_mps: float) -> Joystick:
         ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
@@ -303,7 +303,7 @@ class SimulatedUser:
 
     def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
         """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
-        desired_mps = self.profile.speed_share * self._limits[0]
+        desired_mps = self.profile.speed_share * self._chair.v_max_mps
         blocked = avoidance.blocked_lanes(path, body, seen.things, desired_mps)
         if not blocked:
             self._lane_m = home_m
@@ -311,7 +311,8 @@ class SimulatedUser:
         room = (avoidance.DEFAULT_ROOM_M, avoidance.DEFAULT_ROOM_M)
         if self._edges is not None:
             left_m, right_m = self._edges.room(body.arc_m, avoidance.HORIZON_M)
-            room = (left_m - avoidance.BESIDE_M, right_m - avoidance.BESIDE_M)
+            beside_m = body.half_m[1] + avoidance.EDGE_MARGIN_M
+            room = (left_m - beside_m, right_m - beside_m)
         lane = avoidance.choose_lane(blocked, room, self._lane_m, home_m)
         if lane is not None:
             self._lane_m = lane

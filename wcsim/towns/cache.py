@@ -40,7 +40,8 @@ def street_key(town: Town) -> str:
 def _source_digest() -> str:
     """SHA-256 over the code that makes a street and says what it is: built by other code it is another street."""
     here = Path(__file__).parent
-    sources = [*sorted(here.glob("*.py")), here.parent / "streets.py", here.parent / "jit.py"]
+    beside = (here.parent / name for name in ("streets.py", "jit.py", "constants.py"))
+    sources = [*sorted(here.glob("*.py")), *beside]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 

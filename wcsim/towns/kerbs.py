@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from wcsim.constants import KERB_STEP_M
 from wcsim.towns.ground import Ground
 from wcsim.types import F64, I32, ClassId
 
-LOW_KERB_M = 0.05  # below this a kerb counts as lowered: the chair climbs it, and the oracle lets it pass
+_HAIR_M = 1e-6
 
 
 def kerb_walls(ground: Ground) -> tuple[F64, I32, I32]:
@@ -26,7 +27,7 @@ def kerb_walls(ground: Ground) -> tuple[F64, I32, I32]:
     foot, top, rise_m, cell = foot[walls], top[walls], rise_m[walls], ground.cell[road[at_road, 2]][walls]
     first = np.stack([foot[:, 1], foot[:, 0], top[:, 0]], axis=1)
     second = np.stack([foot[:, 1], top[:, 0], top[:, 1]], axis=1)
-    kind = np.where(rise_m.max(axis=1) < LOW_KERB_M, ClassId.LOWERED_KERB, ClassId.KERB).astype(np.int32)
+    kind = np.where(rise_m.max(axis=1) <= KERB_STEP_M + _HAIR_M, ClassId.LOWERED_KERB, ClassId.KERB).astype(np.int32)
     flat = np.concatenate([rise_m[:, 0] <= 0.0, rise_m[:, 1] <= 0.0])  # a wall that runs out is one triangle
     triangles = np.concatenate([first, second])[~flat]
     return triangles, np.concatenate([kind, kind])[~flat], np.concatenate([cell, cell])[~flat]

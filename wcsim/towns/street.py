@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.constants import KERB_STEP_M
 from wcsim.errors import TownError
 from wcsim.towns.buildings import Building, buildings_of
 from wcsim.towns.cache import cached_street, pack_street, street_key
@@ -28,8 +29,6 @@ from wcsim.towns.tiles import Packed, pack_tiles
 from wcsim.towns.town import Town
 from wcsim.towns.walkgraph import build_walk_graph, free_space
 from wcsim.types import F64, ClassId, Relief, Street, WalkGraph
-
-LOW_KERB_M = 0.03  # lower ones need no distance kept
 
 
 def load_street(town: Town) -> Street:
@@ -75,7 +74,7 @@ def _block(building: Building, ground_m: float, relief: Relief) -> Piece:
 
 def _kerb_lines(walls: F64) -> BaseGeometry:
     """The edges of all kerbs that a wheel should not drop off."""
-    high = walls[walls[:, :, 2].max(axis=1) > LOW_KERB_M]
+    high = walls[walls[:, :, 2].max(axis=1) > KERB_STEP_M]
     foot = high[:, :2, :2]  # a wall triangle's first two corners span its edge, seen from above
     return shapely.union_all(shapely.linestrings(foot)) if len(foot) else shapely.MultiLineString()
 

@@ -8,17 +8,12 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from wcsim.bridge.world import World
 from wcsim.physics.camera import FreeCamera, look_along
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.instances import (
-    CHAIR_SIZE_LWH_M,
-    ChairPose,
-    chair_instances,
-    chair_pose,
-    instances_of,
-)
+from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_pose, instances_of
 from wcsim.physics.renderer.store import GeometryStore
-from wcsim.types import F64, U8, ActorKind, ActorState, Route, Snapshot, StreetMesh
+from wcsim.types import F64, U8, ActorKind, ActorState, Route, StreetMesh
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
 HEIGHT_M = 400.0
@@ -82,8 +77,8 @@ class MapView:
         for actor in actors:
             corners = oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
             self._box(image, T_CW, corners, colours[actor.kind])
-        for place, yaw_rad in _chair_places(chairs):
-            self._box(image, T_CW, oriented_box(place, yaw_rad, CHAIR_SIZE_LWH_M[:2]), CHAIR_RGB)
+        for place, yaw_rad, size_lw_m in _chair_places(chairs):
+            self._box(image, T_CW, oriented_box(place, yaw_rad, size_lw_m), CHAIR_RGB)
         return image
 
     def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
@@ -106,11 +101,14 @@ class MapView:
         return np.asarray(np.rint(flat * 8), np.int32)
 
 
-def map_view(view: MapView, snapshot: Snapshot, seat: int, route: Route | None = None) -> U8:
-    """The map around a seat's wheelchair in a snapshot, with all actors and wheelchairs in it."""
-    chairs = [chair_pose(client.seat, client.plant) for client in snapshot.clients]
-    mine = next(client for client in snapshot.clients if client.seat == seat)
-    return view.draw(mine.plant.p_WB_m, snapshot.actors, chairs, route)
+def map_view(view: MapView, world: World) -> U8:
+    """The map around the first wheelchair of a world now, with its route, and all actors and wheelchairs in it."""
+    snapshot, first = world.snapshot, world.seats[0]
+    chairs = [
+        chair_pose(client.seat, client.plant, seat.chair.outline)
+        for client, seat in zip(snapshot.clients, world.seats, strict=True)
+    ]
+    return view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
 
 
 def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
@@ -125,7 +123,7 @@ def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> 
     return np.asarray(p_W_m + np.array([ahead + left, ahead - left, -ahead - left, -ahead + left]), np.float64)
 
 
-def _chair_places(chairs: Sequence[ChairPose]) -> list[tuple[F64, float]]:
-    """Middle of the box (3,) and yaw of every chair."""
+def _chair_places(chairs: Sequence[ChairPose]) -> list[tuple[F64, float, tuple[float, float]]]:
+    """Middle of the box (3,), yaw, length and width of every chair."""
     rows = chair_instances(chairs)
-    return [(rows.p_W_m[i], float(rows.yaw_rad[i])) for i in range(len(rows))]
+    return [(rows.p_W_m[i], float(rows.yaw_rad[i]), chair.outline.size_lwh_m[:2]) for i, chair in enumerate(chairs)]

@@ -24,4 +24,4 @@ def film_scene(folder: Path, path: Path) -> None:
                 frame = snapshot.clients[0].sensors.cameras[0]
                 if frame.rgb is not None:
                     told = captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s")
-                    video.write(side_by_side(told, map_view(chart, snapshot, 0, world.seats[0].route)))
+                    video.write(side_by_side(told, map_view(chart, world)))

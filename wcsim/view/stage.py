@@ -70,9 +70,7 @@ class Stage:
 
     def picture(self, chart: MapView) -> tuple[CameraFrame, U8]:
         """The camera's frame of now, and the map around the chair."""
-        return self._world.snapshot.clients[0].sensors.cameras[0], map_view(
-            chart, self._world.snapshot, 0, self._world.seats[0].route
-        )
+        return self._world.snapshot.clients[0].sensors.cameras[0], map_view(chart, self._world)
 
     def open_map(self, size_px: int) -> MapView:
         """A map of the town for `picture`; only videos need one."""

@@ -23,10 +23,6 @@ GAIT_HEADINGS = 16
 CHILD_BELOW_M = 1.45
 _TEMPLATES = {kind: int(template_of(kind)) for kind in ActorKind}
 
-# The box of a wheelchair with its user, seen from the body frame B (origin below the drive axle).
-CHAIR_BOX_CENTRE_B_M = (0.24, 0.0, 0.0)
-CHAIR_SIZE_LWH_M = (1.12, 0.62, 1.45)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instances:
@@ -52,18 +48,12 @@ class ChairPose:
     seat: int
     p_WB_m: F64  # (3,) below the middle of the drive axle
     q_WB: F64  # (4,) x, y, z, w
-    middle_x_m: float = CHAIR_BOX_CENTRE_B_M[0]  # of its box, ahead of the drive axle
-    length_width_m: tuple[float, float] = CHAIR_SIZE_LWH_M[:2]
+    outline: Outline
 
 
-def chair_pose(seat: int, plant: PlantState, outline: Outline | None = None) -> ChairPose:
-    """The pose of a seat's wheelchair for the cameras; without an outline it is as large as the usual one."""
-    if outline is None:
-        return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB)
-    size = (outline.length_m, outline.width_m)
-    return ChairPose(
-        seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB, middle_x_m=outline.middle_x_m, length_width_m=size
-    )
+def chair_pose(seat: int, plant: PlantState, outline: Outline) -> ChairPose:
+    """The pose of a seat's wheelchair for the cameras."""
+    return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB, outline=outline)
 
 
 def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ()) -> Instances:
@@ -101,8 +91,8 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
 def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
     """Models for the wheelchairs of other seats."""
     turns = [rotation_of(chair.q_WB) for chair in chairs]
-    places = [chair.p_WB_m + chair.middle_x_m * R_WB[:, 0] for chair, R_WB in zip(chairs, turns, strict=True)]
-    sizes_m = [(*chair.length_width_m, CHAIR_SIZE_LWH_M[2]) for chair in chairs]
+    places = [chair.p_WB_m + chair.outline.middle_x_m * R_WB[:, 0] for chair, R_WB in zip(chairs, turns, strict=True)]
+    sizes_m = [chair.outline.size_lwh_m for chair in chairs]
     return Instances(
         template=np.full(len(chairs), Template.WHEELCHAIR, np.int32),
         p_W_m=np.array(places, np.float64).reshape(-1, 3),

@@ -9,7 +9,8 @@ from typing import Final
 
 from wcsim.config import PROFILE_SPEED_MPS
 from wcsim.frames import rad
-from wcsim.physics.drive import stopping_distance_m, yaw_rate_limit
+from wcsim.joystick import yaw_rate_limit
+from wcsim.physics.drive import stopping_distance_m
 from wcsim.physics.plant import PlantSpec, plant_spec
 from wcsim.physics.trials import driving
 from wcsim.physics.trials.row import Setup, Trial, at_speed
@@ -43,9 +44,10 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
             measure=partial(at_speed, speed_mps=speed, measure=driving.cruise_mps),
         )
     diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
+    turn_radps = setup.chair.yaw_rate_max_radps
     turns = (
-        ("in_place", Joystick(-1.0, 0.0), yaw_rate_limit(0.0, setup.chair)),
-        ("at_speed", Joystick(-1.0, 1.0), diagonal * yaw_rate_limit(diagonal * setup.chair.v_max_mps, setup.chair)),
+        ("in_place", Joystick(-1.0, 0.0), yaw_rate_limit(0.0, turn_radps)),
+        ("at_speed", Joystick(-1.0, 1.0), diagonal * yaw_rate_limit(diagonal * setup.chair.v_max_mps, turn_radps)),
     )
     for name, stick, rate in turns:
         yield Trial(

@@ -1,0 +1,56 @@
+"""Numbers of the physical world, and the law of the joystick, have one home each: nobody else spells them out."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import wcsim
+from wcsim import constants, joystick
+
+ROOT = Path(wcsim.__file__).parent
+HOMES = {
+    "constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
+    "joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
+}
+GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
+GRAVITY = 9.81
+
+
+def trees():
+    for path in sorted(ROOT.rglob("*.py")):
+        yield path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def spelt(tree):
+    """Names that the top level of a module gives a value or a body."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            yield from (target.id for target in node.targets if isinstance(target, ast.Name))
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            yield node.target.id
+        elif isinstance(node, ast.FunctionDef):
+            yield node.name
+
+
+@pytest.mark.parametrize("home", sorted(HOMES))
+def test_each_name_is_spelt_out_in_its_home_alone(home):
+    found = [(name, file) for file, tree in trees() for name in spelt(tree) if name in HOMES[home]]
+    assert sorted(found) == [(name, home) for name in sorted(HOMES[home])]
+
+
+def test_second_homes_do_not_come_back():
+    assert [(file, name) for file, tree in trees() for name in spelt(tree) if name in GONE] == []
+    numbers = [
+        file
+        for file, tree in trees()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value == GRAVITY
+    ]
+    assert numbers == ["constants.py"]
+
+
+def test_units_agree():
+    assert pytest.approx(constants.KERB_STEP_M) == constants.KERB_STEP_CM / 100
+    assert constants.GRAVITY_MPS2 == GRAVITY
+    assert joystick.yaw_rate_limit(0.0, 1.5) == 1.5

@@ -1,0 +1,18 @@
+"""Numbers of the physical world that several layers share, each in this one place with its reason."""
+
+from __future__ import annotations
+
+from typing import Final
+
+KERB_STEP_CM: Final = 5
+"""What a wheel takes up or down, in the whole centimetres of the street's raster; a higher step is a kerb.
+
+A chair of `plants/` climbs 4 to 5 cm and is stopped by less than a kerb of 12 cm (`wcsim bench chair`).
+"""
+KERB_STEP_M: Final = 0.01 * KERB_STEP_CM
+"""A kerb that is no higher counts as lowered: the chair takes it, and no distance need be kept from it."""
+
+OTHER_LEVEL_M: Final = 2.5
+"""Who is so much higher or lower than a chair is on a bridge or in a tunnel: less than the headroom of any."""
+
+GRAVITY_MPS2: Final = 9.81
