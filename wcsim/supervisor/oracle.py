@@ -15,7 +15,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
-from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState
+from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
@@ -24,12 +24,10 @@ OTHER_LEVEL_M = 2.5  # higher or lower than this, an actor is on a bridge or in 
 FAR_M = 25.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Assessment:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assessment(Verdict):
     """Everything the oracle says of one moment."""
 
-    danger: bool
-    first_s: F64  # (A,) seconds until each action goes wrong, infinity when it is safe
     clearance_m: float
 
 
@@ -80,13 +78,19 @@ class Oracle:
     ) -> Assessment:
         """All answers at once; `waiting` are the commands that the chair obeys before the next one, one a tick."""
         table = actor_table(plant, actors, later_s=len(waiting) * self._tick_s)
+        said = self._verdict(plant, joystick, table, waiting)
+        return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=self._clearance(plant, table))
+
+    def verdict(
+        self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState], waiting: Sequence[Joystick] = ()
+    ) -> Verdict:
+        """The part of `assess` that tells what ends badly."""
+        return self._verdict(plant, joystick, actor_table(plant, actors, later_s=len(waiting) * self._tick_s), waiting)
+
+    def _verdict(self, plant: PlantState, joystick: Joystick, table: F64, waiting: Sequence[Joystick]) -> Verdict:
         own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table, waiting)
-        return Assessment(
-            danger=bool(np.isfinite(first_s[-1])),
-            first_s=first_s[:-1],
-            clearance_m=self._clearance(plant, table),
-        )
+        return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
     def _roll_out(self, plant: PlantState, commands: F64, table: F64, waiting: Sequence[Joystick]) -> F64:
         grid = self._grid.around(plant.p_WB_m)

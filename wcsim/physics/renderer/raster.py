@@ -48,7 +48,8 @@ class RasterRenderer:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
         words_shape = out.class_id.shape if out.rgb is not None else (0, 0)
-        target = kernels.Target(out.depth_m, out.class_id, np.empty(words_shape, np.uint32))
+        instance = out.instance if out.instance is not None else np.empty((0, 0), np.int32)
+        target = kernels.Target(out.depth_m, out.class_id, np.empty(words_shape, np.uint32), instance)
         view = self._view(camera, T_CW)
         kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, target)
         if out.rgb is not None:
@@ -72,7 +73,7 @@ def warm_up(renderer: RasterRenderer) -> None:
     """Compile the kernels now (seconds on a fresh machine, then a fraction of one) instead of at the first picture."""
     camera = Pinhole(width_px=16, height_px=12, focal_px=8.0, near_m=0.1, range_m=40.0)
     T_CW = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
-    renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True))
+    renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True, instance=True))
 
 
 def _arrays(instances: Instances) -> kernels.InstanceArrays:
