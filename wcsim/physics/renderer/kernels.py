@@ -4,7 +4,8 @@ All that `draw` calls is in this file because numba, when it decides whether its
 looks only at the time stamp of the file of the kernel that is called.
 
 Camera frame: x right, y down, z forward. While a picture is drawn the depth buffer holds 1/z (0 = nothing); the word
-buffer, there for colour pictures only, holds a face's number in the street, or with bit 31 set a plain colour.
+buffer, there for some pictures only, holds a face's number in the street, or with bit 31 set a plain colour or, in a
+picture of instances, an actor's row.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ Word = np.uint32 | int
 COLOURED = np.uint32(0x80000000)
 SKY_ID = np.uint8(23)
 BUCKETS = 256
-STREET = -1  # in place of an instance's row: a face of the street, or the sky
 OUT = np.float32(-1e30)  # the depth of what is out of view
 PLAIN, STRIPES, WINDOWS = 0, 1, 2  # how a face of the street is patterned
 # Numbers of `paint.Paint`, and the bits of SUMO's vehicle signals that light them: 1 right, 2 left, 4 both, 8 brake.
@@ -87,14 +87,13 @@ class Target(NamedTuple):
 
     inverse_z: F32  # (H, W), becomes the depth
     class_id: U8  # (H, W)
-    words: U32Array  # (H, W), or (0, 0) when no colours are drawn
-    instance: I32  # (H, W) row of the instance or STREET, or (0, 0) when nobody asks
+    words: U32Array  # (H, W), or (0, 0) when neither colours nor instances are drawn
 
 
 @kernel
 def fill(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
-    class_id: int, word: Word, instance: int, out: Target,
+    class_id: int, word: Word, out: Target,
 ) -> None:
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
@@ -120,8 +119,8 @@ def fill(
     upper_edge = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
     lower_edge = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
     step = np.float32(slope_x)
-    class_byte, face_word, whose = np.uint8(class_id), np.uint32(word), np.int32(instance)
-    painted, told_apart = out.words.shape[0] > 0, out.instance.shape[0] > 0
+    class_byte, face_word = np.uint8(class_id), np.uint32(word)
+    painted = out.words.shape[0] > 0
     for row in range(first_row, last_row + 1):
         y = row + 0.5
         xa = x0 + (y - y0) * long_edge
@@ -133,10 +132,6 @@ def fill(
         w_start = np.float32(slope_x * (start + 0.5) + slope_y * y + origin)
         # Spans that begin at 0, and stores without a branch: only so does the compiler use vectors.
         w_row, class_row = out.inverse_z[row, start:end], out.class_id[row, start:end]
-        if told_apart:
-            instance_row = out.instance[row, start:end]
-            for i in range(len(w_row)):
-                instance_row[i] = whose if w_start + step * np.float32(i) > w_row[i] else instance_row[i]
         if painted:
             word_row = out.words[row, start:end]
             for i in range(len(w_row)):
@@ -154,9 +149,7 @@ def fill(
 
 
 @kernel
-def clip_and_fill(
-    p: F32, a: int, b: int, c: int, class_id: int, word: Word, instance: int, view: View, out: Target
-) -> None:
+def clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
     """Cut the triangle of the points a, b, c of p (camera frame) at the near plane and fill what is in front of it."""
     height, width = out.inverse_z.shape
     f, near, cx, cy = view.focal_px, view.near_m, 0.5 * width, 0.5 * height
@@ -165,7 +158,7 @@ def clip_and_fill(
         wa, wb, wc = 1.0 / p[a, 2], 1.0 / p[b, 2], 1.0 / p[c, 2]
         fill(
             p[a, 0] * f * wa + cx, p[a, 1] * f * wa + cy, wa, p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, wb,
-            p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy, wc, class_id, word, instance, out,
+            p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy, wc, class_id, word, out,
         )  # fmt: skip
         return
     if behind == 3:
@@ -184,11 +177,11 @@ def clip_and_fill(
     if odd_behind:
         wb, wc = 1.0 / p[b, 2], 1.0 / p[c, 2]
         bx, by, dx, dy = p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy
-        fill(px, py, wn, bx, by, wb, dx, dy, wc, class_id, word, instance, out)
-        fill(px, py, wn, dx, dy, wc, qx, qy, wn, class_id, word, instance, out)
+        fill(px, py, wn, bx, by, wb, dx, dy, wc, class_id, word, out)
+        fill(px, py, wn, dx, dy, wc, qx, qy, wn, class_id, word, out)
     else:
         wa = 1.0 / az
-        fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, instance, out)
+        fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, out)
 
 
 @kernel
@@ -209,7 +202,7 @@ def draw_chunk(street: StreetArrays, chunk: int, view: View, scratch: F32, out: 
         az, bz, cz = scratch[a, 2], scratch[b, 2], scratch[c, 2]
         if min(az, bz, cz) > view.range_m or max(az, bz, cz) < view.near_m:
             continue
-        clip_and_fill(scratch, a, b, c, street.face_class[face], face, STREET, view, out)
+        clip_and_fill(scratch, a, b, c, street.face_class[face], face, view, out)
 
 
 @kernel
@@ -223,10 +216,14 @@ def lit_paint(paint: int, lamps: int) -> int:
 
 @kernel
 def draw_model(
-    models: ModelArrays, actors: InstanceArrays, i: int, T_CM: F64, solid: bool, view: View, scratch: F32, out: Target
+    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, scratch: F32,
+    out: Target,
 ) -> None:
-    """Draw the i-th actor; of a `solid` one (the camera is not in it) the faces that look away are skipped."""
-    t, seed, lamps, painted = actors.template[i], actors.colour_seed[i], actors.lamps[i], out.words.shape[0] > 0
+    """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped.
+
+    Its words are colours, or its `number` where that is not below 0.
+    """
+    painted = out.words.shape[0] > 0 and number < 0
     to_camera(models.vertices, models.vertices_of[t], models.vertices_of[t + 1], T_CM, scratch)
     for face in range(models.faces_of[t], models.faces_of[t + 1]):
         a, b, c = models.faces[face, 0], models.faces[face, 1], models.faces[face, 2]
@@ -236,7 +233,7 @@ def draw_model(
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         if solid and nx * ax + ny * ay + nz * az >= 0.0:
             continue
-        word = np.uint32(0)
+        word = COLOURED | np.uint32(max(number, 0))
         if painted:
             length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
             lit = (nx * view.sun_C[0] + ny * view.sun_C[1] + nz * view.sun_C[2]) / length
@@ -248,7 +245,7 @@ def draw_model(
             word = COLOURED
             for k in range(3):
                 word |= np.uint32(min(models.paints[paint, variant, k] * shade, 255.0)) << np.uint32(8 * k)
-        clip_and_fill(scratch, a, b, c, models.face_class[face], word, i, view, out)
+        clip_and_fill(scratch, a, b, c, models.face_class[face], word, view, out)
 
 
 @kernel
@@ -335,13 +332,13 @@ def visible(street: StreetArrays, T_WM: F64, view: View, width: int, height: int
 
 @kernel
 def draw(
-    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, out: Target
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, numbered: bool,
+    out: Target,
 ) -> None:
-    """Draw a whole picture: depth and class, and words when there is a buffer for them."""
+    """Draw a whole picture: depth and class, and words, `numbered` or colours, when there is a buffer for them."""
     height, width = out.inverse_z.shape
     out.inverse_z[:] = 0.0
     out.class_id[:] = SKY_ID
-    out.instance[:] = STREET
     chunks, n = len(street.spheres), len(actors.template)
     T_WM = np.empty((n, 3, 4))
     place_models(actors.p_W_m, actors.yaw_rad, actors.pitch_rad, actors.roll_rad, actors.scale_m, T_WM)
@@ -374,7 +371,9 @@ def draw(
         for row in range(3):
             away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
         solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
-        draw_model(models, actors, i, T_CM, solid, view, scratch, out)
+        seed, lamps = actors.colour_seed[i], actors.lamps[i]
+        number = i if numbered else -1
+        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, scratch, out)
     finish(view, out)
 
 
@@ -385,10 +384,6 @@ def finish(view: View, out: Target) -> None:
     limit, far = np.float32(1.0 / view.range_m), np.float32(view.range_m)
     for row in range(height):
         w_row, class_row = out.inverse_z[row], out.class_id[row]
-        if out.instance.shape[0] > 0:
-            instance_row = out.instance[row]
-            for i in range(width):
-                instance_row[i] = instance_row[i] if w_row[i] > limit else STREET
         for i in range(width):
             w = w_row[i]
             inside = w > limit

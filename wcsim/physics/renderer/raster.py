@@ -47,13 +47,16 @@ class RasterRenderer:
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
-        words_shape = out.class_id.shape if out.rgb is not None else (0, 0)
-        instance = out.instance if out.instance is not None else np.empty((0, 0), np.int32)
-        target = kernels.Target(out.depth_m, out.class_id, np.empty(words_shape, np.uint32), instance)
-        view = self._view(camera, T_CW)
-        kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, target)
+        wordless = out.rgb is None and out.instance is None
+        words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
+        target, view = kernels.Target(out.depth_m, out.class_id, words), self._view(camera, T_CW)
+        if out.instance is not None:  # a word holds a row or a colour: who wants both has it drawn twice
+            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, True, target)
+            shading.tell_apart(words, out.class_id, out.instance)
+        if out.instance is None or out.rgb is not None:
+            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, False, target)
         if out.rgb is not None:
-            shading.colour(self._street, view, out.depth_m, target.words, out.rgb)
+            shading.colour(self._street, view, out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
         T_CW = np.ascontiguousarray(T_CW, np.float64)
