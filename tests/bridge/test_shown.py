@@ -77,8 +77,9 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
         for tick, at, actors in (*history, (100, place, others)):
             rig.shoot(0, tick, at, actors, (), counted=True)
             shown.see(tick, rig.shown_px(0))
-    full = oracle.assess(place, AT_REST, others)
-    return full.safe_actions, oracle.verdict(place, AT_REST, shown.known(others)).safe_actions
+    full = oracle.assess(place, AT_REST, others, known=shown.known(others))
+    assert full.visible is not None
+    return full.safe_actions, full.visible.safe_actions
 
 
 CHAIR = plant(x=10.0)

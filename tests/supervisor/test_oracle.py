@@ -307,3 +307,16 @@ def test_who_is_in_a_wall_by_the_raster_gets_no_deeper_and_may_leave(deep_m):
             inwards = Joystick(0.0, 0.25) if yaw == UP else Joystick(-0.25, 0.25)
             drive(chair, inwards if safe[ACTIONS.nearest((inwards.x, inwards.y))] else STOP, 1)
             assert overlap_m(chair) < deep_m + 0.03
+
+
+def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
+    ahead, behind = actor(ActorKind.PEDESTRIAN, 7.2, 5.5), actor(ActorKind.PEDESTRIAN, 4.1, 5.5, name="b")
+    far = actor(ActorKind.CAR, 60.0, 0.0, name="far")
+    state = plant(5.0, 5.5, 0.0, 0.8)
+    for known in ((), (ahead,), (behind,), (ahead, behind), (far,), (ahead, behind, far)):
+        said = ORACLE.assess(state, FORWARD, (ahead, behind, far), LATE, known)
+        alone = ORACLE.assess(state, FORWARD, known, LATE)
+        assert said.visible is not None and alone.visible is None
+        assert said.visible.danger == alone.danger
+        np.testing.assert_array_equal(said.visible.first_s, alone.first_s)
+        np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)

@@ -213,17 +213,15 @@ class Seat:
         if not (self.spec.truth or self.spec.truth_visible):
             return None
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
-        seen, visible = self._oracle.assess(plant, stick, others, waiting), None
-        if self.spec.truth_visible:
-            known = self._shown_actors.known(others)
-            visible = self._oracle.verdict(plant, stick, known, waiting)
+        known = self._shown_actors.known(others) if self.spec.truth_visible else None
+        seen = self._oracle.assess(plant, stick, others, waiting, known)
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,
             first_s=seen.first_s,
             clearance_m=seen.clearance_m,
             progress_m=self._progressed_m,
-            visible=visible,
+            visible=seen.visible,
         )
 
     def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:

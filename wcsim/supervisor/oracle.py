@@ -29,6 +29,7 @@ class Assessment(Verdict):
     """Everything the oracle says of one moment."""
 
     clearance_m: float
+    visible: Verdict | None  # with those alone who are known; None when it was not asked for
 
 
 class Oracle:
@@ -75,17 +76,21 @@ class Oracle:
         joystick: Joystick,
         actors: Iterable[ActorState],
         waiting: Sequence[Joystick] = (),
+        known: Iterable[ActorState] | None = None,
     ) -> Assessment:
-        """All answers at once; `waiting` are the commands that the chair obeys before the next one, one a tick."""
-        table = actor_table(plant, actors, later_s=len(waiting) * self._tick_s)
-        said = self._verdict(plant, joystick, table, waiting)
-        return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=self._clearance(plant, table))
+        """All answers at once.
 
-    def verdict(
-        self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState], waiting: Sequence[Joystick] = ()
-    ) -> Verdict:
-        """The part of `assess` that tells what ends badly."""
-        return self._verdict(plant, joystick, actor_table(plant, actors, later_s=len(waiting) * self._tick_s), waiting)
+        `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
+        actors with whom alone it is asked once more what ends badly.
+        """
+        later_s = len(waiting) * self._tick_s
+        table = actor_table(plant, actors, later_s=later_s)
+        said, visible = self._verdict(plant, joystick, table, waiting), None
+        if known is not None:
+            few = actor_table(plant, known, later_s=later_s)
+            visible = said if len(few) == len(table) else self._verdict(plant, joystick, few, waiting)
+        gap_m = self._clearance(plant, table)
+        return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
 
     def _verdict(self, plant: PlantState, joystick: Joystick, table: F64, waiting: Sequence[Joystick]) -> Verdict:
         own = shaped(np.array([[joystick.x, joystick.y]]), self._chair)
