@@ -96,6 +96,8 @@ class WorldConfig(Model):
     clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
     crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
+    visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
+    visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
@@ -151,6 +153,7 @@ class EnvConfig(Model):
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
     profile: Text = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
     truth: bool = False
+    truth_visible: bool = False  # the truth, and what the oracle says that knows only whom the cameras showed lately
 
     @model_validator(mode="after")
     def _window_is_compact(self) -> EnvConfig:

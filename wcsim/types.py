@@ -87,6 +87,11 @@ class ActorState(ComparesArrays):
     look: ActorLook = ActorLook.USUAL
     piece: int = 0  # of something articulated: 0 its first rigid piece, under SUMO's id, 1... those behind it
 
+    @property
+    def whole_id(self) -> str:
+        """SUMO's id of the whole, whichever piece this is."""
+        return self.id.rpartition("~")[0] if self.piece else self.id
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalState:
@@ -221,20 +226,27 @@ class UserView(ComparesArrays):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Truth(ComparesArrays):
-    """What only a simulator knows; for metrics and the oracle, never part of an observation."""
+class Verdict(ComparesArrays):
+    """What ends badly, as the oracle says it."""
 
-    intent: Joystick  # the user's clean intent
     danger: bool  # holding the user's command for 0.5 s and then braking would end badly
     first_s: F64  # (A,) for each action of the set: seconds until that would go wrong, infinity when it ends well
-    clearance_m: float  # free distance around the chair now
-    progress_m: float  # along the route during this tick
 
     @property
     def safe_actions(self) -> Bool:
         """(A,) which actions end well."""
         safe: Bool = np.isinf(self.first_s)
         return safe
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth(Verdict):
+    """What only a simulator knows; for metrics and the oracle, never part of an observation."""
+
+    intent: Joystick  # the user's clean intent
+    clearance_m: float  # free distance around the chair now
+    progress_m: float  # along the route during this tick
+    visible: Verdict | None = None  # of an oracle that knows only those of the others whom the cameras showed lately
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -330,4 +342,5 @@ class SeatSpec:
     profile: str = "inattentive"  # or recorded:FILE.csv
     max_steps: int = 10_000
     truth: bool = False
+    truth_visible: bool = False  # the truth with its part `visible`
     start: StartSpec | None = None

@@ -5,7 +5,7 @@ import pytest
 
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.samples import USUAL_OUTLINE
-from wcsim.agents.baselines import NAMES, UPPER_BOUND, baseline
+from wcsim.agents.baselines import NAMES, UPPER_BOUND, VISIBLE_BOUND, baseline, is_baseline
 from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
 from wcsim.agents.evaluate import evaluate
 from wcsim.agents.protocol import SeesTruth
@@ -13,7 +13,7 @@ from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth
-from wcsim.types import Joystick, Truth
+from wcsim.types import Joystick, Truth, Verdict
 
 CAMERA = CameraConfig(width_px=80, height_px=60)
 WATCH = CorridorWatch(CAMERA, ChairConfig(), USUAL_OUTLINE)
@@ -168,3 +168,23 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
         oracle.act(ahead)
     with pytest.raises(PolicyError, match=r"env\.truth"):
         oracle.see(None)
+
+
+def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth():
+    actions = action_set("square81")
+    full, visible = (baseline(name, RunConfig(cameras=(CAMERA,))) for name in (UPPER_BOUND, VISIBLE_BOUND))
+    assert isinstance(visible, SeesTruth) and is_baseline(VISIBLE_BOUND)
+    assert (full.name, visible.name) == ("oracle", "oracle-visible")
+    ahead = {"joystick": np.array([0.0, 1.0], np.float32)}
+    everything, stand = np.full(81, np.inf), actions.nearest((0.0, 0.0))
+    blocked = np.where(np.arange(81) == stand, np.inf, 1.0)  # by somebody whom no camera showed
+    truth = Truth(
+        intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0,
+        visible=Verdict(danger=False, first_s=everything),
+    )  # fmt: skip
+    for oracle, chosen in ((full, stand), (visible, actions.nearest((0.0, 1.0)))):
+        oracle.see(truth)
+        assert oracle.act(ahead) == chosen
+    for nothing in (None, Truth(intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0)):
+        with pytest.raises(PolicyError, match=r"env\.truth_visible"):
+            visible.see(nothing)

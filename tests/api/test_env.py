@@ -315,6 +315,14 @@ def test_truth_is_there_when_it_is_asked_for(corner):
         assert info["truth"].safe_actions.shape == (env.action_space.n,)
         assert info["progress_m"] == info["truth"].progress_m > 0.0
         assert info["warning"] == info["truth"].danger
+        assert info["truth"].visible is None
+
+
+def test_truth_of_what_is_visible_is_there_when_it_is_asked_for(corner):
+    with made(corner, "env.truth_visible=true") as env:
+        _, info = env.reset(seed=1)
+        assert info["truth"].visible.safe_actions.shape == (env.action_space.n,)
+        assert info["warning"] == info["truth"].danger
 
 
 def test_render_shows_the_camera_in_colours(corner):

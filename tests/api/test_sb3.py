@@ -142,6 +142,7 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
     words = ["--town", str(corner), "--allow-train-town", "--episodes", "1", "--max-steps", "10", "--json", "test.json"]
     assert main(["test", "patch", "fig6", *words]) == 0
     rows = json.loads(Path("test.json").read_text())["rows"]
-    assert [row["policy"] for row in rows] == ["patch", "fig6", "follow", "random", "zero", "stop", "dwa"]
+    baselines = ["follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle"]
+    assert [row["policy"] for row in rows] == ["patch", "fig6", *baselines]
     resumed = ["train", "--town", str(corner), "--network", "fig6", "--out", "fig6", *small, "--resume"]
     assert main(resumed) == 0

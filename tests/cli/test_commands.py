@@ -17,6 +17,7 @@ from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
 from wcsim.physics import engine
 
+BASELINES = ("follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle")
 ROW_KEYS = {
     *("policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "free_share", "kpi2_mean_steps"),
     *("crashes", "km", "crashes_per_km", "speed_mps", "kpi1_moving_mean", "kpi1_moving_within", "blocked_share"),
@@ -111,7 +112,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     result = read("t.json")
     assert (result["town"], result["seed"], result["profile"]) == ("pedestrian-crossing", 4, "slow,tremor")
     rows = result["rows"]
-    assert [row["policy"] for row in rows] == ["follow", "random", "zero", "stop", "dwa"] * 2
+    assert [row["policy"] for row in rows] == [*BASELINES] * 2
     for row in rows:
         assert set(row) >= ROW_KEYS
         assert row["episodes"] == 2
@@ -138,7 +139,7 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
     shown = "".join(re.sub(r"(\s+[\d.%-]+){9}\s*$", "", line).strip() for line in told.out.splitlines())
     for name in (str(run), f"{run}:phase1", str(run / "policies" / "final")):
         assert name in shown
-    assert len(read("t.json")["rows"]) == 3 + 5  # with the baselines
+    assert len(read("t.json")["rows"]) == 3 + len(BASELINES)
 
 
 def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
@@ -252,7 +253,7 @@ def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
     told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
     assert told.code == 0
     assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
-        *("runs/demo", "runs/demo:phase1", "follow", "random", "zero", "stop", "dwa")
+        *("runs/demo", "runs/demo:phase1", *BASELINES)
     ]
     assert cv2.imread("runs/demo/tiny.png").shape == (480, 3 * 640, 3)
     refused = wcsim("demo", "--train-town", corner, "--test-town", corner)

@@ -193,6 +193,7 @@ def test_draws_from_threads_into_their_own_buffers(raster):
             class_id=np.zeros((240, 320), np.uint8),
             rgb=np.zeros((240, 320, 4), np.uint8),
         ),
+        replace(new_images(320, 240, rgb=False), instance=np.zeros((240, 320), np.int64)),
     ],
 )
 def test_refuses_buffers_that_do_not_fit(raster, out):

@@ -33,7 +33,7 @@ from wcsim.server.process_link import ProcessLink
 from wcsim.server.socket_link import open_seat
 from wcsim.types import SeatSpec
 
-SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25)
+SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=True)
 TICKS = 40
 
 
@@ -209,7 +209,7 @@ def test_who_does_not_fit_hears_why(hall):
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server 5"):
+    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server 6"):
         a.join()
 
 

@@ -21,7 +21,7 @@ REQUESTS = [
         claim=b"mine",
         seat=m.ANY_SEAT,
         name="a-client",
-        spec=SeatSpec(start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
+        spec=SeatSpec(truth_visible=True, start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
         pid=7,
         resume=(1, 2),
     ),
@@ -89,7 +89,7 @@ def ended(corner):
     """A frame with everything: the last of an episode, with the truth, contacts and the next one's first frame."""
     from tests.worlds import follow, open_world
 
-    with open_world(corner, "cameras.0.rgb=true", spec=SeatSpec(truth=True, max_steps=3)) as world:
+    with open_world(corner, "cameras.0.rgb=true", spec=SeatSpec(truth_visible=True, max_steps=3)) as world:
         for _ in range(3):
             client = follow(world).clients[0]
     drawn = Drawn(light=0.5, camera_shift_m=((0.0, 1.0, 2.0),), action_delay_ticks=2, plant=(("a.b", 1.5),))
@@ -105,6 +105,15 @@ def test_a_snapshot_survives_the_wire(ended):
     camera = reply.client.sensors.cameras[0]
     assert (camera.class_id.dtype, camera.depth_m.dtype, camera.rgb.shape) == (np.uint8, np.float32, (24, 32, 3))
     assert reply.client.truth.safe_actions.dtype == np.bool_
+    assert reply.client.truth.visible is not None and reply.client.truth.visible.safe_actions.shape == (81,)
+
+
+@pytest.mark.parametrize("spoilt", [np.full(3, -1.0), np.full(3, np.nan), np.zeros(1025)])
+def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
+    visible = replace(ended.truth.visible, first_s=spoilt)
+    frame = m.encode(m.Frame(0, 3, 0, replace(ended, truth=replace(ended.truth, visible=visible))))
+    with pytest.raises(ProtocolError):
+        m.decode_reply(frame)
 
 
 @pytest.mark.parametrize("flag", ["arrived", "gave_up", "on_carriageway", "crossed", "entered_red"])
@@ -124,7 +133,7 @@ def test_numbers_arrive_to_the_bit(ended):
 def test_pictures_in_shared_memory_do_not_travel(ended):
     inside, outside = m.encode(m.Frame(0, 3, 0, ended, -1)), m.encode(m.Frame(0, 3, 0, ended, 1))
     assert len(inside) > 24 * 32 * 8
-    assert len(outside) < 2500
+    assert len(outside) < 4000
     reply = m.decode_reply(outside)
     assert reply.slot == 1
     assert reply.client.sensors.cameras[0].depth_m.size == 0

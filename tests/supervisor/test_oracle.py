@@ -189,7 +189,7 @@ def test_the_oracle_is_quick():
 def test_a_wider_and_longer_chair_has_less_room():
     outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
     large = Oracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, ACTIONS.points)
-    beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.25, 0.0, 1.3)
+    beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.2, 0.0, 1.3)
     lost_m = ORACLE.clearance(beside_the_house, ()) - large.clearance(beside_the_house, ())
     assert lost_m == pytest.approx(0.14, abs=0.06)
     assert not ORACLE.danger(beside_the_pole, FORWARD, ())
@@ -266,3 +266,57 @@ def test_a_long_wait_leaves_as_long_a_look_at_what_comes_after_it():
     reached_s = [later_s for later_s in fails_s if np.isfinite(later_s)]
     assert max(reached_s) > 4.2 and len(reached_s) < len(fails_s)
     assert reached_s == sorted(reached_s)
+
+
+WALL_Y_M = 9.0
+
+
+def overlap_m(chair: Chair) -> float:
+    """How deep the chair's rectangle is in the house; below 0 how far from it."""
+    outline = USUAL_OUTLINE
+    ahead = [outline.middle_x_m + side * 0.5 * outline.length_m for side in (1, -1)]
+    reach_m = max(x * math.sin(chair.yaw) for x in ahead) + 0.5 * outline.width_m * abs(math.cos(chair.yaw))
+    return chair.y + reach_m - WALL_Y_M
+
+
+@pytest.mark.parametrize("wish", [(0.0, 1.0), (-0.5, 0.9), (0.5, 0.9), (-1.0, 0.0), (1.0, 0.0)])
+@pytest.mark.parametrize("yaw", [UP, UP - 0.5, 0.3, 0.0])
+@pytest.mark.parametrize("gap_m", [0.3, 0.05, 0.02, 0.0])
+def test_fifty_choices_beside_a_wall_lead_no_step_into_it(gap_m, yaw, wish):
+    """The user presses on; no choice may be a little deeper than the one before, corners that swing included."""
+    chair = Chair(x=60.0, y=0.0, yaw=yaw)
+    chair.y = -gap_m - overlap_m(chair)
+    distances = np.hypot(*(ACTIONS.points - np.array(wish)).T)
+    for _ in range(50):
+        first_s = ORACLE.assess(chair.plant(), Joystick(*wish), ()).first_s
+        drive(chair, Joystick(*ACTIONS.points[np.where(first_s == first_s.max(), distances, np.inf).argmin()]), 1)
+        assert overlap_m(chair) < 0.01
+
+
+@pytest.mark.parametrize("deep_m", [0.02, 0.05])
+def test_who_is_in_a_wall_by_the_raster_gets_no_deeper_and_may_leave(deep_m):
+    """A raster is coarse: a chair that stands beside a thing may be in it by the raster."""
+    for yaw in (0.0, UP):
+        chair = Chair(x=60.0, y=0.0, yaw=yaw)
+        chair.y = deep_m - overlap_m(chair)
+        safe = ORACLE.safe_actions(chair.plant(), ())
+        assert safe[ACTIONS.nearest((0.0, 0.0))]
+        assert safe[ACTIONS.nearest((0.0, -0.5))]
+        for _ in range(50):
+            safe = ORACLE.safe_actions(chair.plant(), ())
+            inwards = Joystick(0.0, 0.25) if yaw == UP else Joystick(-0.25, 0.25)
+            drive(chair, inwards if safe[ACTIONS.nearest((inwards.x, inwards.y))] else STOP, 1)
+            assert overlap_m(chair) < deep_m + 0.03
+
+
+def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
+    ahead, behind = actor(ActorKind.PEDESTRIAN, 7.2, 5.5), actor(ActorKind.PEDESTRIAN, 4.1, 5.5, name="b")
+    far = actor(ActorKind.CAR, 60.0, 0.0, name="far")
+    state = plant(5.0, 5.5, 0.0, 0.8)
+    for known in ((), (ahead,), (behind,), (ahead, behind), (far,), (ahead, behind, far)):
+        said = ORACLE.assess(state, FORWARD, (ahead, behind, far), LATE, known)
+        alone = ORACLE.assess(state, FORWARD, known, LATE)
+        assert said.visible is not None and alone.visible is None
+        assert said.visible.danger == alone.danger
+        np.testing.assert_array_equal(said.visible.first_s, alone.first_s)
+        np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)

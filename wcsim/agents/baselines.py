@@ -1,4 +1,4 @@
-"""Policies that learn nothing, to compare networks with: follow, random, zero, stop, dwa, and the oracle above all."""
+"""Policies that learn nothing, to compare networks with: follow, random, zero, stop, dwa, and oracles above all."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.physics.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F64, Truth
+from wcsim.types import F64, Truth, Verdict
 
 NAMES = ("follow", "random", "zero", "stop", "dwa")
 """What sees no more than a network does."""
 
-UPPER_BOUND = "oracle"
-"""Sees the truth, so it is no rival of a network but what could be reached."""
+UPPER_BOUND, VISIBLE_BOUND = "oracle", "oracle-visible"
+UPPER_BOUNDS = (VISIBLE_BOUND, UPPER_BOUND)
+"""See the truth, so they are no rivals of a network but what could be reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +114,10 @@ class Stop:
 
 @dataclass(slots=True, kw_only=True)
 class OracleDriver:
-    """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is."""
+    """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is.
+
+    With the name `oracle-visible` it knows only those of the others whom the chair's cameras have shown lately.
+    """
 
     actions: ActionSet
     name: str = UPPER_BOUND
@@ -127,9 +131,12 @@ class OracleDriver:
 
     def see(self, truth: Truth | None) -> None:
         """Take the truth of the moment to act in. Raises PolicyError without one."""
-        if truth is None:
-            raise PolicyError("the oracle got no truth from its environment; expected env.truth = true: set it")
-        self._first_s = truth.first_s
+        visible = self.name == VISIBLE_BOUND
+        said: Verdict | None = truth.visible if visible and truth is not None else truth
+        if said is None:
+            key = "env.truth_visible" if visible else "env.truth"
+            raise PolicyError(f"{self.name} got no truth from its environment; expected {key} = true: set it")
+        self._first_s = said.first_s
 
     def act(self, observation: Observation) -> int:
         """The user's wish as far as it ends well."""
@@ -158,11 +165,11 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "dwa":
         outline = plant_spec(config.chair).outline
         return DynamicWindow(actions, config.cameras[0], config.chair, outline, config.world.tick_s)
-    if name == UPPER_BOUND:
-        return OracleDriver(actions=actions)
-    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, UPPER_BOUND))}")
+    if name in UPPER_BOUNDS:
+        return OracleDriver(actions=actions, name=name)
+    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, *UPPER_BOUNDS))}")
 
 
 def is_baseline(name: str) -> bool:
     """Whether `baseline` knows this name."""
-    return name in (*NAMES, UPPER_BOUND)
+    return name in (*NAMES, *UPPER_BOUNDS)

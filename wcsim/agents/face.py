@@ -20,10 +20,10 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.reading import MAX_INTEGER, shown_value
 from wcsim.server.link import WorldOrder
+from wcsim.server.orders import seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.supervisor.recorded import find_user
-from wcsim.types import SeatSpec
 
 RENDER_MODES = ("rgb_array",)
 RENDER_FPS = 10
@@ -67,7 +67,7 @@ class Face:
         return WorldOrder(
             town=self.town,
             config=self.config,
-            seat=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
+            seat=seat_spec(env),
             seats=chairs,
             seed=seed % SEED_LIMIT,
             run="" if self.run is None else str(self.run),

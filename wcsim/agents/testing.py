@@ -51,6 +51,10 @@ GETTING_THERE: Columns = (
     ("red_entries", "at\nred", "{:d}"),
     ("standing_on_carriageway_s", "s stood\non road", "{:.1f}"),
 )
+UPPER_BOUND_NOTES = {
+    baselines.UPPER_BOUND: "oracle sees the truth: an upper bound",
+    baselines.VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +86,9 @@ class TestResult:
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
         there = _table("getting there", GETTING_THERE, drops)
         following = _table(f"{title}: following", FOLLOWING)
-        if any(row.policy == baselines.UPPER_BOUND for row in self.rows):
-            there.caption, there.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
+        bounds = [name for name in baselines.UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
+        if bounds:
+            there.caption, there.caption_justify = "\n".join(UPPER_BOUND_NOTES[name] for name in bounds), "left"
         for row in self.rows:
             following.add_row(*_cells(row, FOLLOWING))
             there.add_row(*_cells(row, GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))

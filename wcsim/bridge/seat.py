@@ -12,6 +12,7 @@ import numpy as np
 from wcsim import seeding
 from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.falls import fell
+from wcsim.bridge.shown import ShownActors
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
@@ -93,6 +94,7 @@ class Seat:
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
         self._on_road = OnRoad()
+        self._shown_actors = ShownActors(config.world)
 
     @property
     def spawned(self) -> bool:
@@ -126,6 +128,7 @@ class Seat:
         self.user = self._new_user()
         self._obstacles = ObstacleWatch(self._street.grid)
         self._crossing = CrossingWatch(self._street.grid, self._street.walk)
+        self._shown_actors.forget()
         self._follow(start.route)
 
     def _vary(self) -> None:
@@ -177,7 +180,10 @@ class Seat:
         buffers: SeatBuffers | None = None,
     ) -> SensorFrame:
         """Cameras and IMU of this tick; the images are made in `buffers` when they are given."""
-        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals)
+        counted = self.spec.truth_visible
+        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals, counted)
+        if counted:
+            self._shown_actors.see(tick, rig.shown_px(self.index))
         return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
 
     def events(self, jam_teleports: int, first: bool) -> Events:
@@ -204,16 +210,20 @@ class Seat:
         dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
         return crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
 
-    def truth(self, others: Sequence[ActorState]) -> Truth:
+    def truth(self, others: Sequence[ActorState]) -> Truth | None:
         """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
-        plant = self.chair.state()
-        seen = self._oracle.assess(plant, self.user.joystick, others, tuple(self._waiting))
+        if not (self.spec.truth or self.spec.truth_visible):
+            return None
+        plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
+        known = self._shown_actors.known(others) if self.spec.truth_visible else None
+        seen = self._oracle.assess(plant, stick, others, waiting, known)
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,
             first_s=seen.first_s,
             clearance_m=seen.clearance_m,
             progress_m=self._progressed_m,
+            visible=seen.visible,
         )
 
     def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:

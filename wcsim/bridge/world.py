@@ -290,7 +290,7 @@ class World:
             buffers = None if out is None else out.buffers(seat.index, first)
             sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals, buffers)
         with self.stopwatch.measure("truth"):
-            truth = seat.truth(self._others(seat)) if seat.spec.truth else None
+            truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
     def _reach_street(self) -> None:

@@ -20,9 +20,9 @@ from wcsim.plant_file import known_plants
 from wcsim.reading import shown
 from wcsim.server.client_core import Patience
 from wcsim.server.messages import ANY_SEAT
-from wcsim.server.orders import JoinOrder
+from wcsim.server.orders import JoinOrder, seat_spec
 from wcsim.supervisor.recorded import find_user
-from wcsim.types import CLIENT_NAME, SeatSpec
+from wcsim.types import CLIENT_NAME
 
 if TYPE_CHECKING:
     from wcsim.server.socket_link import SocketSeat, WorldOffer
@@ -140,7 +140,7 @@ def _order(options: Options, config: RunConfig) -> JoinOrder:
         endpoint=options.endpoint,
         name=options.name or client_name(config.learn.network),
         claim=secrets.token_hex(16),
-        spec=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
+        spec=seat_spec(env),
         seat=ANY_SEAT if options.seat is None else options.seat,
         keys="" if options.keys is None else str(options.keys.absolute()),
         patience=Patience(reconnect_s=options.wait),

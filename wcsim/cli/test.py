@@ -30,7 +30,7 @@ class Options:
     """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
-    """What to test; the baselines follow, random, zero, stop and dwa are always added, oracle is not."""
+    """What to test; the baselines follow, random, zero, stop, dwa, oracle-visible and oracle are always added."""
     town: str = "monaco"
     """Towns, joined by commas."""
     profile: str = "inattentive"
@@ -84,20 +84,21 @@ def as_json(results: Sequence[TestResult]) -> dict[str, Any]:
 
 def test_policies(options: Options) -> Sequence[TestResult]:
     """The results, one for each town and profile."""
-    from wcsim.agents.baselines import NAMES
+    from wcsim.agents.baselines import NAMES, UPPER_BOUNDS
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.testing import open_policy, run_test, window_for
     from wcsim.towns.scenario_overrides import settings_of
 
     towns, profiles = check(options)
     config = _config(options)
-    names = list(dict.fromkeys([*options.policies, *NAMES]))
+    names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
     console = Console(stderr=True)
 
     def make_env(town: str, profile: str) -> WheelchairEnv:
-        env = config.env.model_copy(update={"profile": profile, "max_steps": options.max_steps, "truth": True})
+        asked = {"profile": profile, "max_steps": options.max_steps, "truth": True, "truth_visible": True}
+        env = config.env.model_copy(update=asked)
         return WheelchairEnv(towns[town].address, config=config.model_copy(update={"env": env}), hook=options.hook)
 
     for town in towns.values():

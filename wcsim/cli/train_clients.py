@@ -37,7 +37,7 @@ from wcsim.server.journal import JOURNAL, JournalWriter
 from wcsim.server.launcher import Launcher
 from wcsim.server.ledger import LedgerWriter
 from wcsim.server.limits import require_files
-from wcsim.server.orders import ClientOrder, JoinOrder, Recovery, ServerOrder, to_line
+from wcsim.server.orders import ClientOrder, JoinOrder, Recovery, ServerOrder, seat_spec, to_line
 from wcsim.server.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.stop_signals import StopSignals
 from wcsim.server.torn import told_torn
@@ -46,7 +46,6 @@ from wcsim.supervisor.profiles import recordings
 from wcsim.supervisor.recorded import find_user
 from wcsim.towns.scenario_overrides import Override
 from wcsim.towns.town import Town, streets_hash
-from wcsim.types import SeatSpec
 from wcsim.view.live_table import LiveTable
 
 MOST_CLIENTS = 64
@@ -325,7 +324,7 @@ def _plan(
             endpoint=endpoint_in(place),
             name=client.name,
             claim=folder.claim(client.name),
-            spec=SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth),
+            spec=seat_spec(env),
             seat=client.seat,
             config=config.world_digest(),
             ledger=str(folder.ledger(client.name).absolute()),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import TracebackType
 from typing import Protocol
@@ -28,8 +28,19 @@ from wcsim.physics.renderer.instances import (
 )
 from wcsim.physics.renderer.lamps import SignalLamps
 from wcsim.physics.renderer.raster import RasterRenderer, warm_up
+from wcsim.physics.renderer.shown import shown_px
 from wcsim.physics.renderer.store import GeometryStore
-from wcsim.types import F64, U8, ActorState, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+from wcsim.types import (
+    F64,
+    U8,
+    ActorState,
+    CameraFrame,
+    PlantState,
+    SignalHead,
+    SignalState,
+    StreetMesh,
+    chair_actor_id,
+)
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 
@@ -63,6 +74,7 @@ class _Shutter:
     turn: int = 0
     last: CameraFrame | None = None
     key: int = 0  # of its noise
+    shown_px: Mapping[str, float] = field(default_factory=dict)  # by actor, in the last picture
 
 
 @dataclass(slots=True)
@@ -166,6 +178,7 @@ class CameraRig:
         chairs: Sequence[ChairPose],
         buffers: SeatBuffers | None = None,
         signals: Sequence[SignalState] = (),
+        counted: bool = False,
     ) -> tuple[CameraFrame, ...]:
         """Take (or repeat) the image of every camera of a seat.
 
@@ -177,6 +190,7 @@ class CameraRig:
             chairs: the wheelchairs, the seat's own among them or not; it is never drawn. A tuple, as with the actors.
             buffers: where to write; the rig's own buffers when None.
             signals: the traffic lights of now; a head whose light is not among them is dark.
+            counted: whether the pixels of every actor are counted, for `shown_px`.
 
         Returns:
             One frame a camera; a camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`.
@@ -187,15 +201,35 @@ class CameraRig:
         others = self._other_chairs(seat, chairs)
         lamps = self._lamps.near(plant.p_WB_m, max(camera.range_m for camera in self.cameras), signals)
         instances = joined(joined(self._actors(actors), others), lamps)
+        names = _names(seat, actors, chairs) if counted else None
         T_WB = pose_matrix(plant.p_WB_m, plant.q_WB)
         shots = []
         for index, shutter in enumerate(self._shutters[seat]):
             own = buffers.images[index] if buffers is not None else None
-            shots.append(self._shot(seat, index, shutter, tick, T_WB, instances, own))
+            shots.append(self._shot(seat, index, shutter, tick, T_WB, instances, own, names))
         return tuple(shots)
 
+    def shown_px(self, seat: int) -> dict[str, float]:
+        """Pixels of each actor in the pictures of the seat's last shot, all cameras together, without their noise.
+
+        By the id of the whole, as many as there would be in pictures of 320x240; empty when they were not counted.
+        """
+        total: dict[str, float] = {}
+        for shutter in self._shutters[seat]:
+            for name, pixels in shutter.shown_px.items():
+                total[name] = total.get(name, 0.0) + pixels
+        return total
+
     def _shot(
-        self, seat: int, index: int, shutter: _Shutter, tick: int, T_WB: F64, instances: Instances, own: Images | None
+        self,
+        seat: int,
+        index: int,
+        shutter: _Shutter,
+        tick: int,
+        T_WB: F64,
+        instances: Instances,
+        own: Images | None,
+        names: Sequence[str] | None,
     ) -> CameraFrame:
         camera = self.cameras[index]
         if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
@@ -205,7 +239,7 @@ class CameraRig:
         out = own if own is not None else shutter.buffers[shutter.turn]
         shutter.turn = (shutter.turn + 1) % BUFFERS
         T_CW = camera_matrix(T_WB, self._mounts[seat][index])
-        self._renderers[camera.renderer].render(self._pinholes[index], T_CW, instances, out)
+        shutter.shown_px = self._drawn(index, T_CW, instances, out, names)
         if out.rgb is not None and self._light[seat] != 1.0:
             np.take(brightened(self._light[seat]), out.rgb, out=out.rgb)
         noise = self._noises[index]
@@ -213,6 +247,18 @@ class CameraRig:
             noise.lay_over(out, child(shutter.key, 2 * tick + (shutter.last is None)))
         shutter.last = _frame(camera.name, tick, out)
         return shutter.last
+
+    def _drawn(
+        self, index: int, T_CW: F64, instances: Instances, out: Images, names: Sequence[str] | None
+    ) -> Mapping[str, float]:
+        """Draw a picture; the pixels of those in it when they have names."""
+        renderer, camera = self._renderers[self.cameras[index].renderer], self._pinholes[index]
+        if names is None:
+            renderer.render(camera, T_CW, instances, out)
+            return {}
+        instance = np.empty(out.class_id.shape, np.int32)
+        renderer.render(camera, T_CW, instances, replace(out, instance=instance))
+        return shown_px(instance, names)
 
     def _other_chairs(self, seat: int, chairs: Sequence[ChairPose]) -> Instances:
         if not isinstance(chairs, tuple):  # a list may have changed since
@@ -314,6 +360,12 @@ def _renderer(name: str, store: GeometryStore) -> Renderer:
 
         return TinyRenderer(store)
     return RasterRenderer(store)
+
+
+def _names(seat: int, actors: Sequence[ActorState], chairs: Sequence[ChairPose]) -> list[str]:
+    """Who is who in the instances of a shot: the actors, then the chairs but the seat's own."""
+    others = [chair_actor_id(chair.seat) for chair in chairs if chair.seat != seat]
+    return [actor.whole_id for actor in actors] + others
 
 
 def _new_buffers(camera: CameraConfig) -> tuple[Images, ...]:

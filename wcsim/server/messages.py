@@ -21,7 +21,7 @@ from wcsim.server.packed import Pictures, packed, packed_spec, unpacked, unpacke
 from wcsim.server.parts import PackedClient, PackedSpec
 from wcsim.types import ClientSnapshot, SeatSpec
 
-PROTOCOL = 5
+PROTOCOL = 6
 MAX_REQUEST_BYTES = 1 << 13  # a server refuses more; the longest join has less
 MAX_REPLY_BYTES = 64 << 20  # a client refuses more: pictures travel inside when there is no shared memory
 SESSION_BYTES = b.SESSION_BYTES

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 import msgspec
 
-from wcsim.config import RunConfig
+from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.reading import FileKind, read_bytes
 from wcsim.server.client_core import Patience
@@ -22,6 +22,13 @@ if TYPE_CHECKING:
 
 MOST_ORDER_BYTES = 16 << 20
 Recovery = Literal["new_epoch", "replay"]
+
+
+def seat_spec(env: EnvConfig) -> SeatSpec:
+    """What a client with these settings asks for when it takes a seat."""
+    return SeatSpec(
+        profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

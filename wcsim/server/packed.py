@@ -23,6 +23,7 @@ from wcsim.server.parts import (
     PackedSpec,
     PackedStart,
     PackedTruth,
+    PackedVerdict,
 )
 from wcsim.types import (
     F64,
@@ -38,6 +39,7 @@ from wcsim.types import (
     SensorFrame,
     StartSpec,
     Truth,
+    Verdict,
 )
 
 _NO_DEPTH = np.zeros((0, 0), np.float32)
@@ -50,14 +52,20 @@ def packed_spec(spec: SeatSpec) -> PackedSpec:
     """What a client asks for, ready to travel."""
     start = spec.start
     where = None if start is None else PackedStart(start.p_W_m, start.yaw_rad, start.goal_W_m)
-    return PackedSpec(spec.profile, spec.max_steps, spec.truth, where)
+    return PackedSpec(spec.profile, spec.max_steps, spec.truth, spec.truth_visible, where)
 
 
 def unpacked_spec(spec: PackedSpec) -> SeatSpec:
     """What a client asks for, again."""
     at = spec.start
     start = None if at is None else StartSpec(p_W_m=at.p_W_m, yaw_rad=at.yaw_rad, goal_W_m=at.goal_W_m)
-    return SeatSpec(profile=spec.profile, max_steps=spec.max_steps, truth=spec.truth, start=start)
+    return SeatSpec(
+        profile=spec.profile,
+        max_steps=spec.max_steps,
+        truth=spec.truth,
+        truth_visible=spec.truth_visible,
+        start=start,
+    )
 
 
 def packed(client: ClientSnapshot, pictures: bool) -> PackedClient:
@@ -212,6 +220,7 @@ def _array(data: bytes, dtype: type[np.generic], shape: tuple[int, ...]) -> npt.
 
 
 def _packed_truth(truth: Truth) -> PackedTruth:
+    visible = truth.visible
     return PackedTruth(
         truth.intent.x,
         truth.intent.y,
@@ -219,16 +228,19 @@ def _packed_truth(truth: Truth) -> PackedTruth:
         truth.first_s.tobytes(),
         truth.clearance_m,
         truth.progress_m,
+        None if visible is None else PackedVerdict(visible.danger, visible.first_s.tobytes()),
     )
 
 
 def _truth(truth: PackedTruth) -> Truth:
+    visible = truth.visible
     return Truth(
         intent=Joystick(truth.x, truth.y),
         danger=truth.danger,
         first_s=_first_s(truth.first_s),
         clearance_m=truth.clearance_m,
         progress_m=truth.progress_m,
+        visible=None if visible is None else Verdict(danger=visible.danger, first_s=_first_s(visible.first_s)),
     )
 
 

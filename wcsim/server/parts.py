@@ -11,6 +11,7 @@ from wcsim.server import bounds as b
 
 ROW = struct.Struct("=32d")
 _Row = Annotated[bytes, msgspec.Meta(min_length=ROW.size, max_length=ROW.size)]
+_Seconds = Annotated[bytes, msgspec.Meta(max_length=8 * 1024)]  # float64, one for each action
 _PictureBytes = Annotated[bytes, msgspec.Meta(max_length=b.MOST_PICTURE_BYTES)]
 
 
@@ -32,6 +33,7 @@ class PackedSpec(_Part, frozen=True):
     profile: b.Place
     max_steps: b.Steps
     truth: bool
+    truth_visible: bool
     start: PackedStart | None
 
 
@@ -47,15 +49,23 @@ class PackedPicture(_Part, frozen=True):
     rgb: _PictureBytes  # uint8, empty without colours
 
 
+class PackedVerdict(_Part, frozen=True):
+    """A `Verdict`."""
+
+    danger: bool
+    first_s: _Seconds
+
+
 class PackedTruth(_Part, frozen=True):
     """A `Truth`."""
 
     x: b.Stick
     y: b.Stick
     danger: bool
-    first_s: Annotated[bytes, msgspec.Meta(max_length=8 * 1024)]  # float64, one for each action
+    first_s: _Seconds
     clearance_m: b.Number
     progress_m: b.Number
+    visible: PackedVerdict | None
 
 
 class PackedContact(_Part, frozen=True):

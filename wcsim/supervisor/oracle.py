@@ -17,7 +17,7 @@ from wcsim.config import ChairConfig
 from wcsim.constants import OTHER_LEVEL_M
 from wcsim.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
-from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState
+from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 LONGEST_ROLL_OUT_S = 2.5
@@ -25,13 +25,12 @@ FASTEST_MPS = 5.0  # of any chair
 FAR_M = 25.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Assessment:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assessment(Verdict):
     """Everything the oracle says of one moment."""
 
-    danger: bool
-    first_s: F64  # (A,) seconds until each action goes wrong, infinity when it is safe
     clearance_m: float
+    visible: Verdict | None  # with those alone who are known; None when it was not asked for
 
 
 class Oracle:
@@ -78,16 +77,26 @@ class Oracle:
         joystick: Joystick,
         actors: Iterable[ActorState],
         waiting: Sequence[Joystick] = (),
+        known: Iterable[ActorState] | None = None,
     ) -> Assessment:
-        """All answers at once; `waiting` are the commands that the chair obeys before the next one, one a tick."""
-        table = actor_table(plant, actors, later_s=len(waiting) * self._tick_s)
+        """All answers at once.
+
+        `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
+        actors with whom alone it is asked once more what ends badly.
+        """
+        later_s = len(waiting) * self._tick_s
+        table = actor_table(plant, actors, later_s=later_s)
+        said, visible = self._verdict(plant, joystick, table, waiting), None
+        if known is not None:
+            few = actor_table(plant, known, later_s=later_s)
+            visible = said if len(few) == len(table) else self._verdict(plant, joystick, few, waiting)
+        gap_m = self._clearance(plant, table)
+        return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
+
+    def _verdict(self, plant: PlantState, joystick: Joystick, table: F64, waiting: Sequence[Joystick]) -> Verdict:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table, waiting)
-        return Assessment(
-            danger=bool(np.isfinite(first_s[-1])),
-            first_s=first_s[:-1],
-            clearance_m=self._clearance(plant, table),
-        )
+        return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
     def _roll_out(self, plant: PlantState, commands: F64, table: F64, waiting: Sequence[Joystick]) -> F64:
         grid = self._grid.around(plant.p_WB_m)

@@ -23,7 +23,9 @@ HOLD_S = 0.5
 STEP_S = 0.05
 LONGEST_S = 4.0
 
-DEEPENING_M = 0.03  # who already touches may move, if not closer
+DEEPENING_M = 0.03  # who touches may move, if hardly closer
+SAME_M = 1e-6  # a difference that is none
+CORNER_M = 0.06  # radius of a disc in each corner of the hull: inside a solid thing the raster knows no depth
 ACTOR_MARGIN_M = 0.05
 LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
 PITCH_LIMIT = math.tan(rad(30.0))
@@ -69,7 +71,8 @@ def roll_out(
     """
     _set_margins(state, hull, actors)
     start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
-    allowed_gap = min(0.0, start_gap - DEEPENING_M)
+    # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
+    allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
@@ -207,7 +210,7 @@ def _static_gap(
 ) -> float:
     """Distance from the footprint to the nearest solid thing, negative inside it; a rough one further than `beyond_m`.
 
-    Three discs as wide as the chair, and its four corners, stand for the rectangle.
+    Three discs as wide as the chair, and a small one in each corner, stand for the rectangle.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
@@ -220,10 +223,10 @@ def _static_gap(
         ahead = i * max(0.0, hull[HALF_L] - hull[HALF_W])
         gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, origin_m, cell_m) - hull[HALF_W])
     for i in range(4):
-        ahead = hull[HALF_L] if i < 2 else -hull[HALF_L]
-        left = hull[HALF_W] if i % 2 == 0 else -hull[HALF_W]
+        ahead = (hull[HALF_L] - CORNER_M) * (1.0 if i < 2 else -1.0)
+        left = (hull[HALF_W] - CORNER_M) * (1.0 if i % 2 == 0 else -1.0)
         px, py = cx + ahead * cos - left * sin, cy + ahead * sin + left * cos
-        gap = min(gap, _clearance(px, py, clearance_dm, origin_m, cell_m))
+        gap = min(gap, _clearance(px, py, clearance_dm, origin_m, cell_m) - CORNER_M)
     return gap
 
 

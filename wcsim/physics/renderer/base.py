@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import Instances
-from wcsim.types import F32, F64, U8
+from wcsim.types import F32, F64, I32, U8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +31,7 @@ class Images:
     depth_m: F32  # (H, W) distance along the optical axis, range_m where nothing is hit
     class_id: U8  # (H, W) ClassId, SKY where nothing is hit
     rgb: U8 | None = None  # (H, W, 3), drawn only when there is one
+    instance: I32 | None = None  # (H, W) row of the instance, -1 for street and sky; drawn only when there is one
 
 
 class Renderer(Protocol):
@@ -50,12 +51,13 @@ class Renderer(Protocol):
         """
 
 
-def new_images(width_px: int, height_px: int, rgb: bool) -> Images:
+def new_images(width_px: int, height_px: int, rgb: bool, instance: bool = False) -> Images:
     """Fresh buffers for a camera of this size."""
     return Images(
         depth_m=np.zeros((height_px, width_px), np.float32),
         class_id=np.zeros((height_px, width_px), np.uint8),
         rgb=np.zeros((height_px, width_px, 3), np.uint8) if rgb else None,
+        instance=np.full((height_px, width_px), -1, np.int32) if instance else None,
     )
 
 
@@ -66,6 +68,8 @@ def check_images(camera: Pinhole, out: Images) -> None:
     _check("class_id", out.class_id, shape, np.dtype(np.uint8))
     if out.rgb is not None:
         _check("rgb", out.rgb, (*shape, 3), np.dtype(np.uint8))
+    if out.instance is not None:
+        _check("instance", out.instance, shape, np.dtype(np.int32))
 
 
 def _check(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:

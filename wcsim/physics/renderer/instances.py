@@ -63,8 +63,7 @@ def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ())
 
 def actor_instances(actors: Sequence[ActorState]) -> Instances:
     """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint and a tram has one."""
-    names = [a.id.rpartition("~")[0] if a.piece else a.id for a in actors]
-    seed = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
+    seed = np.array([zlib.crc32(a.whole_id.encode()) for a in actors], np.uint32)
     p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
     yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
     scale_m = np.array([actor.size_lwh_m for actor in actors], np.float64).reshape(-1, 3)

@@ -4,7 +4,8 @@ All that `draw` calls is in this file because numba, when it decides whether its
 looks only at the time stamp of the file of the kernel that is called.
 
 Camera frame: x right, y down, z forward. While a picture is drawn the depth buffer holds 1/z (0 = nothing); the word
-buffer, there for colour pictures only, holds a face's number in the street, or with bit 31 set a plain colour.
+buffer, there for some pictures only, holds a face's number in the street, or with bit 31 set a plain colour or, in a
+picture of instances, an actor's row.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Target(NamedTuple):
 
     inverse_z: F32  # (H, W), becomes the depth
     class_id: U8  # (H, W)
-    words: U32Array  # (H, W), or (0, 0) when no colours are drawn
+    words: U32Array  # (H, W), or (0, 0) when neither colours nor instances are drawn
 
 
 @kernel
@@ -215,10 +216,14 @@ def lit_paint(paint: int, lamps: int) -> int:
 
 @kernel
 def draw_model(
-    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, view: View, scratch: F32, out: Target
+    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, scratch: F32,
+    out: Target,
 ) -> None:
-    """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped."""
-    painted = out.words.shape[0] > 0
+    """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped.
+
+    Its words are colours, or its `number` where that is not below 0.
+    """
+    painted = out.words.shape[0] > 0 and number < 0
     to_camera(models.vertices, models.vertices_of[t], models.vertices_of[t + 1], T_CM, scratch)
     for face in range(models.faces_of[t], models.faces_of[t + 1]):
         a, b, c = models.faces[face, 0], models.faces[face, 1], models.faces[face, 2]
@@ -228,7 +233,7 @@ def draw_model(
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         if solid and nx * ax + ny * ay + nz * az >= 0.0:
             continue
-        word = np.uint32(0)
+        word = COLOURED | np.uint32(max(number, 0))
         if painted:
             length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
             lit = (nx * view.sun_C[0] + ny * view.sun_C[1] + nz * view.sun_C[2]) / length
@@ -327,9 +332,10 @@ def visible(street: StreetArrays, T_WM: F64, view: View, width: int, height: int
 
 @kernel
 def draw(
-    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, out: Target
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, numbered: bool,
+    out: Target,
 ) -> None:
-    """Draw a whole picture: depth and class, and words when there is a buffer for them."""
+    """Draw a whole picture: depth and class, and words, `numbered` or colours, when there is a buffer for them."""
     height, width = out.inverse_z.shape
     out.inverse_z[:] = 0.0
     out.class_id[:] = SKY_ID
@@ -366,7 +372,8 @@ def draw(
             away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
         solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
         seed, lamps = actors.colour_seed[i], actors.lamps[i]
-        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, view, scratch, out)
+        number = i if numbered else -1
+        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, scratch, out)
     finish(view, out)
 
 

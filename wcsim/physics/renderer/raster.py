@@ -47,12 +47,16 @@ class RasterRenderer:
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
-        words_shape = out.class_id.shape if out.rgb is not None else (0, 0)
-        target = kernels.Target(out.depth_m, out.class_id, np.empty(words_shape, np.uint32))
-        view = self._view(camera, T_CW)
-        kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, target)
+        wordless = out.rgb is None and out.instance is None
+        words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
+        target, view = kernels.Target(out.depth_m, out.class_id, words), self._view(camera, T_CW)
+        if out.instance is not None:  # a word holds a row or a colour: who wants both has it drawn twice
+            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, True, target)
+            shading.tell_apart(words, out.class_id, out.instance)
+        if out.instance is None or out.rgb is not None:
+            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, False, target)
         if out.rgb is not None:
-            shading.colour(self._street, view, out.depth_m, target.words, out.rgb)
+            shading.colour(self._street, view, out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
         T_CW = np.ascontiguousarray(T_CW, np.float64)
@@ -72,7 +76,7 @@ def warm_up(renderer: RasterRenderer) -> None:
     """Compile the kernels now (seconds on a fresh machine, then a fraction of one) instead of at the first picture."""
     camera = Pinhole(width_px=16, height_px=12, focal_px=8.0, near_m=0.1, range_m=40.0)
     T_CW = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
-    renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True))
+    renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True, instance=True))
 
 
 def _arrays(instances: Instances) -> kernels.InstanceArrays:

@@ -1,4 +1,4 @@
-"""The compiled second pass of a colour picture: from face numbers and depth to shaded, patterned, hazy colours.
+"""The compiled second pass of a picture: from face numbers and depth to shaded, patterned, hazy colours, or instances.
 
 Nothing here is called by another kernel, see `kernels`.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from wcsim.jit import kernel
-from wcsim.physics.renderer.kernels import COLOURED, PLAIN, STRIPES, StreetArrays, U32Array, View
-from wcsim.types import F32, U8
+from wcsim.physics.renderer.kernels import COLOURED, PLAIN, SKY_ID, STRIPES, StreetArrays, U32Array, View
+from wcsim.types import F32, I32, U8
 
 # Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
 HALF = np.float32(0.5)
@@ -84,3 +84,14 @@ def colour(street: StreetArrays, view: View, depth_m: F32, words: U32Array, rgb:
             rgb[row, i, 0] = word & LOW
             rgb[row, i, 1] = word >> BYTE & LOW
             rgb[row, i, 2] = word >> TWO_BYTES & LOW
+
+
+@kernel
+def tell_apart(words: U32Array, class_id: U8, instance: I32) -> None:
+    """Write the row of the instance that each pixel shows, -1 for the street and the sky, from a numbered picture."""
+    height, width = words.shape
+    for row in range(height):
+        for i in range(width):
+            word = words[row, i]
+            shown = class_id[row, i] != SKY_ID and word & COLOURED
+            instance[row, i] = np.int32(word ^ COLOURED) if shown else np.int32(-1)

@@ -46,6 +46,7 @@ class TinyRenderer:
         if self._client < 0:
             raise PhysicsError("PyBullet gave no DIRECT client for the TinyRenderer; close other clients and try again")
         self._class_of = np.zeros(0, np.uint8)  # by body number
+        self._instance_of: dict[int, int] = {}  # row of the instance that a body stands for in this picture
         self._pool: dict[_Model, list[tuple[int, ...]]] = {}
         self._used: dict[_Model, int] = {}
         corners = store.vertices_W_m[store.global_faces()].astype(np.float64)
@@ -88,12 +89,17 @@ class TinyRenderer:
         hit = (number >= 0) & (z < far)
         out.depth_m[:] = np.where(hit, z, far)
         out.class_id[:] = np.where(hit, self._class_of[np.where(hit, number, 0)], ClassId.SKY)
+        if out.instance is not None:
+            rows = np.full(len(self._class_of), -1, np.int32)
+            rows[list(self._instance_of)] = list(self._instance_of.values())
+            out.instance[:] = np.where(hit, rows[np.where(hit, number, 0)], -1)
         if out.rgb is not None:
             out.rgb[:] = np.asarray(rgba, np.uint8).reshape(height, width, 4)[..., :3]
 
     def _place(self, instances: Instances) -> None:
         """Put a body of the right model under every instance and park the rest."""
         self._used = dict.fromkeys(self._pool, 0)
+        self._instance_of.clear()
         for i in range(len(instances)):
             length, width, height = (round(float(side), 6) for side in instances.scale_m[i])
             colour = int(instances.colour_seed[i]) % VARIANTS
@@ -107,6 +113,7 @@ class TinyRenderer:
                 float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i])
             )
             for body in pool[taken]:
+                self._instance_of[body] = i
                 self._move(body, instances.p_W_m[i].tolist(), turn)
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
