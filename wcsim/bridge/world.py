@@ -26,6 +26,7 @@ from wcsim.bridge.stage import RunPlace, open_scenario
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
+from wcsim.bridge.swing_out import SwingOut
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
@@ -191,7 +192,7 @@ class World:
 
     def _mirror(self) -> None:
         with self.stopwatch.measure("read"):
-            near = self._admitted(self._near_chairs(), self._chairs)
+            near = self._shown(self._admitted(self._near_chairs(), self._chairs))
         with self.stopwatch.measure("mirror"):
             before = {actor.id: actor for actor in self._actors}
             self._deflection.update(self._level(near), self._chairs)
@@ -232,7 +233,8 @@ class World:
         self._actors = ()
         self._signals = ()
         attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
-        self._street = StreetReaction(self.config.world, attention)
+        self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
+        self._street = StreetReaction(self.config.world, attention, self._swing)
         self._deflection = Deflection(self.street.grid, self.config.world.tick_s, attention)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
@@ -313,12 +315,16 @@ class World:
 
     def _read_street(self) -> None:
         """See the street again, after a chair has moved to another place."""
-        self._take(self._near_chairs())
+        self._take(self._shown(self._near_chairs()))
 
     def _take(self, near: tuple[ActorState, ...]) -> None:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        self._actors = mirror.on_ground(self._articulation.bent(self._deflection.shifted(near)), self.street.grid)
+        self._actors = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
         self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
+
+    def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        return self._articulation.bent(self._swing.shown(near, self._sumo.pilot))
 
     def _near_chairs(self) -> tuple[ActorState, ...]:
         """The actors near any chair as SUMO has them."""
