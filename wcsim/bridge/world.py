@@ -194,10 +194,10 @@ class World:
         with self.stopwatch.measure("read"):
             near = self._shown(self._admitted(self._near_chairs(), self._chairs))
         with self.stopwatch.measure("mirror"):
-            before = {actor.id: actor for actor in self._actors}
+            self._before = {actor.id: actor for actor in self._actors}
             self._deflection.update(self._level(near), self._chairs)
             self._take(near)
-            self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
+            self._bodies.place(mirror.moves(self._before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
         self._reach_street()
@@ -230,7 +230,7 @@ class World:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        self._actors = ()
+        self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
         attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
         self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
@@ -319,7 +319,8 @@ class World:
 
     def _take(self, near: tuple[ActorState, ...]) -> None:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        self._actors = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
+        there = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
+        self._actors = mirror.walked(self._before, there, self.config.world.tick_s)
         self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
