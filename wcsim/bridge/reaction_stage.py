@@ -13,7 +13,8 @@ import numpy as np
 
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.footprint import box_of, boxes_touch, gap_to_box
-from wcsim.bridge.orders import Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.habits import Habits
+from wcsim.bridge.orders import Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
 from wcsim.bridge.swing_out import SwingOut
@@ -42,10 +43,10 @@ class ReactionStage:
 
     def attend(self, share: float, seed: int) -> None:
         """Begin anew with another share of attentive people; nobody must be under orders."""
-        attention = Attention(share, seed)
+        habits = Habits(self._config.model_copy(update={"attention_share": share}), seed)
         self._swing = SwingOut(self._ground, self._config.tick_s)
-        self._street = StreetReaction(self._config, attention, self._swing)
-        self._deflection = Deflection(self._ground, self._config.tick_s, attention)
+        self._street = StreetReaction(self._config, habits, self._swing)
+        self._deflection = Deflection(self._ground, self._config.tick_s, habits.people)
 
     def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """One tick with the chairs where they are; the actors near them afterwards."""

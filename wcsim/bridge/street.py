@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
+from wcsim.bridge.habits import Habits
 from wcsim.bridge.lanes import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.looking import (
     LAST_GAP_M,
@@ -23,7 +24,7 @@ from wcsim.bridge.looking import (
     lands_on,
     look_m,
 )
-from wcsim.bridge.orders import LET_GO, Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.orders import LET_GO, Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.passing import Touch, room_beside
 from wcsim.bridge.swing_out import SwingOut
 from wcsim.config import WorldConfig
@@ -75,9 +76,9 @@ class _Plan:
 class StreetReaction:
     """Decides each tick which drivers and riders brake for a wheelchair or pass it, and who is let go again."""
 
-    def __init__(self, config: WorldConfig, attention: Attention, swing: SwingOut | None = None) -> None:
+    def __init__(self, config: WorldConfig, habits: Habits, swing: SwingOut | None = None) -> None:
         self._config = config
-        self._attention = attention
+        self._habits = habits
         self._swing = swing
         self._watched: dict[str, _Watch] = {}
         self._tubes: dict[str, Tube] = {}
@@ -159,7 +160,7 @@ class StreetReaction:
         orders: list[Order],
     ) -> _Watch | None:
         """Look at one vehicle's way and order what is needed; None when no chair is near it."""
-        if not self._attention.looks(actor.id):
+        if not self._habits.looks(actor):
             return None
         place = roads.on_lane(actor.id)
         if place is None:
@@ -176,8 +177,9 @@ class StreetReaction:
         if not plan.near:
             return None
         fresh = actor.id in self._come
-        watch.seen_for_s += self._config.reaction_s if fresh else self._config.tick_s
-        if watch.seen_for_s >= self._config.reaction_s:
+        reaction_s = self._habits.reaction_s(actor)
+        watch.seen_for_s += reaction_s if fresh else self._config.tick_s
+        if watch.seen_for_s >= reaction_s:
             order = self._order(actor, watch, plan, roads, fresh)
             if order is not None:
                 orders.append(order)

@@ -19,7 +19,8 @@ from wcsim.bridge import mirror
 from wcsim.bridge.articulated import Articulation
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.guard import MirrorGuard
-from wcsim.bridge.orders import Attention, ChairInStreet, in_street, on_level
+from wcsim.bridge.habits import Habits
+from wcsim.bridge.orders import ChairInStreet, in_street, on_level
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.seating import Seating
 from wcsim.bridge.stage import RunPlace, open_scenario
@@ -232,10 +233,10 @@ class World:
         self._tick = 0
         self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
-        attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
+        habits = Habits(self.config.world, seeding.derive(seed, "street"), self.config.vary)
         self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
-        self._street = StreetReaction(self.config.world, attention, self._swing)
-        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, attention)
+        self._street = StreetReaction(self.config.world, habits, self._swing)
+        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, habits.people)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
