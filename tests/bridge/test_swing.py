@@ -19,8 +19,9 @@ from wcsim.errors import PhysicsError
 from wcsim.physics.bodies import BodyPool
 from wcsim.physics.engine import Engine
 from wcsim.towns.netread import read_net
+from wcsim.towns.scenes import build_scene, list_scenes
 from wcsim.towns.street import load_street
-from wcsim.towns.town import find_town
+from wcsim.towns.town import Town, find_town
 from wcsim.types import ActorKind, ClassId, StreetGrid
 
 BUS_M = (12.0, 2.55)
@@ -173,9 +174,8 @@ def pool_and_check(pool: BodyPool, one) -> None:
     check_mirror(pool, (one,))
 
 
-def swept(town: str, few: int = 1):
+def swept(found: Town, few: int = 1):
     """All long vehicles at the corners of a town: (vehicle, sweeps)."""
-    found = find_town(town)
     ground, net = load_street(found).grid, read_net(found.net, found.file.origin_m)
     for vehicle in LONGEST:
         corners = list(corners_of(net, vehicle.vclass))
@@ -183,7 +183,7 @@ def swept(town: str, few: int = 1):
 
 
 def test_at_some_corners_of_manhattan_long_vehicles_cover_less_than_half():
-    for vehicle, sweeps in swept("manhattan", 4):
+    for vehicle, sweeps in swept(find_town("manhattan"), 4):
         if sweeps:
             assert sum(one.after_m2 for one in sweeps) < 0.6 * sum(one.before_m2 for one in sweeps), vehicle.name
 
@@ -191,7 +191,7 @@ def test_at_some_corners_of_manhattan_long_vehicles_cover_less_than_half():
 @pytest.mark.proof
 @pytest.mark.parametrize("town", ["helsinki", "monaco", "manhattan"])
 def test_at_all_corners_long_vehicles_cover_less(town):
-    for vehicle, sweeps in swept(town):
+    for vehicle, sweeps in swept(find_town(town)):
         before, after = (np.array([getattr(one, name) for one in sweeps]) for name in ("before_m2", "after_m2"))
         if not vehicle.swings:
             assert np.array_equal(before, after)
@@ -199,3 +199,15 @@ def test_at_all_corners_long_vehicles_cover_less(town):
         assert after.sum() < 0.75 * before.sum(), vehicle.name
         assert (after > TOUCH_M2).sum() <= (before > TOUCH_M2).sum()
         assert (after > before + 1.0).mean() < 0.1, "the least over the whole bend may be more at one place of it"
+
+
+@pytest.mark.proof
+def test_at_the_corners_of_all_scenes_long_vehicles_cover_less(tmp_path):
+    before = after = 0.0
+    for folder in list_scenes():
+        town, _ = build_scene(folder, tmp_path / folder.name)
+        for vehicle, sweeps in swept(town):
+            before += sum(one.before_m2 for one in sweeps)
+            after += sum(one.after_m2 for one in sweeps)
+            assert all(one.after_m2 <= one.before_m2 + 1.0 for one in sweeps), (folder.name, vehicle.name)
+    assert after < 0.5 * before
