@@ -28,6 +28,7 @@ from wcsim.sensors_file import ClassNoiseConfig as ClassNoiseConfig
 from wcsim.sensors_file import ColourNoiseConfig as ColourNoiseConfig
 from wcsim.sensors_file import DepthNoiseConfig as DepthNoiseConfig
 from wcsim.sensors_file import ImuConfig as ImuConfig
+from wcsim.vary_file import Driver, Reaction, Watcher
 from wcsim.vary_file import VaryConfig as VaryConfig
 
 CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
@@ -80,6 +81,10 @@ class ChairConfig(Model):
         return {**data, "v_max_mps": speed_mps}
 
 
+STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.7, 1.5)}
+"""Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
+
+
 class WorldConfig(Model):
     """Clocks, mirror and street reaction."""
 
@@ -90,8 +95,11 @@ class WorldConfig(Model):
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
     action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = None  # how often SUMO's drivers decide
+    street: Literal["usual", "careless"] = "usual"  # a careless one sets the next two
     attention_share: Share = 0.95
-    reaction_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.7
+    reaction_s: Reaction = 0.7
+    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(default_factory=dict)  # by class
+    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(default_factory=dict)  # seconds, by class
     brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
     clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
     crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.model import Finite, Model, Word
+from wcsim.model import Finite, Model, Share, Word
 
 Number = TypeVar("Number", int, float)
 
@@ -25,11 +25,24 @@ Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 Turn = Annotated[float, Field(ge=-45.0, le=45.0)]
 Delay = Annotated[int, Field(ge=0, le=10)]
 Span = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+Reaction = Annotated[float, Field(ge=0.0, le=60.0)]
+Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
+Watcher = Literal[Driver, "pedestrian"]
+EVERYBODY = "all"  # who has no range of its own
+Shares = Annotated[
+    dict[Literal[Watcher, "all"], Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(max_length=16)
+]
+Reactions = Annotated[
+    dict[Literal[Driver, "all"], Annotated[tuple[Reaction, Reaction], AfterValidator(_ordered)]], Field(max_length=16)
+]
 PlantSpans = Annotated[dict[Word, Span], Field(max_length=64)]  # by the dotted names of the plant's file
 
 
 class VaryConfig(Model):
-    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range."""
+    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range.
+
+    Those of the street, `attention` and `reaction`, are drawn from once for every world and epoch: all seats share it.
+    """
 
     light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = None  # times; colours only
     friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = None  # times; of wheels and casters
@@ -38,6 +51,8 @@ class VaryConfig(Model):
     camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
     action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
     plant: PlantSpans = Field(default_factory=dict)
+    attention: Shares = Field(default_factory=dict)  # share of those who look, by class
+    reaction: Reactions = Field(default_factory=dict)  # seconds, by class
 
     @model_validator(mode="before")
     @classmethod
@@ -46,5 +61,5 @@ class VaryConfig(Model):
 
     @property
     def nothing(self) -> bool:
-        """Whether every episode is like the others."""
-        return self == VaryConfig()
+        """Whether every episode's chair is like the others."""
+        return self == VaryConfig(attention=self.attention, reaction=self.reaction)

@@ -8,7 +8,9 @@ import pytest
 
 from tests.samples import KERB_M, strip_street
 from wcsim import frames
-from wcsim.bridge.mirror import moves, on_ground
+from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
+from wcsim.bridge.scene import open_scene, play
+from wcsim.towns.scenes import find_scene
 from wcsim.types import ActorKind, ActorState
 
 
@@ -81,3 +83,32 @@ def test_actors_stand_on_the_ground_that_wheels_and_cameras_know():
     assert on_road.p_W_m[2] == 0.0
     assert on_pavement.p_W_m[2] == pytest.approx(KERB_M)
     assert on_ground((), grid) == ()
+
+
+def test_who_slides_aside_has_the_velocity_of_it_and_who_jumps_keeps_sumos():
+    person = actor(name="p:a", kind=ActorKind.PEDESTRIAN)
+    slid, jumped = (replace(person, p_W_m=np.array([0.0, y, 0.12])) for y in (0.08, 2.0 * JUMP_M))
+    assert walked({"p:a": person}, (slid,), 0.1)[0].v_W_mps == pytest.approx([0.0, 0.8, 0.0])
+    assert walked({"p:a": person}, (jumped,), 0.1) == (jumped,)
+    assert walked({}, (slid,), 0.1) == (slid,), "who has just come near"
+    car = actor(y=0.08)
+    assert walked({"v:car": actor()}, (car,), 0.1) == (car,)
+
+
+def test_people_go_where_their_velocity_leads_them_those_who_stepped_aside_too():
+    people = aside = slid = 0
+    with open_scene(find_scene("rush-hour")) as (world, scene):
+        before: dict[str, ActorState] = {}
+        for after, _ in play(world, scene):
+            now = {one.id: one for one in after.actors if one.kind is ActorKind.PEDESTRIAN}
+            for old, new in ((before[name], one) for name, one in now.items() if name in before):
+                gone_m = (new.p_W_m - old.p_W_m)[:2]
+                if math.hypot(*gone_m) > JUMP_M:
+                    continue
+                assert gone_m == pytest.approx(0.1 * new.v_W_mps[:2], abs=0.003), new.id
+                moved = (new.deflect_m, old.deflect_m) != (0.0, 0.0)
+                stands = any(blocked.actor_id == new.id for blocked in world._deflection.blocked())
+                people, aside = people + 1, aside + moved
+                slid += moved and stands and math.hypot(*gone_m) > 0.01
+            before = now
+    assert people > 1000 and aside > 50 and slid > 0, "who is held and goes back sideways is among them"

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.bridge.roads import LANE_M, StraightRoads, actor, chair, walker
+from wcsim.bridge.habits import Habits
 from wcsim.bridge.lanes import LaneShape
 from wcsim.bridge.orders import LET_GO, Attention
 from wcsim.bridge.street import StreetReaction
@@ -15,7 +16,8 @@ from wcsim.types import ActorKind
 
 
 def street(reaction_s=0.0, share=1.0, seed=1) -> StreetReaction:
-    return StreetReaction(WorldConfig(reaction_s=reaction_s, attention_share=share), Attention(share, seed))
+    config = WorldConfig(reaction_s=reaction_s, attention_share=share)
+    return StreetReaction(config, Habits(config, seed))
 
 
 def order_for(vehicle, chairs, roads=None, reaction=None):

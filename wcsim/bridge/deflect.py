@@ -58,6 +58,7 @@ class Deflection:
         self._queueing: set[str] = set()  # who stands behind somebody that cannot go on, or will not in SUMO
         self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago,
         self._bare: dict[str, tuple[float, float]] = {}  # and where SUMO had them
+        self._speeds: dict[str, float] = {}  # as SUMO has them
         self._halted: set[str] = set()  # whom SUMO does not move, whatever speed it tells
 
     def shifted(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
@@ -74,10 +75,12 @@ class Deflection:
         )
 
     def holds(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> tuple[Order, ...]:
-        """Who has to stand during this tick, and who walks on again; `actors` where they really are."""
+        """Who has to stand during this tick, and who walks on again; `actors` where and as they really move."""
         crowd = crowd_of(actors, chairs, self._offsets, shifted=True)
         if not (crowd or self._standing_s):
             return ()
+        for walker in crowd:
+            walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
         boxes = [_chair_box(chair, self._tick_s) for chair in chairs]
         vehicles = vehicles_near(actors, crowd) if self._offsets else []
         still = {
@@ -106,7 +109,7 @@ class Deflection:
         self._stuck.intersection_update([walker.id for walker in crowd])
         bare = {walker.id: (walker.x, walker.y) for walker in crowd}
         self._halted = {name for name, place in bare.items() if self._bare.get(name) == place}
-        self._bare = bare
+        self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
         for walker in crowd:
             self._stay_clear(walker, boxes, crowd, vehicles)
         for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):

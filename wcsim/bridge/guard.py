@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 
 from wcsim import frames
+from wcsim.bridge.swing import MOST_M
 from wcsim.errors import PhysicsError
 from wcsim.physics.bodies import UPRIGHT, BodyPool
 from wcsim.types import ActorState
 
 TOLERANCE_M = 0.01
 TOLERANCE_RAD = 0.02
+FURTHEST_M = MOST_M + TOLERANCE_M  # that a vehicle is shown beside SUMO's place: as far as it may swing out
 EVERY = 4  # one body in four is measured each tick, in turn; the set of bodies is compared every tick
 
 
@@ -45,7 +47,8 @@ def check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, e
     """Compare the set of bodies with the actors, and the places of every `every`-th one from `first` on.
 
     Raises:
-        PhysicsError: They differ; a place by more than 1 cm, a heading by more than 0.02 rad.
+        PhysicsError: They differ, a place by more than 1 cm, a heading by more than 0.02 rad; or a vehicle is further
+            from SUMO's own place than any swings out.
     """
     names, bodies = {actor.id for actor in actors}, pool.names()
     if bodies != names:
@@ -54,6 +57,11 @@ def check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, e
             f"{sorted(bodies - names)}, without a body {sorted(names - bodies)}; expected one body for each actor"
         )
     for actor in actors[first::every]:
+        if actor.kind not in UPRIGHT and not abs(actor.deflect_m) <= FURTHEST_M:
+            raise PhysicsError(
+                f"vehicle {actor.id!r} is shown {actor.deflect_m:.3f} m beside SUMO's place; expected at most "
+                f"{FURTHEST_M} m: its swing-out is wrong"
+            )
         x, y, z, yaw_rad = pool.pose(actor.id)
         px, py, pz = actor.p_W_m.tolist()
         error_m = math.hypot(x - px, y - py, z - pz)

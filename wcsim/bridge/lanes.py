@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from wcsim.types import F64
+from wcsim.types import F64, ActorState
 
 STEP_M = 0.5
 AHEAD_M = 70.0  # farther than anything brakes for a chair
 TAIL_M = 3.0  # kept behind the vehicle's tail
+FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,6 +138,31 @@ def lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_
     first_m = starts[lanes[0].id][0] + _scale(lanes[0]) * along_m - TAIL_M
     poses = _poses(points, arcs_m, max(0.0, first_m), length_m)
     return Tube(points_W_m=points, arc_m=arcs_m, start_m=starts, poses=poses, first_m=max(0.0, first_m))
+
+
+def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:
+    """The vehicle's way: the one laid out before while it still holds and leads far enough, else a new one."""
+    if old is not None and place.lane_id in old.start_m:
+        front_m = old.front_m(place)
+        short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
+        moved_m = abs(front_m - old.first_m - TAIL_M)
+        if moved_m < (SHORT_M if short else FRESH_M) or roads.lane(place.lane_id).internal:
+            return old
+    lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
+    heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
+    tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
+    return lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
+
+
+def points_of(tube: Tube, at_m: F64) -> F64:
+    """Points (n, 2) of a way's line at these distances, straight on beyond its ends."""
+    return _at(tube.points_W_m, tube.arc_m, at_m)
+
+
+def moved_line(tube: Tube, arc_m: F64, points_W_m: F64, length_m: float) -> Tube:
+    """The same way along another line, whose points (n, 2) are counted as the old line's are, `arc_m` (n,)."""
+    poses = _poses(points_W_m, arc_m, tube.first_m, length_m)
+    return replace(tube, points_W_m=points_W_m, arc_m=arc_m, poses=poses)
 
 
 def _poses(points: F64, arc_m: F64, first_m: float, length_m: float) -> F64:

@@ -19,6 +19,7 @@ from wcsim.types import ActorKind, ActorState, Ground, Relief
 
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
 JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
+SLIP_MPS = 0.02  # a smaller difference between SUMO's speed and the way somebody went is none
 SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
 
 
@@ -58,6 +59,24 @@ def _leaning(actors: tuple[ActorState, ...], relief: Relief) -> tuple[ActorState
         actor if keep or actor.kind is ActorKind.PEDESTRIAN else replace(actor, pitch_rad=float(pitch))
         for actor, keep, pitch in zip(actors, keeps, pitch_rad, strict=True)
     )
+
+
+def walked(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float) -> tuple[ActorState, ...]:
+    """The same actors; people have the velocity that led them here, wherever SUMO's speed is not it.
+
+    SUMO's is that along the way: it knows nothing of a step aside or back, its own from stripe to stripe included. Who
+    jumped keeps it, and so does who has just come near.
+    """
+    return tuple(_walked(before.get(actor.id), actor, dt_s) for actor in after)
+
+
+def _walked(old: ActorState | None, new: ActorState, dt_s: float) -> ActorState:
+    if old is None or new.kind is not ActorKind.PEDESTRIAN:
+        return new
+    v_W_mps = (new.p_W_m - old.p_W_m) / dt_s
+    v_W_mps[2] = new.v_W_mps[2]  # up and down are the ground's
+    off_mps = math.hypot(*(v_W_mps - new.v_W_mps).tolist())
+    return replace(new, v_W_mps=v_W_mps) if SLIP_MPS < off_mps <= JUMP_M / dt_s else new
 
 
 def moves(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float) -> tuple[BodyMove, ...]:

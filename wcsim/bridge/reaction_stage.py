@@ -13,9 +13,11 @@ import numpy as np
 
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.footprint import box_of, boxes_touch, gap_to_box
-from wcsim.bridge.orders import Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.habits import Habits
+from wcsim.bridge.orders import Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
+from wcsim.bridge.swing_out import SwingOut
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.plant import plant_spec
 from wcsim.towns.town import Town
@@ -43,9 +45,10 @@ class ReactionStage:
 
     def attend(self, share: float, seed: int) -> None:
         """Begin anew with another share of attentive people; nobody must be under orders."""
-        attention = Attention(share, seed)
-        self._street = StreetReaction(self._config, attention)
-        self._deflection = Deflection(self._ground, self._config.tick_s, attention)
+        habits = Habits(self._config.model_copy(update={"attention_share": share}), seed)
+        self._swing = SwingOut(self._ground, self._config.tick_s)
+        self._street = StreetReaction(self._config, habits, self._swing)
+        self._deflection = Deflection(self._ground, self._config.tick_s, habits.people)
 
     def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """One tick with the chairs where they are; the actors near them afterwards."""
@@ -60,7 +63,7 @@ class ReactionStage:
         away = self._street.turned_away(near, chairs, self._sumo.come)
         for actor_id in away:
             pilot.turn_away(actor_id)
-        near = tuple(actor for actor in near if actor.id not in away)
+        near = self._swing.shown(tuple(actor for actor in near if actor.id not in away), pilot)
         self._deflection.update(near, chairs)
         self._actors = self._deflection.shifted(near)
         self._look(near, chairs)
@@ -76,7 +79,7 @@ class ReactionStage:
 
     def passing(self) -> tuple[str, ...]:
         """Who is on a way round a chair now."""
-        return (*self._street.passing(), *(a.id for a in self._actors if a.deflect_m))
+        return (*self._street.passing(), *(a.id for a in self._actors if a.deflect_m and is_person(a)))
 
     @property
     def tick_s(self) -> float:

@@ -11,9 +11,8 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from wcsim.bridge.lanes import AHEAD_M, STEP_M, TAIL_M, Brakes, LaneShape, OnLane, Roads, Tube, lay_out
+from wcsim.bridge.habits import Habits
+from wcsim.bridge.lanes import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.looking import (
     LAST_GAP_M,
     ON_PAVEMENT_M,
@@ -25,8 +24,9 @@ from wcsim.bridge.looking import (
     lands_on,
     look_m,
 )
-from wcsim.bridge.orders import LET_GO, Attention, Blocked, ChairInStreet, Order, is_person
+from wcsim.bridge.orders import LET_GO, Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.passing import Touch, room_beside
+from wcsim.bridge.swing_out import SwingOut
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorKind, ActorState
 
@@ -41,7 +41,6 @@ STEER_SHARE = 1.0  # of its length that a vehicle keeps free before it, to steer
 ENTERED_M = 0.5
 LANE_CHANGE_S = 3.0
 IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
-FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
 RAIL = (ActorKind.TRAM,)
 
 
@@ -77,9 +76,10 @@ class _Plan:
 class StreetReaction:
     """Decides each tick which drivers and riders brake for a wheelchair or pass it, and who is let go again."""
 
-    def __init__(self, config: WorldConfig, attention: Attention) -> None:
+    def __init__(self, config: WorldConfig, habits: Habits, swing: SwingOut | None = None) -> None:
         self._config = config
-        self._attention = attention
+        self._habits = habits
+        self._swing = swing
         self._watched: dict[str, _Watch] = {}
         self._tubes: dict[str, Tube] = {}
         self._come: Collection[str] = ()
@@ -95,8 +95,9 @@ class StreetReaction:
             if is_person(actor) or actor.piece:  # a rear piece runs where its front has run
                 continue
             seen.add(actor.id)
-            near = self._may_matter(actor, places_W_m)
-            watch = self._watch(actor, roads, chairs, rows, near, orders) if near else None
+            led = actor if self._swing is None else self._swing.led(actor)
+            near = self._may_matter(led, places_W_m)
+            watch = self._watch(led, roads, chairs, rows, near, orders) if near else None
             if watch is not None:
                 watched[actor.id] = watch
         gone = [name for name, watch in self._watched.items() if watch.held and name not in watched]
@@ -159,13 +160,15 @@ class StreetReaction:
         orders: list[Order],
     ) -> _Watch | None:
         """Look at one vehicle's way and order what is needed; None when no chair is near it."""
-        if not self._attention.looks(actor.id):
+        if not self._habits.looks(actor):
             return None
         place = roads.on_lane(actor.id)
         if place is None:
             return None
         old = self._watched.get(actor.id)
-        tube = self._tubes[actor.id] = _tube(actor, place, roads, self._tubes.get(actor.id))
+        tube = self._tubes[actor.id] = way_ahead(actor, place, roads, self._tubes.get(actor.id))
+        if self._swing is not None:
+            tube = self._swing.line(actor, tube)
         watch = old or _Watch(tube=tube, brakes=roads.brakes(actor.id))
         watch.tube = tube
         plan = _Plan()
@@ -174,8 +177,9 @@ class StreetReaction:
         if not plan.near:
             return None
         fresh = actor.id in self._come
-        watch.seen_for_s += self._config.reaction_s if fresh else self._config.tick_s
-        if watch.seen_for_s >= self._config.reaction_s:
+        reaction_s = self._habits.reaction_s(actor)
+        watch.seen_for_s += reaction_s if fresh else self._config.tick_s
+        if watch.seen_for_s >= reaction_s:
             order = self._order(actor, watch, plan, roads, fresh)
             if order is not None:
                 orders.append(order)
@@ -340,17 +344,3 @@ def _keeps_lane_m(speed_mps: float, length_m: float) -> float:
     """How far before a chair a vehicle begins no change of lanes of SUMO's own: SUMO moves sideways even who stands."""
     braking_m = 0.7 * speed_mps + 0.25 * speed_mps**2
     return max(3.0 + braking_m, 2.0 * STOP_SHORT_M + length_m + LANE_CHANGE_S * speed_mps)
-
-
-def _tube(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:
-    """The vehicle's way: the one laid out before while it still holds and leads far enough, else a new one."""
-    if old is not None and place.lane_id in old.start_m:
-        front_m = old.front_m(place)
-        short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
-        moved_m = abs(front_m - old.first_m - TAIL_M)
-        if moved_m < (SHORT_M if short else FRESH_M) or roads.lane(place.lane_id).internal:
-            return old
-    lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
-    heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
-    tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
-    return lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)

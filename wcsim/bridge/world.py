@@ -19,13 +19,15 @@ from wcsim.bridge import mirror
 from wcsim.bridge.articulated import Articulation
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.guard import MirrorGuard
-from wcsim.bridge.orders import Attention, ChairInStreet, in_street, on_level
+from wcsim.bridge.habits import Habits
+from wcsim.bridge.orders import ChairInStreet, in_street, on_level
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.seating import Seating
 from wcsim.bridge.stage import RunPlace, open_scenario
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
+from wcsim.bridge.swing_out import SwingOut
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
@@ -191,12 +193,12 @@ class World:
 
     def _mirror(self) -> None:
         with self.stopwatch.measure("read"):
-            near = self._admitted(self._near_chairs(), self._chairs)
+            near = self._shown(self._admitted(self._near_chairs(), self._chairs))
         with self.stopwatch.measure("mirror"):
-            before = {actor.id: actor for actor in self._actors}
+            self._before = {actor.id: actor for actor in self._actors}
             self._deflection.update(self._level(near), self._chairs)
             self._take(near)
-            self._bodies.place(mirror.moves(before, self._actors, self.config.world.tick_s))
+            self._bodies.place(mirror.moves(self._before, self._actors, self.config.world.tick_s))
 
     def _drive(self, commands: Sequence[Command]) -> None:
         self._reach_street()
@@ -229,11 +231,12 @@ class World:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        self._actors = ()
+        self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
-        attention = Attention(self.config.world.attention_share, seeding.derive(seed, "street"))
-        self._street = StreetReaction(self.config.world, attention)
-        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, attention)
+        habits = Habits(self.config.world, seeding.derive(seed, "street"), self.config.vary)
+        self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
+        self._street = StreetReaction(self.config.world, habits, self._swing)
+        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, habits.people)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
@@ -313,12 +316,17 @@ class World:
 
     def _read_street(self) -> None:
         """See the street again, after a chair has moved to another place."""
-        self._take(self._near_chairs())
+        self._take(self._shown(self._near_chairs()))
 
     def _take(self, near: tuple[ActorState, ...]) -> None:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        self._actors = mirror.on_ground(self._articulation.bent(self._deflection.shifted(near)), self.street.grid)
+        there = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
+        self._actors = mirror.walked(self._before, there, self.config.world.tick_s)
         self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
+
+    def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        return self._articulation.bent(self._swing.shown(near, self._sumo.pilot))
 
     def _near_chairs(self) -> tuple[ActorState, ...]:
         """The actors near any chair as SUMO has them."""

@@ -81,6 +81,7 @@ class Connection:
     end_lane: int
     tls_id: str
     tls_link: int  # -1 for none
+    via: str = ""  # the first lane inside the junction, "" for none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,6 +243,7 @@ def _connection(element: Element) -> Connection:
         end_lane=int(element.get("toLane", "0")),
         tls_id=element.get("tl", ""),
         tls_link=int(element.get("linkIndex", "-1")),
+        via=element.get("via", ""),
     )
 
 
