@@ -40,7 +40,7 @@ HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
 _HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
-_GROUND = (*_STREET, ClassId.TERRAIN)
+_GROUND = (*_STREET, ClassId.TERRAIN, ClassId.GROUND, ClassId.PARKING)
 _NO_WAY = re.compile(
     r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
     r"|within the route [a-z ]*'([^']+)' is not known"

@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.frames import deg
 from wcsim.seeding import generator
+from wcsim.towns.landcover import NOT_ON_GROUND
 from wcsim.towns.netread import Lane, Net, points
 from wcsim.towns.surfaces import lane_area
 from wcsim.towns.xmlio import read_root
@@ -32,7 +33,6 @@ FREE_M = 0.3  # between a space and what is driven or walked on
 CAR = "parked"
 CAR_NOSE_M = 2.4  # from the middle of a space
 STAY_S = 1_000_000
-_NOT_ON_GROUND = {"underground", "multi-storey", "rooftop", "carports", "garage_boxes", "sheds"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
     for element in read_root(poly).iterfind("poly"):
         tags = {param.get("key", ""): param.get("value", "") for param in element.iterfind("param")}
-        if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in _NOT_ON_GROUND:
+        if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
             lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()
             if lot.is_valid and lot.area > PARALLEL_M[0] * PARALLEL_M[1] and tags.get("layer", "0") == "0":
