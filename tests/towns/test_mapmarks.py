@@ -3,13 +3,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import shapely
 
 from tests.cli.towns import tiny_osm
+from tests.towns.nets import street, write_net
+from tests.towns.standing_samples import item
 from wcsim.towns import trial
 from wcsim.towns.cache import street_of
-from wcsim.towns.crossmarks import unmarked_crossings
+from wcsim.towns.crossmarks import CrossingMark, unmarked_crossings, unpainted
 from wcsim.towns.importer import Imported, ImportOrder, import_town
 from wcsim.towns.items import read_items
 from wcsim.towns.landcover import covered
@@ -67,13 +70,13 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported) ->
     lanes = net.lanes(LaneKind.CROSSING)
     plain = unmarked_crossings(read_items(town.additional, town.file.origin_m, net), net)
     assert made.crossings_mapped == 2 and len(plain) == made.crossings_unpainted == len(lanes) - 1
-    street = street_of(build_street(town))
+    built = street_of(build_street(town))
     for lane in lanes:
         middle = lane_area(lane).centroid
-        found = ClassId(street.grid.class_here(middle.x, middle.y))
+        found = ClassId(built.grid.class_here(middle.x, middle.y))
         assert found is (ClassId.ROAD if lane.edge_id in plain else ClassId.CROSSWALK), lane.edge_id
     ends = [lane.points_m[end] for lane in lanes if lane.edge_id in plain for end in (0, -1)]
-    assert all(street.grid.raised_at(end) < 0.05 for end in ends)  # their kerbs are lowered all the same
+    assert all(built.grid.raised_at(end) < 0.05 for end in ends)  # their kerbs are lowered all the same
 
 
 def test_bus_stops_of_the_map_are_sumos(made: Imported, tmp_path: Path) -> None:
@@ -92,14 +95,21 @@ def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported) ->
     items = read_items(town.additional, town.file.origin_m, net)
     surfaces = covered(surfaces_of(net, town.file.chair_ways), items)
     house = next(item for item in items if item.group == "building")
-    street = street_of(build_street(town))
+    built = street_of(build_street(town))
     square = next(item for item in items if item.kind == "square")
     places = {ClassId.GROUND: [square.points_W_m.mean(axis=0), house.points_W_m[0] + 2.0], ClassId.PARKING: []}
     places[ClassId.PARKING] = [next(item for item in items if item.kind == "parking").points_W_m.mean(axis=0)]
     for class_id, points_m in places.items():
-        assert all(street.grid.class_here(*at_m) == class_id for at_m in points_m), class_id
+        assert all(built.grid.class_here(*at_m) == class_id for at_m in points_m), class_id
     assert surfaces.paved.intersection(surfaces.low).area < 0.5 and surfaces.parking.area > 400.0
     known = shapely.union_all([surfaces.low, surfaces.pavement, surfaces.paved, surfaces.parking])
     meadow = surfaces.hull.difference(known)
     at = shapely.point_on_surface(max(shapely.get_parts(meadow), key=shapely.area))
-    assert street.grid.class_here(at.x, at.y) == ClassId.TERRAIN
+    assert built.grid.class_here(at.x, at.y) == ClassId.TERRAIN
+
+
+def test_a_net_without_crossings_takes_marks_too(tmp_path: Path) -> None:
+    bare = write_net(tmp_path, street())
+    mark = CrossingMark(at_m=np.zeros(2), tags={"crossing": "zebra"})
+    point = item("crossing.unmarked", (0.0, 0.0))
+    assert unpainted(bare, [mark]) == [] and unmarked_crossings([point], bare) == frozenset()

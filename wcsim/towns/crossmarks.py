@@ -38,6 +38,8 @@ def unmarked_crossings(items: Iterable[Item], net: Net) -> frozenset[str]:
     """The edges of crossings on which a point of type crossing.unmarked lies."""
     points = [item.points_W_m[0] for item in items if item.group == GROUP and item.kind == KIND]
     lanes, tree = _crossings(net)
+    if not points or not lanes:
+        return frozenset()
     found = (tree.query_nearest(shapely.Point(at_m), max_distance=ON_M, all_matches=False) for at_m in points)
     return frozenset(lanes[index].edge_id for near in found for index in near.tolist())
 
@@ -47,7 +49,7 @@ def unpainted(net: Net, marks: Iterable[CrossingMark]) -> list[Lane]:
     lanes, tree = _crossings(net)
     painted = {name for link in net.connections if link.tls_id for name in (link.start, link.end)}
     for mark in marks:
-        if mark.painted:
+        if mark.painted and lanes:
             near = tree.query_nearest(shapely.Point(mark.at_m), max_distance=REACH_M, all_matches=False)
             painted |= {lanes[index].edge_id for index in near.tolist()}
     return [lane for lane in lanes if lane.edge_id not in painted]

@@ -206,7 +206,10 @@ def _counts(
         f"the map has {crossings_mapped} crossings and the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
         f"guessed; {marks.unpainted} have no paint, for they are guessed or unmarked, and not at a signal"
     )
-    stops = f"the map has {stops_mapped} bus stops and SUMO has {marks.stops} of them, beside a lane of buses"
+    stops = (
+        f"the map has {stops_mapped} bus stops and SUMO {marks.stops}: only those beside a lane of buses "
+        "(bus stations are service ways: --keep-service)"
+    )
     parked = f"{len(parking.vehicles)} of the vehicles are parked and never drive"
     return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
 
