@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 
+from tests.bridge.neutral import same
 from tests.worlds import quick_config
 from wcsim import seeding
 from wcsim.bridge.stage import RunPlace
@@ -17,26 +17,6 @@ from wcsim.towns.town import Town, find_town
 SEED = 7
 OUTPUTS = ("fcd", "tripinfo")
 OWN_NAMES = {"tripinfo": ("tripinfo.xml", "tripinfos.xml")}  # the author of Bologna's scenario has a name of his own
-
-
-def data_of(path: Path) -> BinaryIO:
-    """A file, opened after its header comment, which holds the date and the options."""
-    file = path.open("rb")
-    head = file.read(1 << 16)
-    assert b"<!--" in head and b"-->" in head
-    file.seek(head.index(b"-->"))
-    return file
-
-
-def same(ours: Path, plain: Path) -> bool:
-    """Whether two files hold the same bytes after their headers; a bit at a time, for they may be large."""
-    with data_of(ours) as a, data_of(plain) as b:
-        while True:
-            left, right = a.read(1 << 22), b.read(1 << 22)
-            if left != right:
-                return False
-            if not left:
-                return True
 
 
 def by_wcsim(town: Town, seconds: float, folder: Path, look: bool = False, seed: int = SEED) -> dict[str, Path]:

@@ -57,14 +57,14 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "the net has no walking areas, so nobody can walk; add pavements: wcsim town pave /" in one_line(checked)
+    assert "no walking areas, so nobody can walk; lay pavements and crossings: wcsim town pave /" in one_line(checked)
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "the net has no crossings, so nobody can cross a street; add them: wcsim town pave /" in one_line(checked)
+    assert "nobody can cross a street; lay pavements and crossings: wcsim town pave /" in one_line(checked)
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
@@ -88,7 +88,7 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: nobody walks in this town: its demand has no persons; add some: /" in one_line(checked)
+    assert "fault: nobody walks in this town: its demand has no persons; make walkers.rou.xml" in one_line(checked)
     assert f"randomTrips.py -n {theirs}/a.net.xml --pedestrians" in one_line(checked)
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0
@@ -124,7 +124,7 @@ def test_routes_for_another_net(wcsim, folder, theirs):
     assert files_in(folder) == set()
     checked = wcsim("town", "check", theirs)
     assert checked.code in (1, 2)
-    assert "trips have no way through the net; drop them: duarouter" in one_line(checked)
+    assert "trips have no way through the net; to drop or mend them, make better.rou.xml" in one_line(checked)
 
 
 def test_archives_that_are_none_and_files_that_are_archives(wcsim, folder, theirs):

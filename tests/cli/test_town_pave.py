@@ -5,27 +5,19 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
 from pathlib import Path
 
 from tests.cli.conftest import QUICK, Run
 from tests.towns.unpaved import BEGIN_S, write_unpaved
+from tests.typed import printed, typed
 from wcsim.towns.town import find_town
-
-
-def cure_in(text: str, told: str) -> list[str]:
-    """The command behind the first words of a fault."""
-    line = next(line for line in text.splitlines() if told in line)
-    found = re.search(r": (wcsim|/)[^:]*$", line)
-    assert found, line
-    return shlex.split(found[0][2:].partition(", and add")[0].partition(" (or watch")[0])
 
 
 def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, folder: Path) -> None:
     theirs = write_unpaved(folder / "my town")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    words = cure_in(checked.out, "no walking areas")
+    words = shlex.split(printed(checked.out, "no walking areas"))
     refused = wcsim("town", "run", theirs, "--seconds", "1", *QUICK)
     assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
     assert words[:3] == ["wcsim", "town", "pave"]
@@ -36,8 +28,8 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])
     (fault,) = told["faults"]
-    walkers = cure_in(fault, "nobody walks")
-    assert subprocess.run(walkers, capture_output=True, check=False).returncode == 0
+    code, said = typed(printed(fault, "nobody walks"), folder)
+    assert code == 0, said
     text = (ours.folder / "walkers.rou.xml").read_text()
     departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
     assert len(departs_s) > 100 and min(departs_s) >= BEGIN_S and max(departs_s) <= BEGIN_S + 600.0

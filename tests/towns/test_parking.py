@@ -11,6 +11,7 @@ import shapely
 from tests.cli.towns import tiny_osm
 from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.netread import read_net
+from wcsim.towns.parking import INSIDE_M
 from wcsim.towns.surfaces import lane_area
 from wcsim.towns.tools import run_tool
 from wcsim.towns.town import Town
@@ -56,6 +57,7 @@ def test_car_parks_become_parking_areas_that_nobody_drives_or_walks_through(town
     used = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes])
     middles = [(float(space.attrib["x"]), float(space.attrib["y"])) for space in spaces]
     assert not shapely.intersects(used, shapely.points(middles)).any()
+    assert shapely.dwithin(used.convex_hull, shapely.points(middles), INSIDE_M).all()  # where there is ground
 
 
 def test_parked_cars_stand_in_their_spaces_for_good(town: Town, tmp_path: Path) -> None:

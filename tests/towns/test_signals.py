@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from shapely import Polygon, box
+from shapely import MultiPoint, Polygon, box
 
 from tests.towns.standing_samples import item, signal_net
 from wcsim.towns.netread import Lane, LaneKind, Net
@@ -116,12 +116,31 @@ def test_a_program_in_an_additional_file_splits_heads(net: Net, tmp_path: Path) 
     assert len(heads_of(things, pedestrian=False)) > 4
 
 
-def test_without_room_the_light_hangs_over_the_road_and_takes_no_ground(net: Net) -> None:
-    place = replace(place_of(net), solids=box(-1000, -1000, 1000, 1000))
+def test_without_room_the_light_hangs_on_an_arm_whose_post_stands_off_the_road(net: Net) -> None:
+    place = place_of(net)
+    stops = shapely.union_all([shapely.Point(a.stop_m).buffer(14.0) for a in approaches_of(net)])
+    crowded = replace(place, lines=shapely.union_all([place.lines, stops.difference(place.low)]))
+    things = [thing for thing in signal_things(net, (), crowded, []) if not thing.heads[0].pedestrian]
+    assert len(things) == 4 and all(thing.heads[0].p_W_m[2] > 4.8 for thing in things)
+    for thing in things:
+        assert not thing.footprint.intersects(place.low) and connected_to_ground(thing)
+
+
+def test_between_buildings_the_light_hangs_from_a_wall_and_takes_no_ground(net: Net) -> None:
+    houses = box(-1000, -1000, 1000, 1000).difference(place_of(net).low.buffer(0.1))
+    place = replace(place_of(net), solids=houses)
     things = signal_things(net, (), place, [])
     assert things and all(thing.footprint.is_empty for thing in things)
     assert all(thing.piece.vertices_W_m[:, 2].min() > 4.0 for thing in things)
+    assert all(houses.intersects(MultiPoint(thing.piece.vertices_W_m[:, :2]).convex_hull) for thing in things)
     assert not heads_of(things, pedestrian=True)
+
+
+def connected_to_ground(thing: Thing) -> bool:
+    """Whether the parts of a thing, seen from above, touch each other, and one of them reaches the ground."""
+    corners_m = thing.piece.vertices_W_m[thing.piece.faces]
+    seen = shapely.union_all([MultiPoint(corner[:, :2]).convex_hull.buffer(0.08) for corner in corners_m])
+    return bool(corners_m[:, :, 2].min() < 0.0) and seen.geom_type == "Polygon"
 
 
 def test_a_short_state_and_a_net_without_signals_are_no_error(net: Net) -> None:

@@ -12,6 +12,7 @@ SHOULDER = 0.8  # of a body's radius stays over walkable ground
 EVERY_M = 0.5  # the way ahead is looked at in steps of so much
 ACROSS = 5  # places looked at on the way across
 _SIDEWALK, _CROSSWALK, _TERRAIN = int(ClassId.SIDEWALK), int(ClassId.CROSSWALK), int(ClassId.TERRAIN)
+_GROUND, _PARKING = int(ClassId.GROUND), int(ClassId.PARKING)
 
 
 @exact_kernel
@@ -39,7 +40,7 @@ def _stands(
     for side in range(-1, 2):
         row, col = _cell(y + side * sy, first_y, cell_m, rows), _cell(x + side * sx, first_x, cell_m, cols)
         here = classes[row, col]
-        if here != _SIDEWALK and here != _CROSSWALK and here != _TERRAIN:
+        if here != _SIDEWALK and here != _CROSSWALK and here != _TERRAIN and here != _GROUND and here != _PARKING:
             return False
     return True
 

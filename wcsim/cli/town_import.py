@@ -133,7 +133,8 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
     report = check_town(made.town, made.walkable_share)
-    more = {"left_out": asdict(made.left_out), "parked": made.parked, "crossings_mapped": made.crossings_mapped}
+    counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
+    more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 

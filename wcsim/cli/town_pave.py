@@ -15,7 +15,8 @@ from wcsim.cli.common import OutFile, check_folder, in_bounds, write_json
 from wcsim.cli.town_report import print_report, report_json
 from wcsim.config import load_run_config
 from wcsim.towns.check import check_town
-from wcsim.towns.pave import FASTEST_MPS, Paved, pave_town
+from wcsim.towns.cures import FASTEST_MPS
+from wcsim.towns.pave import Paved, pave_town
 from wcsim.towns.town import Town, find_town
 
 TOLD = 5

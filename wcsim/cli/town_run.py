@@ -175,4 +175,4 @@ def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
 
 
 def _no_persons(town: Town) -> str:
-    return f"nobody walked: the demand has no persons, or none in this time; make some: {walkers_cure(town)}"
+    return f"nobody walked: the demand has no persons, or none in this time; {walkers_cure(town)}"

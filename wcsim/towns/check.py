@@ -6,7 +6,7 @@ import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, ElementTree
 
 import numpy as np
 import shapely
@@ -14,7 +14,7 @@ import shapely
 from wcsim.config import RunConfig
 from wcsim.errors import SumoError, TownError
 from wcsim.seeding import generator
-from wcsim.towns.cures import has_types
+from wcsim.towns.cures import FOR_ROUTES, own_time
 from wcsim.towns.faults import Findings, faults_of, notes_of, projection_faults
 from wcsim.towns.grid import CELL_M
 from wcsim.towns.islands import cut_off, share_of, walkable_parts
@@ -33,15 +33,18 @@ from wcsim.towns.xmlio import read_head, read_root
 from wcsim.types import F64, ClassId, Street
 
 RAYS = 4000
-CHECKED_S = 600  # of the demand
+CHECKED_S = 600.0  # of the demand, from its begin
 SPOT_M = 0.002
 DRAWS = 50  # a net of a single street fills a small part of its surroundings
 HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
 _HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
-_GROUND = (*_STREET, ClassId.TERRAIN)
-_NO_WAY = re.compile(r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'")
+_GROUND = (*_STREET, ClassId.TERRAIN, ClassId.GROUND, ClassId.PARKING)
+_NO_WAY = re.compile(
+    r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
+    r"|within the route [a-z ]*'([^']+)' is not known"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,25 +127,25 @@ def unroutable_trips(town: Town) -> int:
         names = OutputNames(Path(folder))
         met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
-        types = [str(met.place(path, town.sumocfg)) for path in town.additional if has_types(path)]
+        needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
+        needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
-        options += ["-a", ",".join(types)] if types else []
-        options += [
-            "-o",
-            "out.rou.xml",
-            "-e",
-            str(CHECKED_S),
-            "--ignore-errors",
-            "--no-step-log",
-            "--xml-validation",
-            "never",
-        ]
+        options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + CHECKED_S:.12g}", "--ignore-errors"]
+        options += ["-o", "out.rou.xml", "--no-step-log", "--xml-validation", "never"]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
     if run.returncode:
         files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
         raise SumoError(f"{town.sumocfg}: its demand cannot be checked: {run.reason()}; correct one of: {files}")
     found = _NO_WAY.findall(run.output)
     return len({name for names in found for name in names if name})
+
+
+def _for_routes(files: list[Path]) -> ElementTree:
+    """What a demand needs of additional files."""
+    found = Element("additional")
+    for path in files:
+        found.extend(element for element in read_root(path) if element.tag in FOR_ROUTES)
+    return ElementTree(found)
 
 
 def mesh_faults(street: Street, rays: int = RAYS) -> int:

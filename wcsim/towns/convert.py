@@ -100,14 +100,21 @@ def _net_options(order: NetOrder, extract: str) -> list[str]:
     return [*options, *order.more]
 
 
-def convert_polygons(name: str, extract: str, folder: Path) -> Path:
-    """Run polyconvert on `extract` in `folder`, pruned to the net <name>.net.xml. Raises SumoError."""
-    types = Path(__file__).parent / "polytypes.xml"
+def convert_polygons(name: str, extract: str, folder: Path, what: str = "poly") -> Path:
+    """Run polyconvert on `extract` in `folder`, pruned to the net <name>.net.xml. Raises SumoError.
+
+    Args:
+        name: The town's.
+        extract: OpenStreetMap data.
+        folder: Where both are; <name>.<what>.xml is written.
+        what: "poly" for what stands in a town, "ground" for squares and crossings.
+    """
+    types = Path(__file__).parent / f"{what}types.xml"
     options = ["--osm-files", extract, "--net-file", f"{name}.net.xml", "--type-file", str(types)]
-    options += [*_POLYCONVERT, "-o", f"{name}.poly.xml"]
+    options += [*_POLYCONVERT, "-o", f"{name}.{what}.xml"]
     run = run_tool("polyconvert", options, folder, _LIMITS)
     if run.returncode:
         run = run_tool("polyconvert", [*options, "--ignore-errors"], folder, _LIMITS)
     if run.returncode:
         raise SumoError(f"buildings could not be read: {run.reason()}; check the extract")
-    return folder / f"{name}.poly.xml"
+    return folder / f"{name}.{what}.xml"

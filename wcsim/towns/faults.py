@@ -52,8 +52,7 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     grade = steepest_grade(net)
     if grade > STEEPEST:
         lines.append(
-            f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: "
-            f"{grade_cure(town)}"
+            f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: {grade_cure(town)}"
         )
     if _large(net, found.overlaps):
         cure = f"bridges belong on another level; delete them: {netedit_cure(town)}"
@@ -112,10 +111,10 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     larger = f"take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name {town.name}"
     pave = larger if town.file.rebuild else pave_cure(town)
     if not found.walkingareas:
-        return [f"the net has no walking areas, so nobody can walk; add pavements: {pave}"]
+        return [f"the net has no walking areas, so nobody can walk; {pave}"]
     lines = []
     if not found.crossings and net.lanes(LaneKind.MOTOR):
-        lines.append(f"the net has no crossings, so nobody can cross a street; add them: {pave}")
+        lines.append(f"the net has no crossings, so nobody can cross a street; {pave}")
     if found.walkable_largest_share < ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
         cure = larger if town.file.rebuild else f"join the parts: {netedit_cure(town)}"
@@ -137,10 +136,10 @@ def _demand(town: Town, found: Findings) -> list[str]:
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
-            cure = _again(town, shlex.join(words))
-        lines.append(f"nobody walks in this town: its demand has no persons; add some: {cure}")
+            cure = f"add some: {_again(town, shlex.join(words))}"
+        lines.append(f"nobody walks in this town: its demand has no persons; {cure}")
     if found.unroutable:
-        lines.append(f"{found.unroutable} trips have no way through the net; drop them: {routes_cure(town)}")
+        lines.append(f"{found.unroutable} trips have no way through the net; to drop or mend them, {routes_cure(town)}")
     return lines
 
 

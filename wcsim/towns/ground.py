@@ -65,10 +65,13 @@ def classify(surfaces: Surfaces, xy_m: F64) -> U8:
     classes = np.zeros(len(xy_m), dtype=np.uint8)
     for area, class_id in (
         (surfaces.hull, ClassId.TERRAIN),
+        (surfaces.paved, ClassId.GROUND),
+        (surfaces.parking, ClassId.PARKING),
         (surfaces.pavement, ClassId.SIDEWALK),
         (surfaces.low, ClassId.ROAD),
         (surfaces.rail, ClassId.RAIL_TRACK),
         (surfaces.crossing, ClassId.CROSSWALK),
+        (surfaces.unpainted, ClassId.ROAD),
     ):
         shapely.prepare(area)
         classes[shapely.contains_xy(area, xy_m)] = class_id
@@ -77,7 +80,8 @@ def classify(surfaces: Surfaces, xy_m: F64) -> U8:
 
 def _faces(surfaces: Surfaces, kerbing: Kerbing, relief: Relief) -> np.ndarray:
     """Polygons between all boundaries, ramp rings, chunk borders and folds of the land."""
-    areas = (surfaces.low, surfaces.crossing, surfaces.pavement, surfaces.rail, surfaces.hull)
+    areas = [surfaces.low, surfaces.crossing, surfaces.pavement, surfaces.rail, surfaces.hull]
+    areas += [surfaces.unpainted, surfaces.paved, surfaces.parking]
     lines = [area.boundary for area in areas if not area.is_empty]
     for place in kerbing.lowered:
         lines.append(buffered(place.lines, place.ramp_m, quad_segs=3).boundary.difference(surfaces.low))

@@ -21,11 +21,12 @@ from wcsim.towns.demand import Way, build_ways, check_rates, flows_text, vtypes_
 from wcsim.towns.folder import license_text, sumocfg_text, town_toml_text
 from wcsim.towns.handed import Side, side_at
 from wcsim.towns.islands import ways_of
-from wcsim.towns.leftout import LeftOut, crossings_inside, left_out_note, left_out_of, ways_inside
+from wcsim.towns.leftout import LeftOut, crossings_inside, left_out_note, left_out_of, stops_inside, ways_inside
 from wcsim.towns.lift import lift_net
 from wcsim.towns.manifest import hashes_of, own_work
+from wcsim.towns.mapmarks import MapMarks, map_marks
 from wcsim.towns.netbuild import EXTRACT, BuiltNet, build_net
-from wcsim.towns.netread import LaneKind, read_net
+from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.osmread import Extract, read_extract
 from wcsim.towns.parking import Parking, find_parking
 from wcsim.towns.place import Box, check_box, middle_of, size_m
@@ -68,6 +69,9 @@ class Imported:
     left_out: LeftOut = field(default_factory=LeftOut)
     parked: int = 0  # cars in the car parks, which never drive
     crossings_mapped: int = 0  # that the map has; the others of the net are guessed
+    crossings_unpainted: int = 0  # of the net: guessed, or unmarked on the map
+    stops_mapped: int = 0  # of buses, that the map has
+    stops: int = 0  # of SUMO's, that were made of them
 
 
 def import_town(
@@ -134,7 +138,7 @@ def _build(
     stage: Stage,
 ) -> Imported:
     name, mapped = order.name, ways_inside(extract.root, extract.box)
-    crossings_mapped = crossings_inside(extract.root, extract.box)
+    crossings_mapped, stops_mapped = (of(extract.root, extract.box) for of in (crossings_inside, stops_inside))
     stage(f"building the net of {_size(extract.box)}")
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
@@ -150,8 +154,7 @@ def _build(
     kept = {way for ways in ways_of(net_path).values() for way in ways}
     left_out = left_out_of(mapped, kept)
     stage("buildings, trees, parked cars and ways of the traffic")
-    convert_polygons(name, EXTRACT, work)
-    (work / EXTRACT).unlink()
+    marks = _marks(name, built, work)
     if dem is not None:
         write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
         built = replace(built, net=read_net(net_path))
@@ -160,7 +163,7 @@ def _build(
     for path in (net_path, poly_path):
         write_gzip(work / f"{path.name}.gz", without_comments(path.read_bytes()))
         path.unlink()
-    _write_folder(order, extract, work, parking)
+    _write_folder(order, extract, work, (*parking.areas, *marks.elements))
     _write_manifest(order, side, work, built, extract.box)
     stage("building the street, and trying the traffic")
     with ThreadPoolExecutor(1) as pool:
@@ -169,22 +172,43 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    crossings = len(built.net.lanes(LaneKind.CROSSING))
-    notes = (
-        left_out_note(left_out),
-        f"the map has {crossings_mapped} crossings and the net {crossings}: the others are guessed",
-        f"{len(parking.vehicles)} of the vehicles are parked and never drive" if parking.vehicles else "",
-        *_unbounded_note(extract),
-    )
+    told = (left_out_note(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
     return Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
-        notes=(*_notes(order, built, ways), *filter(None, notes)),
+        notes=(*_notes(order, built, ways), *filter(None, told), *_unbounded_note(extract)),
         left_out=left_out,
         parked=len(parking.vehicles),
         crossings_mapped=crossings_mapped,
+        crossings_unpainted=marks.unpainted,
+        stops_mapped=stops_mapped,
+        stops=marks.stops,
     )
+
+
+def _marks(name: str, built: BuiltNet, work: Path) -> MapMarks:
+    """Make <name>.poly.xml, and read what else the extract says; the extract is not needed any more then."""
+    poly, ground = (convert_polygons(name, EXTRACT, work, what) for what in ("poly", "ground"))
+    marks = map_marks(built.net, poly, ground)
+    for path in (work / EXTRACT, ground):
+        path.unlink()
+    return marks
+
+
+def _counts(
+    net: Net, crossings_mapped: int, stops_mapped: int, marks: MapMarks, parking: Parking
+) -> tuple[str, str, str]:
+    crossings = (
+        f"the map has {crossings_mapped} crossings and the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
+        f"guessed; {marks.unpainted} have no paint, for they are guessed or unmarked, and not at a signal"
+    )
+    stops = (
+        f"the map has {stops_mapped} bus stops and SUMO {marks.stops}: only those beside a lane of buses "
+        "(bus stations are service ways: --keep-service)"
+    )
+    parked = f"{len(parking.vehicles)} of the vehicles are parked and never drive"
+    return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
@@ -225,9 +249,9 @@ def _write_demand(order: ImportOrder, work: Path, built: BuiltNet, ways: tuple[W
         ways = tuple(way for way in ways if way not in stuck)
 
 
-def _write_folder(order: ImportOrder, extract: Extract, work: Path, parking: Parking) -> None:
+def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tuple[str, ...]) -> None:
     name = order.name
-    (work / f"{name}.add.xml").write_text(vtypes_text(parking.areas), encoding="utf-8")
+    (work / f"{name}.add.xml").write_text(vtypes_text(elements), encoding="utf-8")
     routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
     (work / f"{name}.sumocfg").write_text(sumocfg_text(name, order.seed, routes, additional), encoding="utf-8")
     write_gzip(work / routes, b"<routes/>")  # until the demand is there

@@ -62,12 +62,17 @@ def ways_inside(root: Element, box: Box) -> tuple[MapWay, ...]:
 
 def crossings_inside(root: Element, box: Box) -> int:
     """How many crossings of streets the map itself has in the box, those that it calls unmarked too."""
+    return sum(tags_of(node).get("highway") == "crossing" and _is_inside(node, box) for node in root.iterfind("node"))
+
+
+def _is_inside(node: Element, box: Box) -> bool:
     west, south, east, north = box
-    return sum(
-        west <= float(node.get("lon", "0")) <= east and south <= float(node.get("lat", "0")) <= north
-        for node in root.iterfind("node")
-        if tags_of(node).get("highway") == "crossing"
-    )
+    return west <= float(node.get("lon", "0")) <= east and south <= float(node.get("lat", "0")) <= north
+
+
+def stops_inside(root: Element, box: Box) -> int:
+    """How many bus stops the map has in the box."""
+    return sum(tags_of(node).get("highway") == "bus_stop" and _is_inside(node, box) for node in root.iterfind("node"))
 
 
 def left_out_of(ways: Collection[MapWay], kept: Collection[str]) -> LeftOut:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import shlex
 import tempfile
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -75,9 +74,8 @@ def require_pavement(street: Street, town: Town) -> None:
     """Raise TownError with the command that cures it when a town has nothing that a wheelchair can drive on."""
     if not street.walk.edges:
         raise TownError(
-            f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there; build them: "
-            f"{pave_cure(town)} (or watch its traffic alone: "
-            f"wcsim town run {shlex.quote(str(town.sumocfg))} --chairs 0)"
+            f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there (its traffic "
+            f"alone runs with --chairs 0); {pave_cure(town)}"
         )
 
 

@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.frames import deg
 from wcsim.seeding import generator
+from wcsim.towns.landcover import NOT_ON_GROUND
 from wcsim.towns.netread import Lane, Net, points
 from wcsim.towns.surfaces import lane_area
 from wcsim.towns.xmlio import read_root
@@ -29,10 +30,10 @@ MOST_SPACES = 150  # of a town: each parked car costs SUMO a little in every ste
 NEAR_M = 60.0  # from a car park to the street that leads to it
 LEAST_LANE_M = 12.0
 FREE_M = 0.3  # between a space and what is driven or walked on
+INSIDE_M = 10.0  # beyond the outermost streets; the ground ends soon after
 CAR = "parked"
 CAR_NOSE_M = 2.4  # from the middle of a space
 STAY_S = 1_000_000
-_NOT_ON_GROUND = {"underground", "multi-storey", "rooftop", "carports", "garage_boxes", "sheds"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,14 +67,17 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     if not lines:
         return Parking()
     used = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    town = used.convex_hull.buffer(INSIDE_M)  # there is no ground far outside of the streets
     used = used.union(_buildings(poly)).union(_junctions(net))
     shapely.prepare(used)
+    shapely.prepare(town)
     tree, left = shapely.STRtree(lines), MOST_SPACES
     rng = generator(seed, "parking")
     areas: list[str] = []
     vehicles: list[str] = []
     for lot_id, lot in lots:
-        spaces = [space for space in _spaces(lot) if not used.intersects(space.footprint())][:left]
+        marks = ((space, space.footprint()) for space in _spaces(lot))
+        spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
         nearest = int(tree.nearest(lot))
         if not spaces or lines[nearest].distance(lot) > NEAR_M:
             continue
@@ -93,7 +97,7 @@ def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
     for element in read_root(poly).iterfind("poly"):
         tags = {param.get("key", ""): param.get("value", "") for param in element.iterfind("param")}
-        if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in _NOT_ON_GROUND:
+        if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
             lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()
             if lot.is_valid and lot.area > PARALLEL_M[0] * PARALLEL_M[1] and tags.get("layer", "0") == "0":

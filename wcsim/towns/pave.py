@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.adopt import copy_scenario
+from wcsim.towns.cures import FASTEST_MPS, netedit_cure, slowest_street_mps
 from wcsim.towns.netread import LaneKind, Net, read_net
 from wcsim.towns.pave_edit import edited
 from wcsim.towns.pave_elements import Paving, edits_of, routes_of
@@ -21,7 +23,6 @@ from wcsim.towns.town import Town
 from wcsim.towns.xmlio import parse_root, read_bytes, without_comments, write_gzip
 
 SLOWEST_MPS = 1.0  # of streets that get a pavement
-FASTEST_MPS = 13.9  # 50 km/h
 TOLD = 5  # of each kind of thing in a note
 _LIMITS = Limits(wall_s=300.0, cpu_s=280)
 _PACKED = b"\x1f\x8b"
@@ -60,8 +61,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     net = read_net(town.net, town.file.origin_m)
     if net.lanes(LaneKind.CROSSING):
         raise TownError(
-            f"{town.net}: has pavements and crossings already, and more would break them; join what is cut off in "
-            f"netedit: netedit -s {town.net}"
+            f"{town.net}: has pavements and crossings already, and more would break them; join what is cut off: "
+            f"{netedit_cure(town)}"
         )
     config = read_configuration(town.sumocfg)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -79,10 +80,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings = sum(edge.get("function") == "crossing" for edge in after.iterfind("edge"))
         if not crossings and not any(shifts.values()):
-            raise TownError(
-                f"{town.net}: none of its streets got a pavement: they are faster than {fastest_mps:g} m/s, or for "
-                "rails; take faster ones too: --max-speed 25"
-            )
+            raise TownError(f"{town.net}: none of its streets got a pavement: {_why_none(net, fastest_mps)}")
         if out.is_dir():
             out.rmdir()
         work.replace(out)
@@ -104,6 +102,15 @@ def _unpaved(net: Net) -> list[str]:
         for edge in net.edges
         if not edge.function and not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)
     ]
+
+
+def _why_none(net: Net, fastest_mps: float) -> str:
+    slowest_mps = slowest_street_mps(net)
+    if slowest_mps is None:
+        return "it has none that cars use; choose another scenario"
+    if slowest_mps <= fastest_mps:
+        return "netconvert guessed none; draw them in netedit"
+    return f"they are faster than {fastest_mps:g} m/s; take faster ones too, with --max-speed {math.ceil(slowest_mps)}"
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:

@@ -28,6 +28,10 @@ HANGING_LOW_M = 4.8  # over a road without room for a post
 POST_M = 0.07
 APART_M = 0.4  # between two posts
 SIDE_BY_SIDE_M = 0.36
+ARM_M = 0.12  # thickness of an arm that reaches over the road
+ARM_REACH_M = (2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 11.0, 14.0, 18.0, 23.0, 30.0)
+PASSING_M = 0.45  # from the line that people walk on to the post of an arm, where there is no better place
+ARM_TURNS = 24  # directions in which its post is looked for
 BACK_M = (0.5, 1.5, 3.0, 5.0)  # how far before the stop line a post may stand
 ASIDE_M = tuple(np.arange(0.3, 8.0, 0.35))  # how far beside the lane
 BEYOND_M = (0.4, 0.8, 1.3, 2.0)  # how far beyond the end of a crossing
@@ -150,7 +154,7 @@ def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bo
 
 
 def _at_kerb(approach: Approach, groups: Groups, place: Place, taken: Taken) -> Thing:
-    """A post beside the stop line where there is room for one, else heads that hang over the road."""
+    """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place, taken)
     if xy_m is not None:
         post = shapes.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M + 0.5 * HEAD_LWH_M[2], ClassId.POLE, sides=5)
@@ -159,7 +163,46 @@ def _at_kerb(approach: Approach, groups: Groups, place: Place, taken: Taken) -> 
         return Thing(piece=shapes.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads)
     over = approach.stop_m + 0.5 * approach.ahead
     pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, HANGING_LOW_M)
-    return Thing(piece=shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
+    last = over - (len(groups) - 1) * SIDE_BY_SIDE_M * approach.aside
+    foot_m = _foot_of_arm(over, place, taken)
+    held_m = foot_m if foot_m is not None else _wall(over, place)
+    pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
+    if foot_m is None:
+        return Thing(piece=shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
+    pieces.append(shapes.post(foot_m, POST_M, FOOT_M, HANGING_LOW_M + HEAD_LWH_M[2] + ARM_M, ClassId.POLE, sides=5))
+    return Thing(piece=shapes.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
+
+
+def _foot_of_arm(over_m: F64, place: Place, taken: Taken) -> F64 | None:
+    """Where the post of an arm stands: the nearest free place, else the nearest that people can pass, if any."""
+    turns = np.linspace(0.0, 2.0 * np.pi, ARM_TURNS, endpoint=False)
+    reach_m = np.repeat(np.array(ARM_REACH_M), ARM_TURNS)[:, None]
+    ring = np.column_stack([np.cos(turns), np.sin(turns)])
+    places_m = over_m + reach_m * np.tile(ring, (len(ARM_REACH_M), 1))
+    found = _first_free(places_m, place, taken)
+    if found is not None:
+        return found
+    points = shapely.points(places_m)
+    tight = np.ones(len(points), dtype=bool)
+    for area, gap_m in ((place.low, POST_M), (place.solids, POST_M), (place.lines, PASSING_M)):
+        tight[tight] = ~shapely.dwithin(area, points[tight], gap_m)
+    return np.asarray(places_m[tight][0]) if tight.any() else None
+
+
+def _wall(over_m: F64, place: Place) -> F64 | None:
+    """The nearest place of a building, from which a light can hang; None where there is none near."""
+    nearest = shapely.get_coordinates(shapely.shortest_line(shapely.Point(over_m), place.solids))
+    near = len(nearest) > 0 and float(np.hypot(*(nearest[-1] - over_m))) <= ARM_REACH_M[-1]
+    return np.asarray(nearest[-1]) if near else None
+
+
+def _arm(start_m: F64, end_m: F64) -> Piece:
+    """An arm above the heads, from one place to another."""
+    along = end_m - start_m
+    size_m = (float(np.hypot(*along)) + ARM_M, ARM_M, ARM_M)
+    yaw_rad = float(np.arctan2(along[1], along[0]))
+    top_m = HANGING_LOW_M + HEAD_LWH_M[2]
+    return shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
 
 
 def _beside(approach: Approach) -> F64:

@@ -10,12 +10,14 @@ from wcsim.constants import KERB_STEP_M
 from wcsim.errors import TownError
 from wcsim.towns.buildings import Building, buildings_of
 from wcsim.towns.cache import cached_street, pack_street, street_key
+from wcsim.towns.crossmarks import unmarked_crossings
 from wcsim.towns.fittings import fittings_of
 from wcsim.towns.grid import GridMaker
 from wcsim.towns.ground import build_ground
 from wcsim.towns.items import read_items
 from wcsim.towns.kerbing import Kerbing, kerbing_of
 from wcsim.towns.kerbs import kerb_walls
+from wcsim.towns.landcover import covered
 from wcsim.towns.looks import FOOT_M
 from wcsim.towns.mesh import build_mesh
 from wcsim.towns.netread import read_net
@@ -42,7 +44,7 @@ def build_street(town: Town) -> Packed:
     items = read_items(town.additional, town.file.origin_m, whole)
     relief = relief_of(whole)
     net = on_land(whole, relief)
-    surfaces = surfaces_of(net, town.file.chair_ways)
+    surfaces = covered(surfaces_of(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
     kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
@@ -30,13 +31,22 @@ class Surfaces:
 
     low: BaseGeometry  # carriageway and crossings: height 0
     crossing: BaseGeometry  # part of `low`
+    unpainted: BaseGeometry = field(default_factory=MultiPolygon)  # part of `crossing`: it looks like the road
     rail: BaseGeometry  # part of `low` that rail vehicles have to themselves
     pavement: BaseGeometry
     hull: BaseGeometry
+    paved: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: squares, yards, ground of a town
+    parking: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: car parks
 
 
-def surfaces_of(net: Net, chair_ways: tuple[str, ...]) -> Surfaces:
-    """Derive the areas from a net: a carriageway wins over a footway drawn on it, a crossing wins over both."""
+def surfaces_of(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[str] = ()) -> Surfaces:
+    """Derive the areas from a net: a carriageway wins over a footway drawn on it, a crossing wins over both.
+
+    Args:
+        net: The net, on its land.
+        chair_ways: What counts as pavement.
+        unmarked: Edges of crossings without paint.
+    """
     low_lanes, walk_lanes = _split(net, chair_ways)
     motor = shapely.union_all(
         [lane_area(lane) for lane in low_lanes if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL) and not lane.internal]
@@ -53,11 +63,28 @@ def surfaces_of(net: Net, chair_ways: tuple[str, ...]) -> Surfaces:
     low = shapely.union_all([_opened(_closed(low, STRIP_M), STRIP_M), *narrow])
     low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
-    reaches = _reaches(net.lanes(LaneKind.CROSSING), low, pavement)
-    crossing = shapely.set_precision(shapely.union_all([crossing.intersection(low), *reaches]), GRID_M)
+    painted = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id not in unmarked]
+    plain = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id in unmarked]
+    crossing = _with_ends([*painted, *plain], low, pavement)
+    unpainted = crossing.difference(_with_ends(painted, low, pavement)) if plain else MultiPolygon()
     hull = shapely.set_precision(both.convex_hull.buffer(MARGIN_M, quad_segs=2), GRID_M)
     rail = _rail(low_lanes, low, [crossing, junctions])
-    return Surfaces(low=low, crossing=_areas(crossing), rail=rail, pavement=_areas(pavement), hull=hull)
+    return Surfaces(
+        low=low,
+        crossing=_areas(crossing),
+        unpainted=_areas(unpainted),
+        rail=rail,
+        pavement=_areas(pavement),
+        hull=hull,
+    )
+
+
+def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> BaseGeometry:
+    """The areas of crossings, drawn out to meet the pavement."""
+    areas = shapely.union_all([lane_area(lane) for lane in crossings])
+    reaches = _reaches(crossings, low, pavement)
+    whole: BaseGeometry = shapely.set_precision(shapely.union_all([areas.intersection(low), *reaches]), GRID_M)
+    return whole
 
 
 def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> BaseGeometry:
