@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
-from wcsim.agents.baselines import NAMES, UPPER_BOUND, baseline
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUND
+from wcsim.agents.baselines import baseline
 from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
 from wcsim.agents.evaluate import evaluate
 from wcsim.agents.protocol import SeesTruth

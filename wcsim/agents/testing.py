@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.agents import baselines
+from wcsim.agents.baseline_names import UPPER_BOUND, is_baseline
 from wcsim.agents.evaluate import EvalRow, evaluate
 from wcsim.agents.export import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.protocol import Policy
@@ -82,8 +83,8 @@ class TestResult:
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
         there = _table("getting there", GETTING_THERE, drops)
         following = _table(f"{title}: following", FOLLOWING)
-        if any(row.policy == baselines.UPPER_BOUND for row in self.rows):
-            there.caption, there.caption_justify = f"{baselines.UPPER_BOUND} sees the truth: an upper bound", "left"
+        if any(row.policy == UPPER_BOUND for row in self.rows):
+            there.caption, there.caption_justify = f"{UPPER_BOUND} sees the truth: an upper bound", "left"
         for row in self.rows:
             following.add_row(*_cells(row, FOLLOWING))
             there.add_row(*_cells(row, GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))
@@ -124,7 +125,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 
     Raises PolicyError when there is none; `network` as in `load_policy`.
     """
-    if baselines.is_baseline(name):
+    if is_baseline(name):
         return baselines.baseline(name, config, seed)
     policy = load_policy(policy_path(name), network)
     camera, file = config.cameras[0], policy.file

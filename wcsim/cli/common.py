@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import tyro
 
@@ -34,10 +34,47 @@ def parse(options: type[T], words: list[str], command: str) -> T:
     Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
     hear of it before the work than after it.
     """
-    parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__)
+    parsed = tyro.cli(
+        options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers()
+    )
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
     check_output("--json", getattr(parsed, "json", None))
     return parsed
+
+
+def _numbers() -> tyro.constructors.ConstructorRegistry:
+    """How options that are numbers are read: what is none is refused in words, not in those of Python's types."""
+    known = tyro.constructors.ConstructorRegistry()
+
+    @known.primitive_rule
+    def number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+        kinds = {item for item in (get_args(info.type) or (info.type,)) if item is not type(None)}
+        if kinds not in ({int}, {float}):
+            return None
+        whole = kinds == {int}
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="INT" if whole else "FLOAT",
+            instance_from_str=lambda words: _whole(words[0]) if whole else _number(words[0]),
+            is_instance=lambda value: value is None or isinstance(value, int if whole else (int, float)),
+            str_from_instance=lambda value: [str(value)],
+        )
+
+    return known
+
+
+def _whole(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a whole number, such as 1000") from None
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a number, such as 2.5") from None
 
 
 def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str:

@@ -15,7 +15,15 @@ from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, 
 from wcsim.cli.exit_codes import Exit
 from wcsim.cli.overrides import print_overrides
 from wcsim.cli.resume_run import Typed, given, is_of_clients, resumed
-from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.cli.run_config import (
+    how_to_test,
+    learning,
+    overrides_of,
+    require_known,
+    require_trained_user,
+    steps_note,
+    with_steps,
+)
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
@@ -88,7 +96,7 @@ def run(words: list[str]) -> int:
         hook=options.hook,
         note=steps_note(config, options.steps),
     )
-    return _told(options, folder, town, options.seed)
+    return _told(options, folder, town, options.seed, config.learn.network)
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -108,7 +116,7 @@ def _resume(options: Options, words: list[str]) -> int:
         command=manifest.command,
         hook=manifest.hook,
     )
-    return _told(options, folder, town, manifest.seed)
+    return _told(options, folder, town, manifest.seed, config.learn.network)
 
 
 def typed(options: Options, words: list[str]) -> Typed:
@@ -127,8 +135,8 @@ def typed(options: Options, words: list[str]) -> Typed:
     )
 
 
-def _told(options: Options, folder: Path, town: Town, seed: int) -> int:
-    print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
+def _told(options: Options, folder: Path, town: Town, seed: int, network: str) -> int:
+    print(f"run folder: {folder}    test it: {how_to_test(folder, network, town.name)}")
     if options.json is not None:
         write_json(options.json, {"run": str(folder), "town": town.name, "seed": seed})
     return Exit.DONE
@@ -193,18 +201,21 @@ def train_in(
     note: str = "",
 ) -> Path:
     """Train with a progress bar; returns the run folder."""
-    from wcsim.agents.build import with_window  # torch is loaded here, not for --help
+    from wcsim.supervisor.recorded import find_user
+
+    check_folder("--out", out)
+    require_known(config.learn.network, rewards, hook)
+    find_user(config.env.profile)
+
+    from wcsim.agents.build import with_window  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.callbacks import TrainProgress
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.plugins import find_reward_term
     from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
-    from wcsim.supervisor.recorded import find_user
 
-    check_folder("--out", out)
     find_network(config.learn.network)
     config = with_window(config)
-    find_user(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
     overrides = overrides_of(town, config, seed)
     learned = learning(config)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -25,6 +25,7 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
     It stays after a full disk: with room, --resume goes on.
     """
     fresh = not run.exists()
+    made = [folder for folder in run.parents if not folder.exists()]
     try:
         yield
     except (DiskFullError, OSError):
@@ -35,6 +36,9 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
         saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
         if fresh and episodes < 1 and not saved:
             shutil.rmtree(run, ignore_errors=True)
+            for folder in made:
+                with suppress(OSError):  # somebody else has put something there
+                    folder.rmdir()
         raise
 
 
