@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -159,6 +160,7 @@ def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
 
     Raises ConfigError when the place cannot be written.
     """
+    missing = missing_folder(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
@@ -167,3 +169,15 @@ def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
             part.replace(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    tell_made(missing)
+
+
+def missing_folder(path: Path) -> Path | None:
+    """The outermost folder above a file that is not there yet; None when they all are."""
+    return next((folder for folder in reversed(path.parents) if not folder.exists()), None)
+
+
+def tell_made(folder: Path | None) -> None:
+    """Say that a folder was made for a result: a mistyped one is noticed so."""
+    if folder is not None:
+        print(f"note: made the folder {shown(folder)}", file=sys.stderr)

@@ -16,7 +16,7 @@ from wcsim.agents.network_names import is_own, require_named
 from wcsim.agents.policy_file import read_policy_file
 from wcsim.agents.runfolder import config_of, policy_path, run_of
 from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, print_overrides
 from wcsim.cli.run_config import require_known
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import TownError
@@ -57,6 +57,8 @@ class Options:
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     allow_train_town: bool = False
     """Test in a town of split train, or in the town that a run was trained in."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -109,7 +111,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
     for town in towns.values():
         overrides = scenario_overrides(town, settings_of(config, seeding.derive(options.seed, "sumo")))
-        print_overrides(Console(highlight=False), town.name, overrides)
+        print_overrides(Console(highlight=False), town.name, overrides, verbose=options.verbose)
 
     results = run_test(
         policies,

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.exit_codes import Exit
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, beside, print_overrides
 from wcsim.cli.resume_run import Typed, given, is_of_clients, resumed
 from wcsim.cli.run_config import (
     how_to_test,
@@ -67,6 +66,8 @@ class Options:
     """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
     allow_test_town: bool = False
     """Train in a town that is meant for tests."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
     """Write where the run is to this file."""
 
@@ -95,6 +96,7 @@ def run(words: list[str]) -> int:
         command=command,
         hook=options.hook,
         note=steps_note(config, options.steps),
+        verbose=options.verbose,
     )
     return _told(options, folder, town, options.seed, config.learn.network)
 
@@ -115,6 +117,7 @@ def _resume(options: Options, words: list[str]) -> int:
         resume=True,
         command=manifest.command,
         hook=manifest.hook,
+        verbose=options.verbose,
     )
     return _told(options, folder, town, manifest.seed, config.learn.network)
 
@@ -166,6 +169,7 @@ def _train_clients(options: Options, words: list[str]) -> int:
         lease_s=options.lease,
         recovery=options.recovery,
         command=("wcsim", "train", *words),
+        verbose=options.verbose,
         json=options.json,
     )
     if options.resume:
@@ -199,6 +203,7 @@ def train_in(
     command: tuple[str, ...] = (),
     hook: str = "",
     note: str = "",
+    verbose: bool = False,
 ) -> Path:
     """Train with a progress bar; returns the run folder."""
     from wcsim.supervisor.recorded import find_user
@@ -220,8 +225,11 @@ def train_in(
     overrides = overrides_of(town, config, seed)
     learned = learning(config)
     notes = (note,) if note else ()
-    announce = _once(lambda: print_overrides(Console(highlight=False), town.name, overrides, notes))
     with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(out):
+        place = beside(bar.console)
+        announce = _once(
+            lambda: print_overrides(place, town.name, overrides, notes, verbose=verbose, kept=True)
+        )
 
         def show(now: TrainProgress) -> None:
             announce()

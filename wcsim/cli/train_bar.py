@@ -46,10 +46,10 @@ class TrainBar:
     """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
 
     def __init__(self, total: int) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self.console = Console(stderr=True, highlight=False)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
-        silent = not self._console.is_terminal
-        self._bar = Progress(*columns, TimeRemainingColumn(), console=self._console, disable=silent)
+        silent = not self.console.is_terminal
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=self.console, disable=silent)
         self._task = self._bar.add_task("loading the town", total=total, says="")
         self._total, self._tenths = total, 0
 
@@ -60,9 +60,9 @@ class TrainBar:
         phase = f"phase {now.phase}"
         self._bar.update(self._task, completed=now.step, description=phase, says=says)
         tenths = 10 * now.step // self._total
-        if not self._console.is_terminal and tenths > self._tenths:
+        if not self.console.is_terminal and tenths > self._tenths:
             self._tenths = tenths
-            self._console.print(f"{phase}: {says}", soft_wrap=True)
+            self.console.print(f"{phase}: {says}", soft_wrap=True)
 
     def __enter__(self) -> Self:
         self._bar.start()
