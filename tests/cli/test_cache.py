@@ -73,4 +73,4 @@ def test_a_street_in_use_outlives_the_clearing(wcsim, corner, tmp_path, monkeypa
     again = load_street(town, told.append)
     assert len(told) == 2
     for key in again.tiles.keys:
-        assert street.tiles.mesh(key).vertices_m.tobytes() == again.tiles.mesh(key).vertices_m.tobytes()
+        assert street.tiles.mesh(key).vertices_W_m.tobytes() == again.tiles.mesh(key).vertices_W_m.tobytes()
