@@ -152,6 +152,6 @@ def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
     assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
 
 
-def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder):
-    refused(wcsim("train", "--set", "env.observation=table3", *QUICK), "compact")
+def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):
+    refused(wcsim("train", "--town", corner, "--set", "env.observation=table3", *QUICK), "compact")
     assert files_in(folder) == set()
