@@ -20,10 +20,14 @@ $(STAMP): pyproject.toml constraints.txt
 	  { echo "wcsim needs Python 3.11 with venv; on Debian or Ubuntu: sudo apt install python3.11 python3.11-venv (or make PYTHON=/path/to/python3.11)" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing into .venv (some minutes the first time) ..."
+	@echo "1/3 PyTorch ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	@echo "2/3 SUMO, PyBullet and the other packages ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $$($(BIN)/python tools/dev_requirements.py)
+	@echo "3/3 wcsim ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
 	@touch $(STAMP)
+	@echo "installed; next: source .venv/bin/activate, wcsim doctor"
 
 demo: $(STAMP)
 	$(BIN)/wcsim demo

@@ -86,5 +86,9 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from wcsim.towns.scenes import build_scene, find_scene
 
     work = tmp_path_factory.mktemp("corner")
+    from wcsim.towns.street import load_street
+    from wcsim.towns.town import find_town
+
     build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "pedestrian-crossing")), work)
+    load_street(find_town(str(work)), lambda told: None)  # once, so that no command has to say it
     return work

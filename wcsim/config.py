@@ -372,12 +372,22 @@ def _override(text: str) -> dict[str, Any]:
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
-    return {**base, **{key: _laid(base.get(key), value) for key, value in over.items()}}
+    return {**base, **{key: _laid(base.get(key), value, key) for key, value in over.items()}}
 
 
-def _laid(old: Any, value: Any) -> Any:
+def _laid(old: Any, value: Any, key: str) -> Any:
     if isinstance(old, dict) and isinstance(value, dict):
         return _merged(old, value)
-    if isinstance(old, list) and isinstance(value, dict) and set(value) <= {str(i) for i in range(len(old))}:
-        return [_laid(item, value[str(i)]) if str(i) in value else item for i, item in enumerate(old)]
+    if isinstance(old, list) and isinstance(value, dict):
+        strange = [shown(item, 40) for item in value if item not in map(str, range(len(old)))]
+        if strange:
+            raise ConfigError(_no_such_item(key, strange[0], len(old)))
+        return [_laid(item, value[str(i)], str(i)) if str(i) in value else item for i, item in enumerate(old)]
     return value
+
+
+def _no_such_item(key: str, item: str, count: int) -> str:
+    """What is wrong with `key.item` of a list."""
+    known = f"{key}.0" if count == 1 else f"{key}.0 to {key}.{count - 1}"
+    more = f"; a FILE for --config that holds [[{key}]] once for each makes more" if key == "cameras" else ""
+    return f"{key}.{item}: there is no such item, the list {key} has {count}; expected {known}{more}"

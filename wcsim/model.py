@@ -39,6 +39,8 @@ def fault(model: type[BaseModel], item: Any) -> str:
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name"
     got = json.dumps(item["input"], default=str)[:80]
+    if item["type"] in ("tuple_type", "list_type"):
+        return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"
     if item["type"] not in _OUT_OF_BOUNDS:
         return f"{key}: {item['msg']}, got {got}"
     names = [part for part in item["loc"] if isinstance(part, str)]

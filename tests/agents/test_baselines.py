@@ -5,7 +5,8 @@ import pytest
 
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.samples import USUAL_OUTLINE
-from wcsim.agents.baselines import NAMES, UPPER_BOUND, VISIBLE_BOUND, baseline, is_baseline
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUND, VISIBLE_BOUND, is_baseline
+from wcsim.agents.baselines import baseline
 from wcsim.agents.corridor import CorridorWatch, in_corridor, viewing_rays
 from wcsim.agents.evaluate import evaluate
 from wcsim.agents.protocol import SeesTruth

@@ -30,6 +30,14 @@ def test_public_names_are_those_that_are_meant():
         _ = wcsim.Street
 
 
+def test_completion_shows_the_faces_and_nothing_that_was_only_needed():
+    shown = python("import wcsim; print(*dir(wcsim))").split()
+    assert set(wcsim.__all__) <= set(shown)
+    assert not {"Any", "import_module", "register", "registry", "TYPE_CHECKING"} & set(shown)
+    assert [name for name in shown if name.startswith("_") and not name.startswith("__")] == []
+    assert python("import sys, wcsim; dir(wcsim); print('wcsim.agents' in sys.modules)") == "False"
+
+
 def test_importing_the_package_loads_no_simulator_and_no_torch():
     heavy = ("torch", "stable_baselines3", "pettingzoo", "libsumo", "pybullet", "numba", "zmq")
     loaded = python(f"import sys, wcsim; print([m for m in {heavy} if m in sys.modules])")

@@ -312,6 +312,9 @@ def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:
 
 def test_words_of_a_scenario_are_shown_and_not_obeyed() -> None:
     console = Console(file=io.StringIO(), width=200)
-    print_overrides(console, "own", (Override(option="[/b]", author="[red]\x1b[2J", wcsim="[/]", why="why"),))
+    rows = (Override(option="[/b]", author="[red]\x1b[2J", wcsim="[/]", why="why"),)
+    print_overrides(console, "own", rows)
+    assert "([/b])" in console.file.getvalue()
+    print_overrides(console, "own", rows, verbose=True)
     shown = console.file.getvalue()
     assert "[/b]" in shown and "[red]" in shown and "[/]" in shown and "\x1b" not in shown

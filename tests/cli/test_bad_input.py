@@ -98,17 +98,11 @@ OPTIONS = {
     "video --out film.mp4": ("film.mp4", ".webm"),
     "scene run nowhere": ("unknown scene 'nowhere'", "pedestrian-crossing"),
     "replay": ("got none", "exactly one of --fcd FILE.xml, --verify, --first-difference"),
-    "replay run": ("got none", "exactly one of"),
-    "replay run --verify --fcd x.xml": ("got --fcd and --verify", "exactly one of"),
     "replay --verify": ("--verify got 0 runs", "expected 1"),
-    "replay a b --verify": ("--verify got 2 runs", "expected 1"),
-    "replay a --first-difference": ("--first-difference got 1 runs", "expected 2"),
-    "replay a b --first-difference --epoch 1": ("--epoch",),
-    "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
-    "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
-    "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),
     "replay a --verify": ("a: is not there", "journal"),
-    "replay a --fcd x.xml": ("a: is not there", "wcsim town run"),
+    "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace or a journal"),
+    "replay nofolder": ("nofolder: is not there",),
+    "replay nofolder --verify --fcd x.xml": ("nofolder: is not there",),
     "demo --episodes 0": ("--episodes 0",),
     "demo --test-town nowhere": ("unknown town 'nowhere'", "monaco"),
     "demo --test-town helsinki": ("helsinki is a training town",),
@@ -119,6 +113,26 @@ OPTIONS = {
 def test_wrong_options_are_refused_at_once(wcsim, folder, words):
     refused(wcsim(*words.split()), *OPTIONS[words])
     assert files_in(folder) == set()
+
+
+REPLAYS = {
+    "replay run": ("got none", "exactly one of"),
+    "replay run --verify --fcd x.xml": ("got --fcd and --verify", "exactly one of"),
+    "replay a b --verify": ("--verify got 2 runs", "expected 1"),
+    "replay a --first-difference": ("--first-difference got 1 runs", "expected 2"),
+    "replay a b --first-difference --epoch 1": ("--epoch",),
+    "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
+    "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
+    "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),
+}
+
+
+@pytest.mark.parametrize("words", REPLAYS, ids=lambda words: words.replace(" ", "_"))
+def test_wrong_options_for_runs_that_are_there_are_refused(wcsim, folder, words):
+    for name in ("run", "a", "b"):
+        Path(name).mkdir()
+    refused(wcsim(*words.split()), *REPLAYS[words])
+    assert files_in(folder) == {"run", "a", "b"}
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):
 
 def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
     told = wcsim("town", "check", corner, "--json", "new/check.json")
-    assert (told.code, told.err) == (0, "")
+    assert (told.code, told.err) == (0, "note: made the folder new\n")
     assert fits(told.out)
     report = read("new/check.json")
     assert set(report) >= TOWN_KEYS
@@ -205,7 +205,7 @@ def test_bench_chair_draws_the_plants(wcsim, folder):
 
 def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
     told = wcsim("snapshot", corner, "--seed", "2", "--seconds", "1", "--width", "96", "--out", "new/shot.png")
-    assert (told.code, told.err) == (0, "")
+    assert (told.code, told.err) == (0, "note: made the folder new\n")
     assert told.out.startswith("new/shot.png: ")
     picture = cv2.imread("new/shot.png")
     assert picture.shape == (72, 3 * 96, 3)
@@ -215,7 +215,7 @@ def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
 
 def test_video_holds_all_its_frames(wcsim, folder, corner):
     told = wcsim("video", corner, "--seconds", "1.5", "--width", "80", "--out", "new/film.webm")
-    assert (told.code, told.err) == (0, "")
+    assert (told.code, told.err) == (0, "note: made the folder new\n")
     film = cv2.VideoCapture("new/film.webm")
     frames = []
     while True:
@@ -236,7 +236,7 @@ def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
     assert (told.code, told.err) == (0, "")
     assert fits(told.out)
     found = read("d.json")
-    assert set(found) == {"python", "packages", "sumo", "threads", "shared memory", "tick rate"}
+    assert set(found) == {"python", "packages", "sumo", "threads", "shared memory", "cache", "tick rate"}
     assert all(item["ok"] for item in found.values())
 
 

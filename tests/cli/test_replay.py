@@ -94,7 +94,7 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     for words, told in (
         (("empty", "--verify"), ("empty: has no trace and no journal", "run folder")),
         (("empty", "--fcd", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
-        (("nowhere", "--verify"), ("nowhere: is not there", "journal")),
+        (("nowhere", "--verify"), ("nowhere: is not there", "a trace or a journal")),
         (("trace", "--verify"), ("trace: is no journal",)),
         (("notes", "--verify"), ("notes: is no journal",)),
         (("notes", "--fcd", "x.xml"), ("not a trace",)),

@@ -16,7 +16,7 @@ QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set",
 def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
     out, told = tmp_path / "run", tmp_path / "told.json"
     words = ["town", "run", str(corner), "--seconds", "3", "--seed", "3", "--out", str(out), "--json", str(told)]
-    assert main([*words, "--outputs", "fcd,tripinfo", *QUICK]) == 0
+    assert main([*words, "--outputs", "fcd,tripinfo", "--verbose", *QUICK]) == 0
     shown = capsys.readouterr()
     assert "vehicles in the street" in shown.out and "what this run overrides" in shown.out
     manifest = json.loads((out / "manifest.json").read_text())
@@ -130,7 +130,8 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
     out = tmp_path / "run"
     small = ["--set", "learn.total_steps=60", "--set", "learn.phase1_steps=30", *QUICK]
     assert main(["train", "--town", str(sumocfg), "--out", str(out), *small]) == 0
-    assert "what this run overrides" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "what this run overrides" not in told and "summary-output" in told and "--verbose" in told
     rows = {row["option"]: row for row in json.loads((out / "manifest.json").read_text())["overrides"]}
     assert rows["summary-output"]["wcsim"] == "sumo/s.xml" and (out / "sumo" / "s.xml").stat().st_size > 1000
     from wcsim.agents.runfolder import open_run

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wcsim import seeding
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND
 from wcsim.agents.corridor import CorridorWatch
 from wcsim.agents.dwa import DynamicWindow
 from wcsim.agents.protocol import JOYSTICK_KEY, Observation, Policy
@@ -15,13 +16,6 @@ from wcsim.errors import PolicyError
 from wcsim.physics.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Truth, Verdict
-
-NAMES = ("follow", "random", "zero", "stop", "dwa")
-"""What sees no more than a network does."""
-
-UPPER_BOUND, VISIBLE_BOUND = "oracle", "oracle-visible"
-UPPER_BOUNDS = (VISIBLE_BOUND, UPPER_BOUND)
-"""See the truth, so they are no rivals of a network but what could be reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,8 +162,3 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name in UPPER_BOUNDS:
         return OracleDriver(actions=actions, name=name)
     raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, *UPPER_BOUNDS))}")
-
-
-def is_baseline(name: str) -> bool:
-    """Whether `baseline` knows this name."""
-    return name in (*NAMES, *UPPER_BOUNDS)

@@ -13,6 +13,7 @@ from gymnasium import spaces
 from safetensors.torch import save_file
 
 from wcsim.agents import files, registry
+from wcsim.agents.network_names import require_named
 from wcsim.agents.networks import image_size, vector_size, window_size
 from wcsim.agents.policy import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
@@ -88,7 +89,7 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
-    spec = _spec(file, network)
+    spec = _spec(path, file, network)
     weights = path / WEIGHTS
     if registry.is_own(spec.network):
         with torch.device("meta"):  # what the description asks for, before any memory is given to it
@@ -122,13 +123,10 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
     }
 
 
-def _spec(file: PolicyFile, network: str | None) -> NetSpec:
+def _spec(path: Path, file: PolicyFile, network: str | None) -> NetSpec:
     name = file.net.network
-    if not registry.is_registered(name) and network != name:
-        raise PolicyError(
-            f"this policy uses the network {name!r}, which is not one of wcsim's; loading it runs its code: "
-            f"name it yourself (network={name}) if you trust it"
-        )
+    if not registry.is_registered(name):
+        require_named(shown(path), name, network)
     plain = file.net.model_dump()
     prior = FollowPrior(**plain.pop("prior"))
     return NetSpec(**plain, prior=prior)

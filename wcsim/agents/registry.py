@@ -26,7 +26,7 @@ from torch import nn
 from wcsim.agents.nets.impala import ImpalaNet
 from wcsim.agents.nets.strided import PatchNet, SmallNet
 from wcsim.agents.nets.windowed import Figure6Net, GruNet, StackNet
-from wcsim.agents.network_names import NETWORK_NAMES
+from wcsim.agents.network_names import NETWORK_NAMES, unknown_network
 from wcsim.errors import PolicyError
 from wcsim.plugins import find_class
 
@@ -67,7 +67,7 @@ def find_network(name: str) -> NetworkClass:
     if name in NETWORKS:
         return NETWORKS[name]
     if ":" not in name:
-        raise PolicyError(f"unknown network {name!r}; expected one of {', '.join(sorted(NETWORKS))}, or module:Class")
+        raise unknown_network(name, tuple(NETWORKS))
     found = find_class(name, "network")
     if not issubclass(found, nn.Module):
         raise PolicyError(f"network {name!r} is no torch.nn.Module; expected a class that is one (see examples/)")

@@ -22,12 +22,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wcsim.agents import files
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUND
 from wcsim.agents.own_code import mark_of, own_classes
 from wcsim.agents.policy_file import POLICY_JSON, read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.nearest import meant
 from wcsim.plant_file import plant_text
-from wcsim.reading import FileKind, is_file, shown
+from wcsim.reading import FileKind, is_file, is_folder, shown
 from wcsim.reading import read_json as read_bounded_json
 from wcsim.run_file import ManifestFile
 from wcsim.towns.scenario_overrides import Override
@@ -189,6 +191,11 @@ def policy_path(name: str) -> Path:
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}")
+    if not is_folder(Path(head)):
+        raise PolicyError(
+            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, or a "
+            f"baseline: {', '.join((*NAMES, UPPER_BOUND))}{meant(head, (*NAMES, UPPER_BOUND))}"
+        )
     run = open_run(Path(head))
     found = run.policy(stage)
     if not is_file(found / POLICY_JSON):

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.agents import baselines
+from wcsim.agents.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.evaluate import EvalRow, evaluate
 from wcsim.agents.export import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.protocol import Policy
@@ -52,8 +53,8 @@ GETTING_THERE: Columns = (
     ("standing_on_carriageway_s", "s stood\non road", "{:.1f}"),
 )
 UPPER_BOUND_NOTES = {
-    baselines.UPPER_BOUND: "oracle sees the truth: an upper bound",
-    baselines.VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
+    UPPER_BOUND: "oracle sees the truth: an upper bound",
+    VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
 }
 
 
@@ -86,7 +87,7 @@ class TestResult:
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
         there = _table("getting there", GETTING_THERE, drops)
         following = _table(f"{title}: following", FOLLOWING)
-        bounds = [name for name in baselines.UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
+        bounds = [name for name in UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
         if bounds:
             there.caption, there.caption_justify = "\n".join(UPPER_BOUND_NOTES[name] for name in bounds), "left"
         for row in self.rows:
@@ -129,7 +130,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 
     Raises PolicyError when there is none; `network` as in `load_policy`.
     """
-    if baselines.is_baseline(name):
+    if is_baseline(name):
         return baselines.baseline(name, config, seed)
     policy = load_policy(policy_path(name), network)
     camera, file = config.cameras[0], policy.file

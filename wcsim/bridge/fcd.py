@@ -36,9 +36,14 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     """
     header, records = read_trace(trace)
     chosen = [record for record in records if record.epoch == epoch]
+    if not records:
+        raise WcsimError(
+            f"{trace}: holds no whole tick: it was cut off, or its run ended before the first one; expected a whole "
+            "trace: copy it again, or record it again"
+        )
     if not chosen:
-        epochs = sorted({record.epoch for record in records})
-        raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected one of {epochs or 'none: it is empty'}")
+        epochs = ", ".join(str(number) for number in sorted({record.epoch for record in records}))
+        raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}")
     sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
     if not sized or any(record.actor_ids and not record.bodies for record in chosen):
         raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors and chairs; record it again")

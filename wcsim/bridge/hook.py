@@ -17,16 +17,21 @@ from wcsim.plugins import find_class
 METHODS = ("before_step", "after_step")
 
 
+def find_hook(name: str) -> type:
+    """The class that `module:Class` names. Raises HookError when there is none, or it has no method to call."""
+    kind = find_class(name, "step hook", HookError)
+    if not any(callable(getattr(kind, method, None)) for method in METHODS):
+        raise HookError(f"step hook {name!r} has neither {' nor '.join(METHODS)}; expected a method (self, time_s)")
+    return kind
+
+
 class StepHook:
     """One object of the user's class; it lives as long as the traffic of one epoch."""
 
     def __init__(self, name: str, libsumo: ModuleType) -> None:
         """Make it. Raises HookError when there is no such class, it has no method to call, or making it failed."""
         self.name = name
-        kind = find_class(name, "step hook", HookError)
-        if not any(callable(getattr(kind, method, None)) for method in METHODS):
-            raise HookError(f"step hook {name!r} has neither {' nor '.join(METHODS)}; expected a method (self, time_s)")
-        self._own = self._run("__init__", kind, libsumo)
+        self._own = self._run("__init__", find_hook(name), libsumo)
 
     def before_step(self, time_s: float) -> None:
         """Call the user's `before_step`, if there is one. Raises HookError when it fails."""

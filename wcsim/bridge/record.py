@@ -102,7 +102,7 @@ def record_town(
                 return _run_alone(traffic, ticks, writer, progress)
     stage(f"building the street of {town.name}, unless that was done before")
     validate_net(town.net, border=town.border)
-    load_street(town)
+    load_street(town, lambda told: None)  # it was said just now
     spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
     warmup_s = config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
     stage(f"starting SUMO, and warming its traffic up for {warmup_s:g} s")

@@ -31,7 +31,13 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
     payloads = _payloads(path)
     told: dict[str, ActorBody] = {}
     try:
-        header = _header(next(payloads, b""), shown(path))
+        first = next(payloads, b"")
+        if not first:
+            raise JournalError(
+                f"{shown(path)}: is not a trace, or was cut off within its first record; expected a whole file written "
+                "by wcsim: copy it again, or record it again"
+            )
+        header = _header(first, shown(path))
         return header, tuple(_tick(payload, told, shown(path)) for payload in payloads)
     except (KeyError, TypeError, ValueError, OverflowError):
         message = f"{shown(path)}: is not a trace of this version; expected a file written by wcsim"
@@ -54,7 +60,6 @@ def _payloads(path: Path) -> Iterator[bytes]:
 
 
 def _header(payload: bytes, where: str) -> TraceHeader:
-    _require(bool(payload))
     head = parse_json(payload.decode(), where, _KIND)
     if head.pop("magic") != MAGIC:
         raise ValueError(MAGIC)

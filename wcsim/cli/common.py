@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import tyro
 
@@ -34,10 +35,47 @@ def parse(options: type[T], words: list[str], command: str) -> T:
     Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
     hear of it before the work than after it.
     """
-    parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__)
+    parsed = tyro.cli(
+        options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers()
+    )
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
     check_output("--json", getattr(parsed, "json", None))
     return parsed
+
+
+def _numbers() -> tyro.constructors.ConstructorRegistry:
+    """How options that are numbers are read: what is none is refused in words, not in those of Python's types."""
+    known = tyro.constructors.ConstructorRegistry()
+
+    @known.primitive_rule
+    def number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+        kinds = {item for item in (get_args(info.type) or (info.type,)) if item is not type(None)}
+        if kinds not in ({int}, {float}):
+            return None
+        whole = kinds == {int}
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="INT" if whole else "FLOAT",
+            instance_from_str=lambda words: _whole(words[0]) if whole else _number(words[0]),
+            is_instance=lambda value: value is None or isinstance(value, int if whole else (int, float)),
+            str_from_instance=lambda value: [str(value)],
+        )
+
+    return known
+
+
+def _whole(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a whole number, such as 1000") from None
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a number, such as 2.5") from None
 
 
 def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str:
@@ -122,6 +160,7 @@ def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
 
     Raises ConfigError when the place cannot be written.
     """
+    missing = missing_folder(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
@@ -130,3 +169,15 @@ def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
             part.replace(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    tell_made(missing)
+
+
+def missing_folder(path: Path) -> Path | None:
+    """The outermost folder above a file that is not there yet; None when they all are."""
+    return next((folder for folder in reversed(path.parents) if not folder.exists()), None)
+
+
+def tell_made(folder: Path | None) -> None:
+    """Say that a folder was made for a result: a mistyped one is noticed so."""
+    if folder is not None:
+        print(f"note: made the folder {shown(folder)}", file=sys.stderr)

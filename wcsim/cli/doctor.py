@@ -59,6 +59,7 @@ def run(words: list[str]) -> int:
         _sumo,
         _threads,
         _shared_memory,
+        _cache,
         lambda: _ticks(options.town, options.seed),
     )
     findings = [check() for check in checks]
@@ -116,6 +117,21 @@ def _shared_memory() -> Finding:
     except (OSError, ValueError) as error:
         return Finding("shared memory", False, f"{says}; a block of it could not be used: {error}")
     return Finding("shared memory", True, says)
+
+
+def _cache() -> Finding:
+    from wcsim.towns.cache import shown_cache
+    from wcsim.towns.cache_files import cache_facts
+
+    facts = cache_facts()
+    place = facts.folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    size_mb = facts.size_bytes / 1e6
+    says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
+    if not os.access(place, os.W_OK | os.X_OK):
+        says += "; it cannot be written: each world builds its street anew"
+    return Finding("cache", True, says)
 
 
 def _ticks(town: str, seed: int) -> Finding:

@@ -12,7 +12,7 @@ import tyro
 
 from wcsim.agents.network_names import client_name
 from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse
-from wcsim.cli.run_config import learning, require_trained_user, steps_note, with_steps
+from wcsim.cli.run_config import how_to_test, learning, require_known, require_trained_user, steps_note, with_steps
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config, parse_json
 from wcsim.errors import ConfigError, ServerGoneError
@@ -77,6 +77,7 @@ def run(words: list[str]) -> int:
     overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
     config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
     require_trained_user(config)
+    require_known(config.learn.network, options.reward)
     find_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
     out = options.out if options.out is not None else Path("runs") / f"joined-{network}-{options.seed}"
@@ -84,7 +85,7 @@ def run(words: list[str]) -> int:
     folder = _joined(options, learning(config), out, ("wcsim", "join", *words))
     if options.steps is not None:
         print(steps_note(config, options.steps))
-    print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
+    print(f"run folder: {folder}    test it: {how_to_test(folder, config.learn.network)}")
     return 0
 
 

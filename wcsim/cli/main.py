@@ -38,6 +38,7 @@ SUBCOMMANDS = (
     Subcommand("snapshot", "wcsim.cli.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.video", "a video from a chair's camera beside a map"),
     Subcommand("bench", "wcsim.cli.bench", "measure chair, users, street, cameras and speed"),
+    Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
 )
 

@@ -72,6 +72,9 @@ def _check(options: Options) -> None:
         )
         if given
     ]
+    for path in options.runs:
+        if not is_folder(path) and not is_file(path):
+            raise ConfigError(f"{shown(path)}: is not there; expected a run folder, a trace or a journal")
     if len(wanted) != 1:
         got = " and ".join(wanted) or "none"
         raise ConfigError(f"replay got {got}; expected exactly one of --fcd FILE.xml, --verify, --first-difference")

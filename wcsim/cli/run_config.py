@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
 from wcsim import seeding
+from wcsim.agents.network_names import is_own, require_network
+from wcsim.agents.plugins import find_reward_term
+from wcsim.bridge.hook import find_hook
 from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import ConfigError
 from wcsim.supervisor.profiles import HELD_OUT
@@ -58,6 +65,33 @@ def require_trained_user(config: RunConfig) -> None:
             f"profile {config.env.profile} is held out of training, so that tests can ask how a network does with a "
             "user it has never met; expected another env.profile"
         )
+
+
+def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:
+    """Refuse names that stand for nothing before torch and the simulators are loaded; "" is none.
+
+    Raises:
+        PolicyError: There is no such network, or no such class.
+        ConfigError: A reward term is none.
+        HookError: The step hook is none.
+    """
+    if network:
+        require_network(network)
+    for name in rewards:
+        find_reward_term(name)
+    if hook:
+        find_hook(hook)
+
+
+def how_to_test(run: Path, network: str, trained_in: str = "") -> str:
+    """The command that tests a run, as it can be typed.
+
+    >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", "monaco")
+    "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
+    """
+    named = ["--network", network] if is_own(network) else []
+    unseen = "manhattan" if trained_in == "monaco" else "monaco"
+    return shlex.join(["wcsim", "test", str(run), *named, "--town", unseen])
 
 
 def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
 from wcsim.cli.exit_codes import Exit
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, beside, print_overrides
 from wcsim.cli.run_config import overrides_of
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.reading import require_no_links
-from wcsim.server.curve import is_loopback, make_keys
+from wcsim.server.curve import is_loopback, known_names, make_keys
 from wcsim.server.events import Rules
 from wcsim.server.journal import JOURNAL, JournalWriter
 from wcsim.server.launcher import Launcher
@@ -33,6 +33,8 @@ from wcsim.view.live_table import LiveTable
 
 MOST_SEATS = 64
 GATHER_S = 600.0
+TOLD_NAMES = 4
+EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
 
 
 @dataclass
@@ -69,6 +71,8 @@ class Options:
     """Seconds for an action after which a client is given up, however alive it is; by default it may take its time."""
     seed: int = 0
     """Seed of the world."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
 
 
 def run(words: list[str]) -> int:
@@ -94,13 +98,14 @@ def run(words: list[str]) -> int:
 def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int:
     folder = place if options.run is None else options.run
     overrides = overrides_of(town, config, options.seed)
-    out, told = Console(highlight=False), [True]
+    told = [True]
     with LiveTable() as table:
+        out = beside(table.console)
 
         def show(state: LaunchState) -> None:
             if told and state.world_standing == "running":
                 told.clear()
-                print_overrides(out, town.name, overrides)
+                print_overrides(out, town.name, overrides, verbose=options.verbose)
                 listening = "" if state.world is None else state.world.listening
                 out.print(how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
             table.show(state)
@@ -118,9 +123,23 @@ def how_to_join(endpoint: str, listening: str, options: Options) -> str:
     """What a client has to say."""
     lines = [f"the world runs until Ctrl-C; join with: wcsim join {endpoint} --network small --steps 1000"]
     if listening:
-        keys = f" --keys {options.keys}" if options.keys is not None else ""
-        lines.append(f"over the network: wcsim join {listening}{keys} --network small --steps 1000")
+        address = reachable(listening, socket.gethostname())
+        names = () if options.keys is None else known_names(options.keys)
+        named = [f" --keys {options.keys} --name {name}" for name in names[:TOLD_NAMES]] or [""]
+        lines += [f"over the network: wcsim join {address}{who} --network small --steps 1000" for who in named]
+        if len(names) > TOLD_NAMES:
+            lines.append(f"and so on, for {', '.join(names[TOLD_NAMES:])}")
     return "\n".join(lines)
+
+
+def reachable(listening: str, host: str) -> str:
+    """An address as others can use it: one that listens everywhere is called by the machine's name.
+
+    >>> reachable("tcp://0.0.0.0:5555", "lab3"), reachable("tcp://[::]:5555", "lab3"), reachable("tcp://a:5", "lab3")
+    ('tcp://lab3:5555', 'tcp://lab3:5555', 'tcp://a:5')
+    """
+    place, _, port = listening.removeprefix("tcp://").rpartition(":")
+    return f"tcp://{host}:{port}" if place in EVERYWHERE else listening
 
 
 def _check_doors(options: Options) -> None:

@@ -11,10 +11,16 @@ import tyro
 from rich.console import Console
 
 from wcsim import seeding
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
+from wcsim.agents.network_names import is_own, require_named
+from wcsim.agents.policy_file import read_policy_file
+from wcsim.agents.runfolder import config_of, policy_path, run_of
 from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, print_overrides
+from wcsim.cli.run_config import require_known
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import TownError
+from wcsim.reading import shown
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenario import scenario_overrides
 from wcsim.towns.town import Town, find_town, streets_hash
@@ -51,6 +57,8 @@ class Options:
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     allow_train_town: bool = False
     """Test in a town of split train, or in the town that a run was trained in."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -84,13 +92,14 @@ def as_json(results: Sequence[TestResult]) -> dict[str, Any]:
 
 def test_policies(options: Options) -> Sequence[TestResult]:
     """The results, one for each town and profile."""
-    from wcsim.agents.baselines import NAMES, UPPER_BOUNDS
-    from wcsim.agents.env import WheelchairEnv
+    towns, profiles = check(options)
+    require_policies(options)
+    config = _config(options)
+
+    from wcsim.agents.env import WheelchairEnv  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.testing import open_policy, run_test, window_for
     from wcsim.towns.scenario_overrides import settings_of
 
-    towns, profiles = check(options)
-    config = _config(options)
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
@@ -103,7 +112,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
     for town in towns.values():
         overrides = scenario_overrides(town, settings_of(config, seeding.derive(options.seed, "sumo")))
-        print_overrides(Console(highlight=False), town.name, overrides)
+        print_overrides(Console(highlight=False), town.name, overrides, verbose=options.verbose)
 
     results = run_test(
         policies,
@@ -131,6 +140,21 @@ def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     return _towns(options), profiles
 
 
+def require_policies(options: Options) -> None:
+    """Look at what is to be tested before torch is loaded for it.
+
+    Raises:
+        PolicyError: There is no such policy, or it has a network of somebody's own that is not named.
+        HookError: The step hook is none.
+    """
+    require_known(options.network, hook=options.hook)
+    for name in options.policies:
+        if not is_baseline(name):
+            network = read_policy_file(policy_path(name)).net.network
+            if is_own(network):
+                require_named(shown(name), network, options.network)
+
+
 def _towns(options: Options) -> dict[str, Town]:
     """The towns to test in, by name."""
     towns: dict[str, Town] = {}
@@ -144,9 +168,6 @@ def _towns(options: Options) -> dict[str, Town]:
 
 def checked_town(name: str, options: Options) -> Town:
     """The town to test in. Raises TownError for one that networks are trained in."""
-    from wcsim.agents.baselines import is_baseline
-    from wcsim.agents.runfolder import run_of
-
     town = find_town(name)
     validate_net(town.net)
     if options.allow_train_town:
@@ -169,9 +190,6 @@ def checked_town(name: str, options: Options) -> Town:
 
 def _config(options: Options) -> RunConfig:
     """The settings of the first run that is tested, or of the preset; overrides apply to both."""
-    from wcsim.agents.baselines import is_baseline
-    from wcsim.agents.runfolder import config_of
-
     for policy in options.policies:
         if not is_baseline(policy):
             return config_of(policy, options.preset, options.set)

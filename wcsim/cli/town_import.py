@@ -25,6 +25,8 @@ from wcsim.towns.download import download
 from wcsim.towns.importer import ImportOrder, import_town
 from wcsim.towns.place import Box
 from wcsim.towns.street import load_street
+from wcsim.towns.town import Town
+from wcsim.types import Street
 
 _ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -129,13 +131,17 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
     _check_numbers(options)
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
-        made = import_town(_order(options, osm, box, out), load_street, _stage)
+        made = import_town(_order(options, osm, box, out), _built_in_silence, _stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
     report = check_town(made.town, made.walkable_share)
     counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
     more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
     return replace(report, notes=(*made.notes, *report.notes)), more
+
+
+def _built_in_silence(town: Town) -> Street:
+    return load_street(town, lambda told: None)  # the import says its own stages
 
 
 def _stage(told: str) -> None:

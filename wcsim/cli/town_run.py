@@ -14,7 +14,7 @@ from rich.table import Table
 
 from wcsim import seeding
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, words_of, write_json
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.cures import walkers_cure
@@ -53,6 +53,8 @@ class RunOptions:
     """Settings to begin with: quick or paper."""
     set: Repeated = ()
     """section.key=value, laid over the preset; may be given several times."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -99,7 +101,9 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
     out.mkdir(parents=True, exist_ok=True)
 
     def opened(scenario: Scenario) -> None:
-        print_overrides(Console(highlight=False), town.name, scenario.overrides, scenario.notes)
+        print_overrides(
+            Console(highlight=False), town.name, scenario.overrides, scenario.notes, verbose=options.verbose, kept=True
+        )
         manifest.update(
             overrides=[asdict(row) for row in scenario.overrides],
             notes=list(scenario.notes),
@@ -110,7 +114,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
     def show(done: int, all_ticks: int) -> None:
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
-            console.print(f"{done * config.world.tick_s:.0f} of {options.seconds:g} s", style="dim")
+            console.print(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s", style="dim")
 
     def stage(told: str) -> None:
         console.print(told, style="dim", markup=False, soft_wrap=True)

@@ -9,13 +9,20 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.exit_codes import Exit
-from wcsim.cli.overrides import print_overrides
+from wcsim.cli.overrides import Verbose, beside, print_overrides
 from wcsim.cli.resume_run import Typed, given, is_of_clients, resumed
-from wcsim.cli.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.cli.run_config import (
+    how_to_test,
+    learning,
+    overrides_of,
+    require_known,
+    require_trained_user,
+    steps_note,
+    with_steps,
+)
 from wcsim.cli.train_bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
@@ -59,6 +66,8 @@ class Options:
     """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
     allow_test_town: bool = False
     """Train in a town that is meant for tests."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
     """Write where the run is to this file."""
 
@@ -87,8 +96,9 @@ def run(words: list[str]) -> int:
         command=command,
         hook=options.hook,
         note=steps_note(config, options.steps),
+        verbose=options.verbose,
     )
-    return _told(options, folder, town, options.seed)
+    return _told(options, folder, town, options.seed, config.learn.network)
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -107,8 +117,9 @@ def _resume(options: Options, words: list[str]) -> int:
         resume=True,
         command=manifest.command,
         hook=manifest.hook,
+        verbose=options.verbose,
     )
-    return _told(options, folder, town, manifest.seed)
+    return _told(options, folder, town, manifest.seed, config.learn.network)
 
 
 def typed(options: Options, words: list[str]) -> Typed:
@@ -127,8 +138,8 @@ def typed(options: Options, words: list[str]) -> Typed:
     )
 
 
-def _told(options: Options, folder: Path, town: Town, seed: int) -> int:
-    print(f"run folder: {folder}    test it: wcsim test {folder} --town monaco")
+def _told(options: Options, folder: Path, town: Town, seed: int, network: str) -> int:
+    print(f"run folder: {folder}    test it: {how_to_test(folder, network, town.name)}")
     if options.json is not None:
         write_json(options.json, {"run": str(folder), "town": town.name, "seed": seed})
     return Exit.DONE
@@ -158,6 +169,7 @@ def _train_clients(options: Options, words: list[str]) -> int:
         lease_s=options.lease,
         recovery=options.recovery,
         command=("wcsim", "train", *words),
+        verbose=options.verbose,
         json=options.json,
     )
     if options.resume:
@@ -191,26 +203,33 @@ def train_in(
     command: tuple[str, ...] = (),
     hook: str = "",
     note: str = "",
+    verbose: bool = False,
 ) -> Path:
     """Train with a progress bar; returns the run folder."""
-    from wcsim.agents.build import with_window  # torch is loaded here, not for --help
+    from wcsim.supervisor.recorded import find_user
+
+    check_folder("--out", out)
+    require_known(config.learn.network, rewards, hook)
+    find_user(config.env.profile)
+
+    from wcsim.agents.build import with_window  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.callbacks import TrainProgress
     from wcsim.agents.env import WheelchairEnv
     from wcsim.agents.plugins import find_reward_term
     from wcsim.agents.registry import find_network
     from wcsim.agents.train import train
-    from wcsim.supervisor.recorded import find_user
 
-    check_folder("--out", out)
     find_network(config.learn.network)
     config = with_window(config)
-    find_user(config.env.profile)
     terms = tuple(find_reward_term(name) for name in rewards)
     overrides = overrides_of(town, config, seed)
     learned = learning(config)
     notes = (note,) if note else ()
-    announce = _once(lambda: print_overrides(Console(highlight=False), town.name, overrides, notes))
     with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(out):
+        place = beside(bar.console)
+        announce = _once(
+            lambda: print_overrides(place, town.name, overrides, notes, verbose=verbose, kept=True)
+        )
 
         def show(now: TrainProgress) -> None:
             announce()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -25,6 +25,7 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
     It stays after a full disk: with room, --resume goes on.
     """
     fresh = not run.exists()
+    made = [folder for folder in run.parents if not folder.exists()]
     try:
         yield
     except (DiskFullError, OSError):
@@ -35,6 +36,9 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
         saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
         if fresh and episodes < 1 and not saved:
             shutil.rmtree(run, ignore_errors=True)
+            for folder in made:
+                with suppress(OSError):  # somebody else has put something there
+                    folder.rmdir()
         raise
 
 
@@ -42,10 +46,10 @@ class TrainBar:
     """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
 
     def __init__(self, total: int) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self.console = Console(stderr=True, highlight=False)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
-        silent = not self._console.is_terminal
-        self._bar = Progress(*columns, TimeRemainingColumn(), console=self._console, disable=silent)
+        silent = not self.console.is_terminal
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=self.console, disable=silent)
         self._task = self._bar.add_task("loading the town", total=total, says="")
         self._total, self._tenths = total, 0
 
@@ -56,9 +60,9 @@ class TrainBar:
         phase = f"phase {now.phase}"
         self._bar.update(self._task, completed=now.step, description=phase, says=says)
         tenths = 10 * now.step // self._total
-        if not self._console.is_terminal and tenths > self._tenths:
+        if not self.console.is_terminal and tenths > self._tenths:
             self._tenths = tenths
-            self._console.print(f"{phase}: {says}", soft_wrap=True)
+            self.console.print(f"{phase}: {says}", soft_wrap=True)
 
     def __enter__(self) -> Self:
         self._bar.start()

@@ -75,6 +75,7 @@ class Group:
     lease_s: float = 120.0
     recovery: Recovery = "new_epoch"
     command: tuple[str, ...] = ()
+    verbose: bool = False
     json: Path | None = None
 
 
@@ -111,7 +112,8 @@ def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
             def show(state: LaunchState) -> None:
                 if rate.add(state):
                     note = steps_note(clients[0].config, group.steps)
-                    print_overrides(table.console, town.name, overrides, (note,) if note else ())
+                    notes = (note,) if note else ()
+                    print_overrides(table.console, town.name, overrides, notes, verbose=group.verbose, kept=True)
                 table.show(state)
 
             rules = LaunchRules(client_lease_s=max(30.0, group.lease_s))

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from wcsim.cli.common import check_output, in_bounds, parse
+from wcsim.cli.common import check_output, in_bounds, missing_folder, parse, tell_made
 from wcsim.view.stage import open_stage
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
@@ -39,9 +39,11 @@ def run(words: list[str]) -> int:
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     console = Console(stderr=True)
     quiet = not console.is_terminal
+    missing = missing_folder(options.out)
     with open_stage(options.town, options.seed, options.width) as stage, stage.film(options.out) as film:
         frames = range(round(options.seconds / stage.tick_s))
         for _ in track(frames, description="filming", console=console, transient=True, disable=quiet):
             film.add()
+    tell_made(missing)
     print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s")
     return 0

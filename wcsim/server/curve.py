@@ -78,6 +78,11 @@ def client_keys(folder: Path, name: str) -> KeyPair:
     return _pair(secrets[0])
 
 
+def known_names(folder: Path) -> tuple[str, ...]:
+    """The clients whose public keys are in a folder, sorted."""
+    return tuple(sorted(path.stem for path in (folder / CLIENTS).glob("*.public")))
+
+
 def server_public(folder: Path) -> bytes:
     """What a client knows of its server. Raises ConfigError when it is not there."""
     return _load(folder / "server.public")[0]

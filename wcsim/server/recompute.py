@@ -141,7 +141,7 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
         world, _ = next(steps)
         written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
     if not written:
-        raise WcsimError(f"{journal}: has no tick of epoch {epoch}")
+        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
     return written
 
 
@@ -195,9 +195,10 @@ def _replayed(
                 player.note(record)
     finally:
         player.close()
-    if not known if epoch is None else epoch not in known:
-        missing = "no epoch" if epoch is None else f"no epoch {epoch}"
-        raise WcsimError(f"{journal}: has {missing}; expected one of {sorted(known) or 'none: it is empty'}")
+    if not known:
+        raise WcsimError(f"{journal}: has no epoch: it was cut off, or its world never began; expected a whole journal")
+    if epoch is not None and epoch not in known:
+        raise WcsimError(f"{journal}: has no epoch {epoch}; expected one of {sorted(known)}")
 
 
 class _Player:

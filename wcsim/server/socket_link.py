@@ -129,10 +129,22 @@ class SocketSeat(SeatLink):
         """Raise AccessError when the server has refused this client's key, or is not the one it should be."""
         if self.core.phase is Phase.JOINING and self._monitor.poll(0):
             event = recv_monitor_message(self._monitor, zmq.NOBLOCK)
-            raise AccessError(
-                f"{self._order.endpoint} refused the connection (code {event['value']}): expected a client whose "
-                "public key it knows, and the server's own public key; compare the folders of keys"
-            )
+            raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+
+
+def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
+    """Why a server let nobody in, by ZeroMQ's event and its number, and what to do."""
+    refused = f"{endpoint} refused the connection"
+    if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+        return f"{refused}: it does not know the public key of {keys}; expected one that whoever runs the server made"
+    if not keys:
+        return f"{refused}: it lets in clients with keys only; expected --keys FOLDER, from whoever runs the server"
+    if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
+        return f"{refused}: it takes no keys, --keys {keys} was given; leave --keys out, or give the server --keys too"
+    return (
+        f"{refused} before a word was said: the server's public key in {keys} is not its own; expected the "
+        "server.public that it has now"
+    )
 
 
 def _connected(context: zmq.Context[zmq.Socket[bytes]], order: JoinOrder) -> zmq.Socket[bytes]:

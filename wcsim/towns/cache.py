@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import shapely
 
+from wcsim.reading import shown
 from wcsim.streets import FLAT
 from wcsim.towns.tiles import Packed, TileStore
 from wcsim.towns.town import Town, content_hash
@@ -26,6 +27,12 @@ def cache_folder() -> Path:
     """Where wcsim keeps what it can make again: $XDG_CACHE_HOME/wcsim or ~/.cache/wcsim."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if base else Path.home() / ".cache") / "wcsim"
+
+
+def shown_cache() -> str:
+    """The cache's folder for a message, with ~ for the home."""
+    folder, home = str(cache_folder()), str(Path.home())
+    return shown(f"~{folder[len(home):]}" if folder.startswith(f"{home}/") else folder)
 
 
 def street_key(town: Town) -> str:

@@ -201,7 +201,8 @@ edges may be text. A file whose name SUMO may spell in another way, as one with 
 
 {table}
 
-The rows that differ from the author's values are printed when a run begins, and kept in its manifest. The filtered
+What differs from the author's values is named when a run begins, shown with its reasons by `--verbose`, and kept in the
+manifest. The filtered
 `RUN/sumo/TOWN.sumocfg` opens in sumo and sumo-gui as it is. Without a run folder (a Gymnasium environment) everything
 that SUMO writes goes when the world closes. When a world is made anew, its outputs begin anew.
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
@@ -9,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.constants import KERB_STEP_M
 from wcsim.errors import TownError
 from wcsim.towns.buildings import Building, buildings_of
-from wcsim.towns.cache import cached_street, pack_street, street_key
+from wcsim.towns.cache import cached_street, pack_street, shown_cache, street_key
 from wcsim.towns.crossmarks import unmarked_crossings
 from wcsim.towns.fittings import fittings_of
 from wcsim.towns.grid import GridMaker
@@ -32,10 +35,26 @@ from wcsim.towns.town import Town
 from wcsim.towns.walkgraph import build_walk_graph, free_space
 from wcsim.types import F64, ClassId, Relief, Street, WalkGraph
 
+log = logging.getLogger("wcsim.towns")
 
-def load_street(town: Town) -> Street:
-    """The street of a town, from the cache where it is there. Raises TownError when the town cannot be used."""
-    return cached_street(street_key(town), lambda: build_street(town))
+
+def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Street:
+    """The street of a town, from the cache where it is there.
+
+    Args:
+        town: The town.
+        say: Called with a line before a street is built. By default a warning is logged: Python shows those on
+            standard error to whoever has set up no logging, as the user of an environment.
+
+    Raises:
+        TownError: The town cannot be used.
+    """
+
+    def built() -> Packed:
+        say(f"building the street of {town.name}, up to a minute; it is done once, and kept in {shown_cache()}")
+        return build_street(town)
+
+    return cached_street(street_key(town), built)
 
 
 def build_street(town: Town) -> Packed:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wcsim.config import TownFile, parse
 from wcsim.errors import ConfigError, TownError
+from wcsim.nearest import meant
 from wcsim.reading import FileKind, is_file, is_folder, read_toml, shown
 from wcsim.towns.border import require_file, require_inside
 from wcsim.towns.scenario_options import Configuration, read_configuration
@@ -66,8 +67,24 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
     path = expanded(name_or_path)
     if is_folder(path) or is_file(path):
         return open_town(path, outside=outside)
-    raise TownError(
-        f"unknown town {name_or_path[:160]!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
+    raise _unknown_town(name_or_path)
+
+
+def _unknown_town(name_or_path: str) -> TownError:
+    told = shown(name_or_path, 160)
+    if name_or_path.endswith(".sumocfg"):
+        return TownError(
+            f"{told}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
+            f"one, or a town: {_known()}"
+        )
+    if "/" in name_or_path:
+        return TownError(
+            f"{told}: there is no such folder, seen from {Path.cwd()}; expected one with a .sumocfg, or a town: "
+            f"{_known()}"
+        )
+    return TownError(
+        f"unknown town {told!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
+        f"{meant(name_or_path, _known().split(', '))}"
     )
 
 

@@ -1,0 +1,76 @@
+"""`wcsim cache`: what is kept is counted, and only that is removed."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from wcsim.agents.own_code import KEY_FILE
+from wcsim.towns.cache_files import WRITTEN_S
+from wcsim.towns.street import load_street
+from wcsim.towns.town import find_town
+
+KEY = "0123456789abcdef" * 2
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch) -> Path:
+    """A cache with two of ours, one that somebody left, one that is being written, and things of others."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    place = tmp_path / "cache" / "wcsim"
+    place.mkdir(parents=True)
+    (place / f"street-{KEY}.npz").write_bytes(b"x" * 3_000_000)
+    (place / f"net-{KEY}.ok").write_text("ok\n")
+    for name in ("tmpabcdefgh.npz", "tmphgfedcba.npz", KEY_FILE, "thesis.tex", "street-mine.npz", f"net-{KEY}.ok.bak"):
+        (place / name).write_text("12345")
+    past_s = time.time() - 2 * WRITTEN_S
+    os.utime(place / "tmpabcdefgh.npz", (past_s, past_s))
+    (tmp_path / "elsewhere").write_text("irreplaceable")
+    (place / f"scenario-{KEY}.ok").symlink_to(tmp_path / "elsewhere")
+    (place / f"street-{KEY[::-1]}.npz").mkdir()
+    return place
+
+
+def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
+    told = wcsim("cache", "--json", "c.json")
+    assert (told.code, told.err) == (0, "")
+    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 unfinished, 3.0 MB" in told.out
+    assert "wcsim cache --clear" in told.out
+    assert json.loads(Path("c.json").read_text()) == {
+        **{"folder": str(cache), "streets": 1, "verdicts": 1, "unfinished": 1},
+        **{"size_bytes": 3_000_008, "left_bytes": 3_000_008},
+    }
+
+
+def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
+    before = {path.name for path in cache.iterdir()}
+    told = wcsim("cache", "--clear", "--json", "c.json")
+    assert (told.code, told.err, "removed 3.0 MB" in told.out) == (0, "", True)
+    gone = before - {path.name for path in cache.iterdir()}
+    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz"}
+    assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
+    assert json.loads(Path("c.json").read_text())["left_bytes"] == 0
+    assert "removed 0.0 MB" in wcsim("cache", "--clear").out
+
+
+def test_a_cache_that_is_not_there_is_empty(wcsim, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "none"))
+    told = wcsim("cache", "--clear")
+    assert (told.code, "0 streets" in told.out) == (0, True)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_street_in_use_outlives_the_clearing(wcsim, corner, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "used"))
+    town, told = find_town(str(corner)), []
+    street = load_street(town, told.append)
+    assert wcsim("cache", "--clear").code == 0
+    assert not list((tmp_path / "used" / "wcsim").iterdir())
+    again = load_street(town, told.append)
+    assert len(told) == 2
+    for key in again.tiles.keys:
+        assert street.tiles.mesh(key).vertices_W_m.tobytes() == again.tiles.mesh(key).vertices_W_m.tobytes()

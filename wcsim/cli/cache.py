@@ -1,0 +1,45 @@
+"""`wcsim cache`: where streets are kept that were built once, how large that is, and how it is emptied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from wcsim.cli.common import OutFile, parse, write_json
+from wcsim.errors import ConfigError
+from wcsim.reading import shown
+
+
+@dataclass
+class Options:
+    """Say what the cache holds: streets that were built, verdicts on nets and scenarios that were tried."""
+
+    clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Remove them; they are made again when they are needed. Worlds that run go on."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Say it, and empty the cache where that is asked for."""
+    options = parse(Options, words, "cache")
+
+    from wcsim.towns.cache_files import cache_facts, clear_cache  # loads numpy and shapely, which --help must not
+
+    before = cache_facts()
+    left = clear_cache() if options.clear else before
+    kept = f"{before.streets} streets, {before.verdicts} verdicts on nets and scenarios, {before.unfinished} unfinished"
+    print(f"{shown(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
+    if options.clear:
+        print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
+    else:
+        print("remove them with: wcsim cache --clear")
+    if options.json is not None:
+        result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
+        result |= {"unfinished": before.unfinished, "size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
+        write_json(options.json, result)
+    if options.clear and left.size_bytes:
+        raise ConfigError(f"{shown(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove")
+    return 0
