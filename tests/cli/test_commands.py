@@ -155,6 +155,22 @@ def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
         assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
 
 
+def test_bench_crashes_gives_classes_and_lost_control(wcsim, folder, corner):
+    words = ("--policy", "follow,random", "--steps", "240", "--chairs", "2", "--seed", "3", *QUICK)
+    told = wcsim("bench", "crashes", "--town", corner, *words, "--out", "found", "--json", "all.json")
+    assert (told.code, told.err.strip()) == (0, "")
+    assert fits("\n".join(line for line in told.out.splitlines() if " seat " not in line))
+    assert "kilometres" in told.out and "lost control" in told.out and "240" in told.out
+    result = read("all.json")
+    assert [(row["policy"], row["steps"]) for row in result] == [("follow", 240), ("random", 240)]
+    for row in result:
+        assert read(f"found/{row['town']}-{row['policy']}.json") == row
+        assert sum(row["classes"].values()) == len(row["crashes"])
+        assert row["lost_per_steps"]["8000"] == pytest.approx(len(row["lost"]) * 8000 / 240)
+    starts = [[item["start_W_m"] for item in row["episodes"] if item["episode"] == 0] for row in result]
+    assert starts[0] == starts[1]
+
+
 def test_bench_camera_gives_the_ratio(wcsim, folder, corner):
     words = ("--towns", corner, "--poses", "1", "--rounds", "1", "--actors", "5", "--json", "c.json")
     told = wcsim("bench", "camera", *words)

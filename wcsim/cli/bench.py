@@ -10,6 +10,7 @@ from wcsim.cli import (
     bench_bridge,
     bench_camera,
     bench_chair,
+    bench_crashes,
     bench_parallel,
     bench_reaction,
     bench_soak,
@@ -20,6 +21,7 @@ from wcsim.cli.bench_barrier import BarrierOptions
 from wcsim.cli.bench_bridge import BridgeOptions
 from wcsim.cli.bench_camera import CameraOptions
 from wcsim.cli.bench_chair import ChairOptions
+from wcsim.cli.bench_crashes import CrashesOptions
 from wcsim.cli.bench_parallel import ParallelOptions
 from wcsim.cli.bench_reaction import ReactionOptions
 from wcsim.cli.bench_soak import SoakOptions
@@ -37,6 +39,7 @@ def run(words: list[str]) -> int:
         "camera": (CameraOptions, bench_camera.run),
         "chair": (ChairOptions, bench_chair.run),
         "users": (UsersOptions, bench_users.run),
+        "crashes": (CrashesOptions, bench_crashes.run),
         "reaction": (ReactionOptions, bench_reaction.run),
         "bridge": (BridgeOptions, bench_bridge.run),
         "barrier": (BarrierOptions, bench_barrier.run),

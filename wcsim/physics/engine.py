@@ -220,8 +220,13 @@ class Engine:
         return heights
 
 
+def role_of_class(class_id: int) -> Role:
+    """What a face of the street of that ClassId is to a wheelchair."""
+    return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
+
+
 def _role_number(class_id: int) -> int:
-    return list(Role).index(_ROLE_OF_CLASS.get(class_id, Role.STATIC))
+    return list(Role).index(role_of_class(class_id))
 
 
 def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
