@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
 from wcsim.cli.common import MAX_SEED, OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -98,12 +99,10 @@ def as_json(drive: Drive) -> dict[str, Any]:
 
 
 def _policies(text: str) -> tuple[str, ...]:
-    from wcsim.agents.baselines import NAMES, UPPER_BOUND, is_baseline
-
     names = tuple(dict.fromkeys(some_words("--policy", text)))
     for name in names:
         if not is_baseline(name):
-            raise ConfigError(f"--policy {name!r}: expected baselines, such as: {', '.join((*NAMES, UPPER_BOUND))}")
+            raise ConfigError(f"--policy {name!r}: expected baselines, such as: {', '.join((*NAMES, *UPPER_BOUNDS))}")
     return names
 
 

@@ -22,8 +22,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.oracle import limits_of, shaped
-from wcsim.supervisor.rollout import ACCEL, YAW_ACCEL, driven
+from wcsim.joystick import ACCEL, YAW_ACCEL, driven, limits_of, shaped_rows
 from wcsim.types import F64, Bool
 
 LASTS_S = 0.7
@@ -64,7 +63,7 @@ def stretches(track: Track, chair: ChairConfig) -> tuple[Stretch, ...]:
             f"a track of {count} sticks has {len(track.speed_mps)} speeds and {len(track.turn_radps)} turn rates; "
             f"expected {count + 1} of each"
         )
-    sticks, limits = shaped(track.sticks, chair), limits_of(chair)
+    sticks, limits = shaped_rows(track.sticks, chair), limits_of(chair)
     turned = _lost(*turns_against(track, sticks, limits), track.tick_s)
     rolled = _lost(*rolls_on(track, sticks, limits), track.tick_s)
     lost = turned | rolled
