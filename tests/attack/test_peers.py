@@ -221,6 +221,8 @@ def test_fifty_thousand_hostile_messages_leave_the_world_as_large_as_it_was(corn
             seen = honest.join()
             for _ in range(300):  # a world has met its street by then
                 seen = honest.act(seen.tick, (seen.first or seen).user)
+            for _ in range(200):  # and so it has on the way that is driven below
+                seen = honest.act(seen.tick, AHEAD_A_LITTLE)
             before_mb = server.status().rss_mb
             for number in range(2000):
                 with Attacker(network if number % 2 else server.order.endpoint) as peer:

@@ -23,7 +23,7 @@ from wcsim.towns.town import find_town
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
 
 POINTS = action_set("square81")
-CONFIG = quick_config("world.action_delay_ticks=2", "cameras.0.noise=typical")
+CONFIG = quick_config("world.action_delay_ticks=2", "cameras.0.noise=typical", "reward.drop=false")
 
 
 class Held:
@@ -82,6 +82,12 @@ def test_who_drives_on_blindly_crashes_and_every_crash_is_told_whole(held):
         assert crash.away_share is not None and 0.0 <= crash.away_share <= 1.0
         assert crash.after_fall == (crash.fell_s is not None and crash.fell_s <= 10.0)
         assert crash.step <= 10 or crash.safe_before is not None
+
+
+def test_a_fall_is_a_crash_where_it_counts_as_one(corner):
+    config = quick_config("world.action_delay_ticks=2", "cameras.0.noise=typical")
+    found = drive(corner, held_sticks(), ticks=60, config=config)
+    assert {crash.kind for crash in found.crashes} == {"drop"}
 
 
 def test_the_same_seed_gives_the_same_findings_and_another_one_others(corner, held):

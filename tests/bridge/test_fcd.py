@@ -98,7 +98,7 @@ def test_elements_and_attributes_are_those_of_sumos_schema(run):
 
 
 def test_what_cannot_be_replayed_is_refused(run, tmp_path):
-    with pytest.raises(WcsimError, match=r"no tick of epoch 4; expected one of \[0\]"):
+    with pytest.raises(WcsimError, match=r"no tick of epoch 4; expected --epoch with one of: 0"):
         write_fcd(run / TRACE, tmp_path / "x.xml", epoch=4)
     old = TickRecord(
         epoch=0,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.physics.test_camera import SMALL, plant
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from tests.supervisor.actors import USUAL_WHEELS_M, actor
 from tests.worlds import open_world
 from wcsim.bridge.shown import ShownActors
@@ -18,7 +18,6 @@ from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.camera import CameraRig
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.user import USUAL_OUTLINE
 from wcsim.towns.street import load_street
 from wcsim.towns.town import find_town
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec, StartSpec, Truth, WayKind

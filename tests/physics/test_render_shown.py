@@ -10,7 +10,7 @@ import pytest
 
 from tests.physics.render_oracle import CAMERA, actor, crowd
 from tests.physics.test_camera import SMALL, plant
-from tests.samples import strip_street
+from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.camera import CameraRig, look_along
 from wcsim.physics.renderer.base import Images, new_images
@@ -136,7 +136,9 @@ def test_a_rig_counts_actors_and_other_chairs_in_all_its_cameras(store):
     beside = actor(ActorKind.CAR, 0.5, 11.0, 0.12)
     behind = actor(ActorKind.BUS, -12.0, 5.5)
     chairs = tuple(
-        ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]))
+        ChairPose(
+            seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]), outline=USUAL_OUTLINE
+        )
         for seat, x in ((0, 0.0), (1, 4.0))
     )
     with CameraRig(store, (SMALL, left), seats=2) as rig:

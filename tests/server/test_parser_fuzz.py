@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from typing import Any
 
 import msgspec
@@ -21,6 +22,7 @@ from wcsim.server import messages as m
 from wcsim.server.events import Rules
 from wcsim.server.ledger import ledger_facts, read_ledger
 from wcsim.server.link import WorldOrder
+from wcsim.server.peers import BURST, MESSAGES_PER_S
 from wcsim.server.socket_link import open_seat
 from wcsim.server.stand_in import StandInWorld
 from wcsim.types import SeatSpec
@@ -175,13 +177,15 @@ def test_who_sends_too_much_is_told_and_then_not_heard(tmp_path):
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.SNDHWM, 100_000)
             socket.connect(server.order.endpoint)
-            act = m.encode(REQUESTS[1])
+            act, began_s = m.encode(REQUESTS[1]), time.monotonic()
             for _ in range(40_000):
                 socket.send(act)
             told = []
             while socket.poll(1000):
                 told.append(type(m.error_of(m.decode_reply(socket.recv()))).__name__)
+            lasted_s = time.monotonic() - began_s
         assert told.count("OverloadedError") <= 20
-        assert len(told) < 40_000
+        # a machine that has other work to do may read them so slowly that they are not too many
+        assert len(told) < 40_000 or BURST + MESSAGES_PER_S * lasted_s >= 40_000
         with open_seat(server.seat("a")) as a:
             assert a.join().tick == 0

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from tests.physics.rig import flat_street, rig
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
+from wcsim.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.lost_control import LASTS_S, Stretch, Track, stretches
-from wcsim.supervisor.oracle import limits_of, shaped
 from wcsim.supervisor.rollout import driven
 from wcsim.types import Joystick
 
@@ -24,7 +24,7 @@ def driven_track(sticks, chair=CHAIR, v_mps=0.0):
     sticks = np.array(sticks, np.float64).reshape(-1, 2)
     v, w, a = v_mps, 0.0, 0.0
     speeds, turns = [v], [w]
-    for x, y in shaped(sticks, chair).tolist():
+    for x, y in shaped_rows(sticks, chair).tolist():
         for _ in range(4):
             v, w, a = driven(v, w, a, x, y, limits_of(chair), 0.25 * TICK_S)
         speeds.append(v)

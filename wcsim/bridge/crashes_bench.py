@@ -84,6 +84,7 @@ def drive_crashes(
     profile: str,
     ticks: int,
     seed: int,
+    visible: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Drive:
     """Let drivers drive one chair each in a town, and look at each of their crashes.
@@ -96,13 +97,14 @@ def drive_crashes(
         profile: Of the users.
         ticks: Of the world; each is a step of every chair.
         seed: Of the world.
+        visible: Whether the drivers are told, too, what is so of those of the others whom their cameras showed.
         progress: Hears how many steps of all chairs are done.
 
     Raises:
         ConfigError: The profile is unknown.
         PolicyError: A driver cannot use what it is shown.
     """
-    spec = SeatSpec(profile=profile, max_steps=EPISODE_STEPS, truth=True)
+    spec = SeatSpec(profile=profile, max_steps=EPISODE_STEPS, truth=True, truth_visible=visible)
     points = action_set(config.env.actions).points
     with World(town, config, (spec,) * len(drivers), seed) as world:
         now = world.snapshot.clients

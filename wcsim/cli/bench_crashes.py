@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.agents.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
+from wcsim.agents.baseline_names import NAMES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.cli.common import MAX_SEED, OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -126,7 +126,8 @@ def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, 
     def seen(done: int) -> None:
         bar.update(task, completed=done)
 
-    return drive_crashes(found, config, policy, drivers, options.profile, ticks, options.seed, seen)
+    visible = policy == VISIBLE_BOUND
+    return drive_crashes(found, config, policy, drivers, options.profile, ticks, options.seed, visible, seen)
 
 
 def _rate(drive: Drive, events: int) -> tuple[float, float, float] | None:

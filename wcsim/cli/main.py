@@ -50,7 +50,7 @@ class Terminated(KeyboardInterrupt):
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code, see `cli/exit_codes.py`."""
     try:
-        with _orderly_end():
+        with _orderly_end(own_process=arguments is None):
             code = _run(sys.argv[1:] if arguments is None else arguments)
             if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
                 _end_undisturbed()
@@ -62,18 +62,23 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 @contextmanager
-def _orderly_end() -> Iterator[None]:
-    """While open, a first SIGTERM ends the command as Ctrl-C does, so that nothing half-done stays behind."""
-    before = signal.getsignal(signal.SIGTERM)
-    if before is not signal.SIG_DFL or threading.current_thread() is not threading.main_thread():
+def _orderly_end(own_process: bool) -> Iterator[None]:
+    """While open, a first SIGTERM ends the command as Ctrl-C does, so that nothing half-done stays behind.
+
+    What is ignored at the end stays so if the process ends with the command.
+    """
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    default = before[signal.SIGTERM] is signal.SIG_DFL
+    if not default or threading.current_thread() is not threading.main_thread():
         yield
         return
     signal.signal(signal.SIGTERM, _terminate)
     try:
         yield
     finally:
-        if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
-            signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            if not own_process or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, handler)
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:

@@ -9,7 +9,10 @@ from typing import Any, Self
 
 
 class StopSignals:
-    """While open, SIGINT and SIGTERM are counted and do nothing else. Only in the main thread."""
+    """While open, SIGINT and SIGTERM are counted and do nothing else. Only in the main thread.
+
+    Afterwards they are ignored if one has come: whoever was asked to end is ending, with a code that says so.
+    """
 
     def __init__(self) -> None:
         self.count = 0
@@ -23,7 +26,7 @@ class StopSignals:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if self.count else handler)
         self._before.clear()
 
     def _hear(self, number: int, frame: FrameType | None) -> None:
