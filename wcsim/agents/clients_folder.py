@@ -26,6 +26,7 @@ from wcsim.config import RunConfig, parse
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.reading import FileKind, read_text
 from wcsim.server.journal import JOURNAL, Ticked, iter_journal
+from wcsim.server.ledger import read_ledger
 from wcsim.types import CLIENT_NAME
 
 _SEAL, _FILES = "seal", "files_sha256"
@@ -69,10 +70,9 @@ class ClientsFolder:
         return manifest.get("status") == "done" and isinstance(done, int) and done >= steps
 
     def fruitless(self) -> bool:
-        """Whether nothing was done: no tick of the world, no frame of a client, no episode, nothing saved."""
-        frames = (self.ledger(name) for name in self.clients)
-        seen = any(ledger.is_file() and ledger.stat().st_size for ledger in frames)
-        return not (seen or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
+        """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
+        stepped = any(_stepped(self.ledger(name)) for name in self.clients)
+        return not (stepped or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
 
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
@@ -168,6 +168,16 @@ def _ticked(journal: Path) -> bool:
         return False
     try:
         return any(isinstance(record, Ticked) for record in iter_journal(journal))
+    except WcsimError:
+        return True
+
+
+def _stepped(ledger: Path) -> bool:
+    """Whether a client has done a step, or may have; the frame that its join gave it is none."""
+    if not ledger.exists():
+        return False
+    try:
+        return any(entry.stepped for entry in read_ledger(ledger))
     except WcsimError:
         return True
 
