@@ -83,11 +83,11 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A town of one street corner with a little traffic, built from a hand-written scene; starts in no time."""
-    from wcsim.towns.scenes import build_scene, find_scene
+    from wcsim.scenes.build import build_scene, find_scene
 
     work = tmp_path_factory.mktemp("corner")
+    from wcsim.towns.scenario.town import find_town
     from wcsim.towns.street import load_street
-    from wcsim.towns.town import find_town
 
     build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "pedestrian-crossing")), work)
     load_street(find_town(str(work)), lambda told: None)  # once, so that no command has to say it

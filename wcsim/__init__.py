@@ -1,6 +1,6 @@
 """wcsim: trains networks that assist the driver of a power wheelchair, in real cities.
 
-Read `types.py`, then `bridge/world.py`. Importing this package names its environment for Gymnasium, which is
+Read `types/world.py`, then `bridge/world.py`. Importing this package names its environment for Gymnasium, which is
 Gymnasium's own convention and the only thing that an import does; nothing heavy is loaded before one of the
 environments is asked for.
 """
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from gymnasium.envs import registration as _gymnasium
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time `__getattr__` loads them
-    from wcsim.agents.env import WheelchairEnv
-    from wcsim.agents.parallel_env import parallel_env
-    from wcsim.agents.vec_env import StreetVecEnv
+    from wcsim.agents.envs.parallel_env import parallel_env
+    from wcsim.agents.envs.vec_env import StreetVecEnv
+    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 
 ENV_ID = "wcsim/Street-v1"
 __version__ = "0.1.0"
@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 __all__ = ["ENV_ID", "StreetVecEnv", "WheelchairEnv", "__version__", "parallel_env"]
 
 if ENV_ID not in _gymnasium.registry:
-    _gymnasium.register(id=ENV_ID, entry_point="wcsim.agents.env:WheelchairEnv")
+    _gymnasium.register(id=ENV_ID, entry_point="wcsim.agents.envs.wheelchair_env:WheelchairEnv")
 
 
 def __dir__() -> list[str]:

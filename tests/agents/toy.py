@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import gymnasium as gym
 import numpy as np
 
-from wcsim.agents.window import FrameWindow, windowed_space
+from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
 from wcsim.config import CameraConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth

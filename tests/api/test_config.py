@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 
 from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_overrides
+from wcsim.config.plant import PlantFile
+from wcsim.config.run_file import ManifestFile, PolicyFile
+from wcsim.config.scene import SceneFile
+from wcsim.core.reading import parse_toml
 from wcsim.errors import ConfigError
-from wcsim.plant_file import PlantFile
-from wcsim.reading import parse_toml
-from wcsim.run_file import ManifestFile, PolicyFile
-from wcsim.scene_file import SceneFile
 
 
 @pytest.mark.parametrize("preset", ["quick", "paper"])

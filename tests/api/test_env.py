@@ -20,10 +20,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from wcsim.agents.env import WheelchairEnv
-from wcsim.agents.parallel_env import StreetParallelEnv
-from wcsim.agents.plugins import find_reward_term
-from wcsim.agents.vec_env import StreetVecEnv
+from wcsim.agents.envs.parallel_env import StreetParallelEnv
+from wcsim.agents.envs.vec_env import StreetVecEnv
+from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.types import Events, PlantState, RewardTerms
 

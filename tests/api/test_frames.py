@@ -1,4 +1,4 @@
-"""Properties of the frames: the file tests of `wcsim/frames.py`."""
+"""Properties of the frames: the file tests of `wcsim/core/frames.py`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim import frames
+from wcsim.core import frames
 
 ANGLES = st.floats(-20.0, 20.0)
 COORDINATES = st.tuples(*[st.floats(-1e4, 1e4)] * 3).map(np.array)

@@ -11,25 +11,25 @@ import pytest
 
 from tests.api.streets import TINY, action_at, equal
 from tests.server.servers import AHEAD, Server, stand_in_order
-from wcsim.agents.chair import Chair
-from wcsim.agents.env import WheelchairEnv
+from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError
-from wcsim.server import socket_link
-from wcsim.server.client_core import Patience
-from wcsim.server.events import Lost, Rules
-from wcsim.server.link import WorldOrder
-from wcsim.server.local import LocalServer, made_world
-from wcsim.server.orders import JoinOrder
+from wcsim.server.links import socket
+from wcsim.server.links.base import WorldOrder
+from wcsim.server.links.local import LocalServer, made_world
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.events import Lost, Rules
+from wcsim.server.specs import SeatRequest
 from wcsim.types import SeatSpec
 
 CONFIG = load_run_config("quick", TINY)
 SPEC = SeatSpec(max_steps=12)
 
 
-def seat_of(number: int = 0, name: str = "env") -> JoinOrder:
+def seat_of(number: int = 0, name: str = "env") -> SeatRequest:
     """An order for a seat of a world in this process."""
-    return JoinOrder(endpoint="here", name=name, claim=name, seat=number, spec=SPEC)
+    return SeatRequest(endpoint="here", name=name, claim=name, seat=number, spec=SPEC)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Makes a world in this process whose seats `join` reaches: nothing but the socket is left out."""
     open_now: list[LocalServer] = []
 
-    def opened(order: JoinOrder) -> Any:
+    def opened(order: SeatRequest) -> Any:
         return open_now[-1].link(order.spec, order.seat, order.name)
 
     def make(seats: int, expected: int) -> LocalServer:
@@ -45,7 +45,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         open_now.append(LocalServer(made_world(order), seats, expected))
         return open_now[-1]
 
-    monkeypatch.setattr(socket_link, "open_seat", opened)
+    monkeypatch.setattr(socket, "open_seat", opened)
     yield make
     for server in open_now:
         server.close()
@@ -212,7 +212,7 @@ def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):
 
 def test_nobody_there_is_said_in_time_and_the_environment_can_be_closed(tmp_path):
     soon = Patience(resend_s=0.1, reconnect_s=0.3)
-    order = JoinOrder(endpoint=f"ipc://{tmp_path}/nobody", name="env", claim="env", patience=soon)
+    order = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="env", claim="env", patience=soon)
     env = WheelchairEnv(config=CONFIG, join=order)
     with pytest.raises(LinkError, match="silent"):
         env.reset()

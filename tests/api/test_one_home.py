@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 import wcsim
-from wcsim import constants, joystick
+from wcsim.core import constants, joystick
 
 ROOT = Path(wcsim.__file__).parent
 HOMES = {
-    "constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
-    "joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
+    "core/constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
+    "core/joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
 }
 GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
 GRAVITY = 9.81
@@ -47,7 +47,7 @@ def test_second_homes_do_not_come_back():
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value == GRAVITY
     ]
-    assert numbers == ["constants.py"]
+    assert numbers == ["core/constants.py"]
 
 
 def test_units_agree():

@@ -50,7 +50,7 @@ def test_only_the_vectorised_environment_loads_torch():
 
 
 def test_a_world_process_never_loads_torch():
-    assert python("import sys, wcsim.server.world_process; print('torch' in sys.modules)") == "False"
+    assert python("import sys, wcsim.server.host.process; print('torch' in sys.modules)") == "False"
 
 
 def test_help_comes_quickly():

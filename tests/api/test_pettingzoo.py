@@ -13,7 +13,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import wcsim
 from tests.api.streets import TINY, action_at, equal
-from wcsim.agents.parallel_env import StreetParallelEnv
+from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.errors import BadActionError, ConfigError, ProtocolError
 from wcsim.types import SeatSpec
 

@@ -8,8 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.core.reading import (
+    FileKind,
+    opened,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_json,
+    read_text,
+    read_toml,
+    shown,
+)
 from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, TownError
-from wcsim.reading import FileKind, opened, parse_json, parse_toml, read_bytes, read_json, read_text, read_toml, shown
 
 KIND = FileKind(what="a small file", limit_bytes=1000)
 

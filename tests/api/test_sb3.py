@@ -18,8 +18,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from wcsim.agents.export import load_policy
-from wcsim.agents.train import train
+from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
 from wcsim.config import RunConfig, load_run_config
 

@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import wcsim
 from tests.api.streets import LEARNABLE, TINY, action_at, equal
-from wcsim.agents.build import build_model
-from wcsim.agents.vec_env import StreetVecEnv
+from wcsim.agents.envs.vec_env import StreetVecEnv
+from wcsim.agents.learning.build import build_model
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, ProtocolError
 

@@ -7,11 +7,13 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from tests.attack import checkpoints, files, journals, maps, messages, policies, scenarios
+from tests.attack.files import checkpoints, files, journals, maps, policies
 from tests.attack.outcomes import Case, Tally
-from tests.towns import hostile
-from wcsim.towns.scenes import build_scene, find_scene
-from wcsim.towns.xmlio import read_bytes
+from tests.attack.peers import messages
+from tests.attack.scenarios import scenarios
+from tests.towns.made import hostile
+from wcsim.scenes.build import build_scene, find_scene
+from wcsim.towns.sumo.xml_io import read_bytes
 
 SEED = 7
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.attack.damage import flipped, pick
-from wcsim.agents.clients_folder import open_clients_folder
-from wcsim.cli.clients_report import TickRate, report_of
-from wcsim.cli.exit_codes import Exit
+from tests.attack.files.damage import flipped, pick
+from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.training.report import TickRate, report_of
 from wcsim.errors import WcsimError
-from wcsim.server.journal import Ticked, iter_journal
+from wcsim.server.journal.journal import Ticked, iter_journal
 
 ROOT = Path(__file__).parents[2]
 QUICK = (

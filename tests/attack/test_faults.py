@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.attack import faults
-from wcsim.cli.exit_codes import Exit
 from wcsim.cli.main import main
+from wcsim.cli.shared.exit_codes import Exit
 
 
 def told(*rows: faults.Row) -> None:

@@ -11,12 +11,12 @@ import libsumo
 import numpy as np
 
 from wcsim.bridge import mirror
-from wcsim.bridge.articulated import Articulation
-from wcsim.bridge.guard import check_mirror
-from wcsim.bridge.sumo import SumoOptions, SumoSession
-from wcsim.physics.bodies import BodyPool
+from wcsim.bridge.mirror_check import check_mirror
+from wcsim.bridge.reaction.articulated import Articulation
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.physics.engine import Engine
-from wcsim.towns.scenes import build_scene
+from wcsim.physics.kinematic_bodies import BodyPool
+from wcsim.scenes.build import build_scene
 from wcsim.types import ActorState
 
 CLASSES = (

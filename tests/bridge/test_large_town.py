@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from tests.towns.big import make_big_town
-from tests.worlds import follow, open_world
+from tests.support.worlds import follow, open_world
+from tests.towns.made.big import make_big_town
+from wcsim.towns.ground.tiles import TILE_M
+from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.towns.tiles import TILE_M
-from wcsim.towns.town import find_town
 from wcsim.types import WayKind
 
 LIMIT_S, LIMIT_MB = 10.0, 1000.0
@@ -46,7 +46,7 @@ start = time.perf_counter()
 import psutil
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import load_run_config
-from wcsim.towns.town import find_town
+from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 with World(find_town(sys.argv[1]), load_run_config("quick"), (SeatSpec(),), 0) as world:
     world.tick(as_users_wish(world.snapshot))

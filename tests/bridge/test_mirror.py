@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.samples import KERB_M, strip_street
-from wcsim import frames
+from tests.support.samples import KERB_M, strip_street
 from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
-from wcsim.bridge.scene import open_scene, play
-from wcsim.towns.scenes import find_scene
+from wcsim.core import frames
+from wcsim.scenes.build import find_scene
+from wcsim.scenes.run import open_scene, play
 from wcsim.types import ActorKind, ActorState
 
 

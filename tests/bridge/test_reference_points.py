@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.bridge.menagerie import build_street, mirror_loop
-from wcsim import frames
+from wcsim.core import frames
 
 
 @pytest.mark.parametrize(("edges", "start", "end"), [("WC CE", 250, 50), ("CE WC", 50, 250)])

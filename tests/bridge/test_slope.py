@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.towns.nets import hilly
-from tests.worlds import follow, open_world
+from tests.support.worlds import follow, open_world
+from tests.towns.made.nets import hilly
 from wcsim.bridge.mirror import on_ground
 from wcsim.bridge.world import World
-from wcsim.streets import StreetMesh
 from wcsim.types import F64, ActorKind, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types.street import StreetMesh
 
 RIDERS = """<routes>
     <vType id="car" vClass="passenger"/><vType id="bike" vClass="bicycle"/><vType id="walker" vClass="pedestrian"/>

@@ -7,8 +7,8 @@ import textwrap
 import numpy as np
 import pytest
 
-from tests.worlds import follow, hashes, open_world
-from wcsim.bridge.sumo import world_in_this_process
+from tests.support.worlds import follow, hashes, open_world
+from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec

@@ -13,10 +13,10 @@ import pytest
 
 from tests.cli.conftest import Result, files_in
 from tests.cli.test_bad_input import refused
-from tests.towns import hostile
-from tests.towns.nets import PAVED
-from wcsim.towns.tools import run_tool
-from wcsim.towns.town import find_town
+from tests.towns.made import hostile
+from tests.towns.made.nets import PAVED
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.sumo.tools import run_tool
 
 RUN = ("--seconds", "1", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24", "--out", "run")
 

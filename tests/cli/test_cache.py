@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.own_code import KEY_FILE
-from wcsim.towns.cache_files import WRITTEN_S
+from wcsim.agents.runs.own_code import KEY_FILE
+from wcsim.towns.cache.files import WRITTEN_S
+from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.towns.town import find_town
 
 KEY = "0123456789abcdef" * 2
 

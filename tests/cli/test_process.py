@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.cli.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import Exit
 
 COMMAND = (sys.executable, "-m", "wcsim")
 

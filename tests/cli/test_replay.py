@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.test_bad_input import refused
-from tests.framing import chained
-from tests.journals import eventful_run, nudged, rewritten
-from wcsim.server.journal import Ticked, iter_journal, read_header, read_journal
-from wcsim.server.journal_records import header_bytes, record_bytes
+from tests.support.framing import chained
+from tests.support.journals import eventful_run, nudged, rewritten
+from wcsim.server.journal.journal import Ticked, iter_journal, read_header, read_journal
+from wcsim.server.journal.records import header_bytes, record_bytes
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.physics.chair import Wheelchair
 from wcsim.physics.engine import Engine
+from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import ActorKind, ActorState, ClassId, Contact, Joystick, PlantState, StreetMesh
 
 FORWARD = Joystick(0.0, 1.0)

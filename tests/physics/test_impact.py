@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, actor, rig
-from wcsim.physics.bodies import BodyMove, BodyPool
-from wcsim.physics.quiet import pybullet
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.kinematic_bodies import BodyMove, BodyPool
 from wcsim.types import ActorKind
 
 PERSON = (0.29, 0.51, 1.75)

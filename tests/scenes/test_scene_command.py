@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.bridge.scene import GOLDEN
-from wcsim.bridge.scene_facts import SceneFacts
 from wcsim.cli.main import main
+from wcsim.config.scene import SceneExpect
 from wcsim.errors import TownError
-from wcsim.scene_file import SceneExpect
-from wcsim.towns.scene_template import write_scene
-from wcsim.towns.scenes import find_scene
+from wcsim.scenes.build import find_scene
+from wcsim.scenes.facts import SceneFacts
+from wcsim.scenes.run import GOLDEN
+from wcsim.scenes.template import write_scene
 
 BROKEN = {
     "no nodes": ("street.nod.xml", None, "", r"has 0 files \*\.nod\.xml"),

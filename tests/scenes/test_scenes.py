@@ -7,14 +7,14 @@ import shutil
 import pytest
 
 from tests.scenes.planted import PLANTED, plant
-from wcsim.bridge.scene import GOLDEN, TRACE_EVERY, run_in_child
-from wcsim.bridge.scene_facts import facts_from_line, facts_line, faults
-from wcsim.bridge.trace import TickRecord, TraceWriter
-from wcsim.bridge.trace_diff import difference
-from wcsim.bridge.trace_file import read_trace
+from wcsim.bridge.recording.trace import TickRecord, TraceWriter
+from wcsim.bridge.recording.trace_diff import difference
+from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import read_toml
-from wcsim.scene_file import SceneExpect, SceneFile
-from wcsim.towns.scenes import find_scene, list_scenes
+from wcsim.config.scene import SceneExpect, SceneFile
+from wcsim.scenes.build import find_scene, list_scenes
+from wcsim.scenes.facts import facts_from_line, facts_line, faults
+from wcsim.scenes.run import GOLDEN, TRACE_EVERY, run_in_child
 
 NAMES = [folder.name for folder in list_scenes()]
 MUST_BE_THERE = {

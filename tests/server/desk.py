@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from wcsim.server import messages as m
-from wcsim.server.core import ServerCore
-from wcsim.server.cycle import Kept
-from wcsim.server.events import Clock, Effect, Event, Received, Rules, Send, Stepped
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.events import Clock, Effect, Event, Received, Rules, Send, Stepped
+from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
 Kind = TypeVar("Kind")

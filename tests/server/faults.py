@@ -14,11 +14,10 @@ from itertools import count
 import numpy as np
 
 from tests.server.sim_world import SimWorld, Wrong
-from wcsim import seeding
-from wcsim.server import messages as m
-from wcsim.server.client_core import Ask, ClientCore, Failed, Outcome, Patience, Phase, Say, Seen
-from wcsim.server.core import ServerCore
-from wcsim.server.events import (
+from wcsim.core import seeding
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, Failed, FrameSeen, Outcome, Patience, Say
+from wcsim.server.protocol.events import (
     Admit,
     Clock,
     Dismiss,
@@ -35,6 +34,7 @@ from wcsim.server.events import (
     Step,
     Stepped,
 )
+from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import Joystick, SeatSpec
 
 END_S = 30.0  # of the faults
@@ -183,7 +183,7 @@ class Simulation:
             if process.alive and self.now_s >= process.asleep_s:
                 self._do(process, process.core.clock(self.now_s))
                 process.progress += 1
-                if process.core.phase is Phase.THINK:
+                if process.core.phase is ClientPhase.THINK:
                     self._do(process, process.core.beat(process.progress))
 
     def _on_request(self, process: Process, wire: int, message: m.Request) -> None:
@@ -221,7 +221,7 @@ class Simulation:
 
     def _on_act(self, process: Process, session: bytes) -> None:
         core = process.core
-        if not process.alive or core.phase is not Phase.THINK or core.session != session:
+        if not process.alive or core.phase is not ClientPhase.THINK or core.session != session:
             return
         if self.now_s < process.asleep_s:
             self._at(process.asleep_s, "act", process, session)
@@ -233,7 +233,7 @@ class Simulation:
         self._do(process, core.act(core.tick, stick, self.now_s))
 
     def _on_join(self, process: Process) -> None:
-        if process.alive and process.core.phase is Phase.OFF:
+        if process.alive and process.core.phase is ClientPhase.OFF:
             self._do(process, process.core.join(self.now_s))
 
     def _do(self, process: Process, outcomes: list[Outcome]) -> None:
@@ -242,7 +242,7 @@ class Simulation:
             match outcome:
                 case Say():
                     self._say(process, outcome.message)
-                case Seen():
+                case FrameSeen():
                     self._see(process, outcome, restarted)
                 case Failed():
                     self._fail(process, outcome)
@@ -252,7 +252,7 @@ class Simulation:
         process.last_up_s = max(process.last_up_s, self.now_s + 0.001 + self._delay_s * self.draws.unit())
         self._at(process.last_up_s, "request", process, process.wire, message)
 
-    def _see(self, process: Process, seen: Seen, restarted: bool) -> None:
+    def _see(self, process: Process, seen: FrameSeen, restarted: bool) -> None:
         core = process.core
         now = (core.session, seen.epoch, seen.tick, core.life, seen.slot)
         if process.seen and not restarted:
@@ -275,7 +275,7 @@ class Simulation:
         if name not in ("EvictedError", "SeatTakenError", "WorldFullError", "ServerGoneError"):
             raise Wrong(f"client {process.number}: {name}: {failed.error}")
         process.seen = []
-        if process.core.phase is Phase.GONE:
+        if process.core.phase is ClientPhase.GONE:
             self._end(process, "start")
         else:
             self._at(self.now_s + 1.0, "join", process)
@@ -337,7 +337,7 @@ class Simulation:
             self._at(self.now_s + 0.1 * self.draws.unit(), "request", process, process.wire, message)
 
     def _fault_rebuild(self, process: Process) -> None:
-        if process.core.phase is Phase.THINK:
+        if process.core.phase is ClientPhase.THINK:
             self.world.rebuilt = True
             self._do(process, process.core.rebuild(5, self.now_s))
 

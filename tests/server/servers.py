@@ -14,24 +14,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tests.worlds import quick_config
+from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
-from wcsim.server.client_core import Patience
-from wcsim.server.events import Rules
-from wcsim.server.link import SeatLink
-from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
+from wcsim.server.links.base import SeatLink
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
-STAND_IN = "wcsim.server.stand_in:StandInWorld"
+STAND_IN = "wcsim.server.links.fake_world:StandInWorld"
 WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
 
-def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> ServerOrder:
+def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
     """A server with a stand-in for a world, all in `folder`."""
     rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
-    order = ServerOrder(
+    order = WorldSpec(
         town="nowhere",
         config_json=quick_config().model_dump_json(),
         seed=3,
@@ -46,7 +46,7 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> ServerOrder:
 class Server:
     """A world process; `start` may be called again when it has ended."""
 
-    def __init__(self, order: ServerOrder, folder: Path, before: Callable[[], None] | None = None) -> None:
+    def __init__(self, order: WorldSpec, folder: Path, before: Callable[[], None] | None = None) -> None:
         self.order, self._file, self._before = order, folder / "order.json", before
         self.process: subprocess.Popen[bytes]
         self._pipe = -1
@@ -60,7 +60,7 @@ class Server:
             os.close(self._pipe)
         self._pipe, theirs = os.pipe()
         self._file.write_bytes(to_line(replace(self.order, status_fd=theirs)))
-        command = [sys.executable, "-m", "wcsim.server.world_process", str(self._file)]
+        command = [sys.executable, "-m", "wcsim.server.host.process", str(self._file)]
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(theirs,), preexec_fn=self._before
         )
@@ -117,9 +117,9 @@ class Server:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def seat(self, name: str, **changes: Any) -> JoinOrder:
+    def seat(self, name: str, **changes: Any) -> SeatRequest:
         """How a client joins."""
-        order = JoinOrder(endpoint=self.order.endpoint, name=name, claim=name, patience=QUICK)
+        order = SeatRequest(endpoint=self.order.endpoint, name=name, claim=name, patience=QUICK)
         return replace(order, **changes)
 
 
@@ -147,11 +147,11 @@ def together(links: Sequence[SeatLink], do: Callable[[SeatLink], ClientSnapshot]
 
 
 @contextmanager
-def stub_client(join: JoinOrder, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+def stub_client(join: SeatRequest, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     """A client process that drives on and on."""
     order, sights = folder / f"{join.name}.json", folder / f"{join.name}.sights"
     order.write_bytes(to_line(join))
-    command = [sys.executable, "-m", "wcsim.server.stub_client", str(order), "--sights", str(sights), *options]
+    command = [sys.executable, "-m", "wcsim.bench.soak.stub_client", str(order), "--sights", str(sights), *options]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         yield process

@@ -5,8 +5,8 @@ from __future__ import annotations
 import zlib
 
 from tests.server.model.shadow import Shadow, stick_of
-from wcsim.server.cycle import Kept
-from wcsim.server.events import Step
+from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.events import Step
 
 
 class Wrong(Exception):

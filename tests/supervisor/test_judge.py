@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.supervisor.kinematics import plant
 from tests.supervisor.test_observation import sensors
+from tests.users.kinematics import plant
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.yardstick import multiple
+from tests.support.yardstick import multiple
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
     decode_depth,

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.samples import USUAL_OUTLINE, straight_route, strip_street
-from tests.supervisor.actors import USUAL_WHEELS_M, actor, make_user
-from tests.supervisor.kinematics import TICK_S, Chair, Sim, plant, polyline
-from tests.yardstick import multiple
+from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.support.yardstick import multiple
+from tests.users.actors import USUAL_WHEELS_M, actor, make_user
+from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
-from wcsim.joystick import shaped_rows
+from wcsim.core.joystick import shaped_rows
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick

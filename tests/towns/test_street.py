@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.yardstick import multiple
-from wcsim.towns import cache, street
-from wcsim.towns.check import check_town, demand_classes, mesh_faults
-from wcsim.towns.islands import share_of, walkable_parts
-from wcsim.towns.netread import read_net
+from tests.support.yardstick import multiple
+from wcsim.towns import street
+from wcsim.towns.cache import street_cache
+from wcsim.towns.checks.check import check_town, demand_classes, mesh_faults
+from wcsim.towns.ground.tiles import RASTER_M, TILE_M, Packed
+from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.street import load_street
-from wcsim.towns.tiles import RASTER_M, TILE_M, Packed
-from wcsim.towns.town import Town, find_town
+from wcsim.towns.sumo.net import read_net
+from wcsim.towns.walking.islands import share_of, walkable_parts
 from wcsim.types import ClassId, Street, WayKind
 
 WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK)
@@ -83,8 +84,8 @@ def test_cached_street_is_the_same_and_fast(
     manhattan: Street,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    key = cache.street_key(manhattan_town)
-    cache.cached_street(key, lambda: manhattan_packed)
+    key = street_cache.street_key(manhattan_town)
+    street_cache.cached_street(key, lambda: manhattan_packed)
     monkeypatch.setattr(street, "build_street", lambda town: pytest.fail("built although it is in the cache"))
     found = load_street(manhattan_town)
     assert multiple(lambda: load_street(manhattan_town), turns=5) < 150  # about 25
@@ -99,7 +100,7 @@ def test_cached_street_is_the_same_and_fast(
         assert (ours.sumo_id, ours.kind, ours.start, ours.end, ours.width_m, ours.tls_id, ours.tls_links) == (
             theirs.sumo_id, theirs.kind, theirs.start, theirs.end, theirs.width_m, theirs.tls_id, theirs.tls_links
         )  # fmt: skip
-    assert cache.street_key(corner_town) != key
+    assert street_cache.street_key(corner_town) != key
 
 
 def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Path) -> None:

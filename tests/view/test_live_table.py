@@ -6,8 +6,8 @@ import io
 
 from rich.console import Console
 
-from wcsim.server.orders import ClientStatus, Held, WorldStatus
-from wcsim.server.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.specs import ClientStatus, Held, WorldStatus
 from wcsim.view.live_table import LiveTable, head_of, line_of, table_of, waits_of
 
 NAMES = ("fig6", "stack", "gru")

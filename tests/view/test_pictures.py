@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.physics.render_oracle import actor
-from tests.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.physics.renderer.render_oracle import actor
+from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS

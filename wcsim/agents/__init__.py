@@ -1,1 +1,1 @@
-"""Gymnasium environment, networks, learning, baselines, train and test."""
+"""Learning and judging: environments, networks, replay, learners, baselines, evaluation. Read `policy_api.py` first."""

@@ -1,1 +1,1 @@
-"""One world: SUMO and PyBullet in step. Read `world.py` first."""
+"""One world: SUMO and PyBullet in step. Read `world.py` first. No sockets, no networks."""

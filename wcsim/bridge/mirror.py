@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from wcsim import frames
-from wcsim.physics.bodies import BodyMove
-from wcsim.streets import FLAT
+from wcsim.core import frames
+from wcsim.physics.kinematic_bodies import BodyMove
 from wcsim.types import ActorKind, ActorState, Ground, Relief
+from wcsim.types.street import FLAT
 
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
 JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off

@@ -10,19 +10,19 @@ from typing import Self
 
 import numpy as np
 
-from wcsim import seeding
-from wcsim.bridge.stage import RunPlace, open_scenario
-from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
-from wcsim.bridge.trace import state_hash
+from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
 from wcsim.config import RunConfig
-from wcsim.towns.netcheck import validate_net
-from wcsim.towns.netread import read_net
-from wcsim.towns.scenario_overrides import settings_of
-from wcsim.towns.town import Town
+from wcsim.core import seeding
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.overrides import settings_of
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorState, Snapshot
 
 
-class Traffic:
+class TownTraffic:
     """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
 
     def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:

@@ -14,33 +14,33 @@ from types import TracebackType
 
 import numpy as np
 
-from wcsim import seeding
 from wcsim.bridge import mirror
-from wcsim.bridge.articulated import Articulation
-from wcsim.bridge.deflect import Deflection
-from wcsim.bridge.guard import MirrorGuard
-from wcsim.bridge.habits import Habits
-from wcsim.bridge.orders import ChairInStreet, in_street, on_level
-from wcsim.bridge.seat import Seat
-from wcsim.bridge.seating import Seating
-from wcsim.bridge.stage import RunPlace, open_scenario
-from wcsim.bridge.stopwatch import Stopwatch
-from wcsim.bridge.street import StreetReaction
-from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
-from wcsim.bridge.swing_out import SwingOut
-from wcsim.bridge.trace import state_hash
+from wcsim.bridge.ego.ego import Ego
+from wcsim.bridge.ego.ego_slots import EgoSlots
+from wcsim.bridge.mirror_check import MirrorCheck
+from wcsim.bridge.reaction.articulated import Articulation
+from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.commands import ChairInStreet, in_street, on_level
+from wcsim.bridge.reaction.drivers import StreetReaction
+from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
+from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.stage_timer import Stopwatch
+from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
 from wcsim.config import RunConfig
+from wcsim.core import seeding
 from wcsim.errors import ProtocolError
-from wcsim.physics.bodies import BodyPool
-from wcsim.physics.camera import CameraRig, ImageSink
 from wcsim.physics.engine import Engine
-from wcsim.physics.renderer.store import GeometryStore
-from wcsim.streets import FLAT, joined_mesh
-from wcsim.towns.netcheck import validate_net
-from wcsim.towns.scenario_overrides import settings_of
+from wcsim.physics.kinematic_bodies import BodyPool
+from wcsim.physics.renderer.geometry import GeometryStore
+from wcsim.physics.sensors.camera import CameraRig, ImageSink
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.overrides import settings_of
+from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.towns.town import Town
 from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
+from wcsim.types.street import FLAT, joined_mesh
 
 SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
 TILE_REACH_M = 30.0  # the street so far around a chair is in the engine, and so far beyond its cameras' range in sight
@@ -74,7 +74,7 @@ class World:
         self.town = town
         self.config = config
         self.street = load_street(town)
-        self._seating = Seating(specs, config, self.street, town)
+        self._seating = EgoSlots(specs, config, self.street, town)
         self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
@@ -95,7 +95,7 @@ class World:
             raise
 
     @property
-    def seats(self) -> tuple[Seat, ...]:
+    def seats(self) -> tuple[Ego, ...]:
         """The seats that are taken, in the order of their numbers."""
         return self._seating.present
 
@@ -185,7 +185,7 @@ class World:
             here = self._level(self._actors)
             orders = self._street.react(here, self._chairs, pilot)
             for order in (*orders, *self._deflection.holds(here, self._chairs)):
-                pilot.obey(order)
+                pilot.apply(order)
 
     def _step(self) -> None:
         with self.stopwatch.measure("sumo"):
@@ -233,10 +233,10 @@ class World:
         self._tick = 0
         self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
-        habits = Habits(self.config.world, seeding.derive(seed, "street"), self.config.vary)
+        habits = AttentionModel(self.config.world, seeding.derive(seed, "street"), self.config.vary)
         self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
         self._street = StreetReaction(self.config.world, habits, self._swing)
-        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, habits.people)
+        self._deflection = PedestrianAvoidance(self.street.grid, self.config.world.tick_s, habits.people)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
@@ -244,7 +244,7 @@ class World:
         self._engine = Engine(self.config.world.tick_s / self.config.world.substeps)
         self._solid: set[TileKey] = set()
         self._bodies = BodyPool(self._engine)
-        self._guard = MirrorGuard(self._bodies)
+        self._guard = MirrorCheck(self._bodies)
         self._articulation = Articulation()
         self._rig.begin(seed)
         self._seating.build(self._engine, seed)
@@ -256,14 +256,14 @@ class World:
         if got != [(seat.index, self._tick) for seat in self.seats]:
             raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
 
-    def _joined(self, seat: Seat, out: ImageSink | None) -> ClientSnapshot:
+    def _joined(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """Begin a seat's next episode and show it in the snapshot of now."""
         (client,) = self._open_episodes((seat,), out)
         others = [c for c in self.snapshot.clients if c.seat != seat.index]
         self.snapshot = self._published(tuple(sorted((*others, client), key=lambda c: c.seat)))
         return client
 
-    def _open_episodes(self, seats: Sequence[Seat], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
+    def _open_episodes(self, seats: Sequence[Ego], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
         """Begin the next episode of these seats: all are placed before any of them looks around."""
         for seat in seats:
             seat.spawn(self._taken)
@@ -278,7 +278,7 @@ class World:
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
         return tuple(self._seen(seat, out, first=True) for seat in seats)
 
-    def _client(self, seat: Seat, out: ImageSink | None) -> ClientSnapshot:
+    def _client(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
         with self.stopwatch.measure("user"):
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
@@ -287,7 +287,7 @@ class World:
             seat.next_destination()
         return client
 
-    def _seen(self, seat: Seat, out: ImageSink | None, first: bool) -> ClientSnapshot:
+    def _seen(self, seat: Ego, out: ImageSink | None, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
             poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
             buffers = None if out is None else out.buffers(seat.index, first)
@@ -336,7 +336,7 @@ class World:
         """Where the chairs are, (n, 2)."""
         return np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
 
-    def _others(self, seat: Seat) -> tuple[ActorState, ...]:
+    def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
         return self._actors + tuple(other.as_actor() for other in self.seats if other is not seat)
 

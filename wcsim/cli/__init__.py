@@ -1,1 +1,1 @@
-"""The `wcsim` command, one file a subcommand."""
+"""The `wcsim` command, one file a subcommand. Only here something is printed."""

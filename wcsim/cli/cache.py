@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.common import OutFile, parse, write_json
+from wcsim.cli.shared.common import OutFile, parse, write_json
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.reading import shown
 
 
 @dataclass
@@ -26,7 +26,7 @@ def run(words: list[str]) -> int:
     """Say it, and empty the cache where that is asked for."""
     options = parse(Options, words, "cache")
 
-    from wcsim.towns.cache_files import cache_facts, clear_cache  # loads numpy and shapely, which --help must not
+    from wcsim.towns.cache.files import cache_facts, clear_cache  # loads numpy and shapely, which --help must not
 
     before = cache_facts()
     left = clear_cache() if options.clear else before

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from wcsim.cli.common import OutFile, parse, write_json
+from wcsim.cli.shared.common import OutFile, parse, write_json
 from wcsim.errors import WcsimError
 
 PACKAGES = (
@@ -89,7 +89,7 @@ def _versions() -> Finding:
 
 
 def _sumo() -> Finding:
-    from wcsim.towns.tools import run_tool
+    from wcsim.towns.sumo.tools import run_tool
 
     try:
         done = run_tool("sumo", ["--version"], Path(tempfile.gettempdir()))
@@ -120,8 +120,8 @@ def _shared_memory() -> Finding:
 
 
 def _cache() -> Finding:
-    from wcsim.towns.cache import shown_cache
-    from wcsim.towns.cache_files import cache_facts
+    from wcsim.towns.cache.files import cache_facts
+    from wcsim.towns.cache.street_cache import shown_cache
 
     facts = cache_facts()
     place = facts.folder
@@ -137,7 +137,7 @@ def _cache() -> Finding:
 def _ticks(town: str, seed: int) -> Finding:
     from wcsim.bridge.world import World, as_users_wish
     from wcsim.config import load_run_config
-    from wcsim.towns.town import find_town
+    from wcsim.towns.scenario.town import find_town
     from wcsim.types import SeatSpec
 
     try:

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
-from wcsim.cli.exit_codes import Exit, exit_of
+from wcsim.cli.shared.exit_codes import Exit, exit_of
+from wcsim.core.reading import shown
 from wcsim.errors import WcsimError
-from wcsim.reading import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +27,19 @@ class Subcommand:
 
 
 SUBCOMMANDS = (
-    Subcommand("demo", "wcsim.cli.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"),
-    Subcommand("train", "wcsim.cli.train", "train a network in a town"),
+    Subcommand(
+        "demo", "wcsim.cli.training.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"
+    ),
+    Subcommand("train", "wcsim.cli.training.train", "train a network in a town"),
     Subcommand("serve", "wcsim.cli.serve", "run a world that clients join and leave"),
-    Subcommand("join", "wcsim.cli.join", "train a network in a world that somebody serves"),
+    Subcommand("join", "wcsim.cli.training.join", "train a network in a world that somebody serves"),
     Subcommand("test", "wcsim.cli.test", "test trained networks and baselines in towns they have never seen"),
-    Subcommand("town", "wcsim.cli.town", "import a town, list towns, check one, run its traffic"),
+    Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),
-    Subcommand("snapshot", "wcsim.cli.snapshot", "a picture from a chair's camera: colours, classes, depth"),
-    Subcommand("video", "wcsim.cli.video", "a video from a chair's camera beside a map"),
-    Subcommand("bench", "wcsim.cli.bench", "measure chair, users, street, cameras and speed"),
+    Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
+    Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
+    Subcommand("bench", "wcsim.cli.bench.command", "measure chair, users, street, cameras and speed"),
     Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
 )
@@ -48,7 +50,7 @@ class Terminated(KeyboardInterrupt):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code, see `cli/exit_codes.py`."""
+    """Run the command line; returns the exit code, see `cli/shared/exit_codes.py`."""
     try:
         with _orderly_end(own_process=arguments is None):
             code = _run(sys.argv[1:] if arguments is None else arguments)
@@ -104,7 +106,7 @@ def _run(words: list[str]) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        from wcsim.server.limits import told_limit
+        from wcsim.server.protocol.limits import told_limit
 
         told = told_limit(error)
         if not told:

@@ -10,9 +10,9 @@ from typing import Annotated, Final, Literal
 
 import tyro
 
-from wcsim.cli.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
+from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
+from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.reading import is_file, is_folder, shown
 
 TRACE: Final = "trace"
 JOURNAL: Final = "journal"
@@ -106,7 +106,7 @@ def _find(run: Path, preferred: Kind, expected: str) -> Recording:
 
 
 def _is_journal(path: Path) -> bool:
-    from wcsim.server.journal import read_header
+    from wcsim.server.journal.journal import read_header
 
     try:
         read_header(path)
@@ -124,11 +124,11 @@ def _fcd(options: Options) -> int:
     def fill(part: Path) -> None:
         nonlocal steps
         if found.kind == TRACE:
-            from wcsim.bridge.fcd import write_fcd  # the simulators are loaded here, not for --help
+            from wcsim.bridge.recording.fcd import write_fcd  # the simulators are loaded here, not for --help
 
             steps = write_fcd(found.path, part, options.epoch or 0)
         else:
-            from wcsim.server.recompute import recompute_fcd
+            from wcsim.server.journal.replay import recompute_fcd
 
             steps = recompute_fcd(found.path, part, options.epoch or 0, options.hook)
 
@@ -143,7 +143,7 @@ def _verify(options: Options) -> int:
     found = _find(options.runs[0], JOURNAL, "a run folder of a server, or a journal")
     if found.kind != JOURNAL:
         raise ConfigError(f"{found.path}: is no journal, and only a journal can be verified; expected one of a server")
-    from wcsim.server.recompute import verify
+    from wcsim.server.journal.replay import verify
 
     _note_versions(found.path)
     begun_s = time.perf_counter()
@@ -166,8 +166,8 @@ def _verify(options: Options) -> int:
 
 def _note_versions(journal: Path) -> None:
     """Say it when equal hashes cannot be expected."""
-    from wcsim.bridge.fingerprint import fingerprint
-    from wcsim.server.journal import read_header
+    from wcsim.bridge.recording.fingerprint import fingerprint
+    from wcsim.server.journal.journal import read_header
 
     made_by, here = read_header(journal).fingerprint, fingerprint()
     if made_by != here:
@@ -181,9 +181,9 @@ def _first_difference(options: Options) -> int:
     if one.kind != other.kind:
         raise ConfigError(f"{one.path} is a {one.kind} and {other.path} a {other.kind}; expected two of a kind")
     if one.kind == TRACE:
-        from wcsim.bridge.trace_diff import first_difference as difference
+        from wcsim.bridge.recording.trace_diff import first_difference as difference
     else:
-        from wcsim.server.journal_diff import journal_difference as difference
+        from wcsim.server.journal.diff import journal_difference as difference
     told = difference(one.path, other.path)
     print(told or f"{one.path} and {other.path} are equal")
     if options.json is not None:

@@ -13,17 +13,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.bridge.scene import GOLDEN, run_in_child
-from wcsim.bridge.scene_facts import SceneFacts, facts_of, faults
-from wcsim.bridge.trace_diff import difference
-from wcsim.bridge.trace_file import read_trace
-from wcsim.cli.common import OutFile, check_output, parse, subcommand, write_json
+from wcsim.bridge.recording.trace_diff import difference
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, write_json
 from wcsim.config import read_toml
+from wcsim.config.scene import SceneFile
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.reading import shown
-from wcsim.scene_file import SceneFile
-from wcsim.towns.scene_template import write_scene
-from wcsim.towns.scenes import NETCONVERT_FILES, find_scene, list_scenes
+from wcsim.scenes.build import NETCONVERT_FILES, find_scene, list_scenes
+from wcsim.scenes.facts import SceneFacts, facts_of, faults
+from wcsim.scenes.run import GOLDEN, run_in_child
+from wcsim.scenes.template import write_scene
 
 Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
 HOME = Path("scenarios") / "sumo" / "scenes"
@@ -124,7 +124,7 @@ def _run(options: RunOptions) -> int:
             {o.name: {"ok": not o.faults, "faults": list(o.faults), **facts_of(o.facts)} for o in outcomes},
         )
     if options.film is not None:
-        from wcsim.view.scene_film import film_scene  # it takes seconds to load, and most runs need no film
+        from wcsim.scenes.film import film_scene  # it takes seconds to load, and most runs need no film
 
         film_scene(folders[0], options.film)
         print(f"{options.film}: {outcomes[0].name}")

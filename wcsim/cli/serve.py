@@ -10,25 +10,25 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
-from wcsim.cli.exit_codes import Exit
-from wcsim.cli.overrides import Verbose, beside, print_overrides
-from wcsim.cli.run_config import overrides_of
+from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
+from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, load_run_config
+from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
-from wcsim.reading import require_no_links
-from wcsim.server.curve import is_loopback, known_names, make_keys
-from wcsim.server.events import Rules
-from wcsim.server.journal import JOURNAL, JournalWriter
-from wcsim.server.launcher import Launcher
-from wcsim.server.limits import require_files
-from wcsim.server.orders import Recovery, ServerOrder
-from wcsim.server.states import LaunchState
-from wcsim.server.torn import told_torn
-from wcsim.server.workplace import endpoint_in, workplace
-from wcsim.supervisor.profiles import recordings
-from wcsim.towns.netcheck import validate_net
-from wcsim.towns.town import Town, find_town
+from wcsim.server.journal.journal import JOURNAL, JournalWriter
+from wcsim.server.journal.torn import told_torn
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import LaunchState
+from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.limits import require_files
+from wcsim.server.specs import Recovery, WorldSpec
+from wcsim.server.transport.keys import is_loopback, known_names, make_keys
+from wcsim.server.transport.world_folder import endpoint_in, workplace
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.town import Town, find_town
+from wcsim.users.profiles import recordings
 from wcsim.view.live_table import LiveTable
 
 MOST_SEATS = 64
@@ -174,8 +174,8 @@ def _mend(journal: Path) -> None:
                 print(f"wcsim: {told_torn(journal, writer.cut_bytes)}", file=sys.stderr)
 
 
-def _order(options: Options, town: Town, config: RunConfig, place: Path) -> ServerOrder:
-    return ServerOrder(
+def _order(options: Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:
+    return WorldSpec(
         town=town.address,
         config_json=config.model_dump_json(),
         seed=options.seed,

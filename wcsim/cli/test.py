@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-from wcsim import seeding
-from wcsim.agents.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
-from wcsim.agents.network_names import is_own, require_named
-from wcsim.agents.policy_file import read_policy_file
-from wcsim.agents.runfolder import config_of, policy_path, run_of
-from wcsim.cli.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
-from wcsim.cli.overrides import Verbose, print_overrides
-from wcsim.cli.run_config import require_known
+from wcsim.agents.networks.names import is_own, require_named
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
+from wcsim.agents.runs.policy_file import read_policy_file
+from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
+from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
+from wcsim.cli.shared.overrides import Verbose, print_overrides
+from wcsim.cli.shared.run_config import require_known
 from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.core import seeding
+from wcsim.core.reading import shown
 from wcsim.errors import TownError
-from wcsim.reading import shown
-from wcsim.towns.netcheck import validate_net
-from wcsim.towns.scenario import scenario_overrides
-from wcsim.towns.town import Town, find_town, streets_hash
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.stage import scenario_overrides
+from wcsim.towns.scenario.town import Town, find_town, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
-    from wcsim.agents.testing import TestResult
+    from wcsim.agents.evaluation.matrix import TestResult
 
 MAX_STEPS = 1_000_000  # as in env.max_steps
 
@@ -96,9 +96,11 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     require_policies(options)
     config = _config(options)
 
-    from wcsim.agents.env import WheelchairEnv  # torch is loaded here: not for --help, nor for a refusal
-    from wcsim.agents.testing import open_policy, run_test, window_for
-    from wcsim.towns.scenario_overrides import settings_of
+    from wcsim.agents.envs.wheelchair_env import (
+        WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
+    )
+    from wcsim.agents.evaluation.matrix import open_policy, run_test, window_for
+    from wcsim.towns.scenario.overrides import settings_of
 
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
@@ -130,7 +132,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
-    from wcsim.supervisor.recorded import find_user  # numba is loaded here, not for --help
+    from wcsim.users.recorded import find_user  # numba is loaded here, not for --help
 
     in_bounds("--episodes", options.episodes, 1, math.inf)
     in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)

@@ -1,1 +1,1 @@
-"""PyBullet behind `engine.py`: the wheelchair, its drive and IMU, mirror bodies, cameras."""
+"""PyBullet and everything a chair feels or sees. Only here PyBullet is spoken to. No SUMO."""

@@ -15,10 +15,10 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.constants import GRAVITY_MPS2 as GRAVITY_MPS2
+from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
-from wcsim.physics.quiet import pybullet
-from wcsim.physics.soup import Soup, split, tidy
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.collision_mesh import Soup, split, tidy
 from wcsim.types import F64, ClassId, StreetMesh
 
 PARK_Z_M: Final = -500.0

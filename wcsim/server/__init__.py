@@ -1,1 +1,1 @@
-"""How clients reach a world: links, in this process or in another one."""
+"""Several clients in one world: protocol, barrier, journal, links, processes. No learning."""

@@ -1,1 +1,4 @@
-"""Observation, rewards, KPIs, the simulated user and the oracle: pure functions over `types`."""
+"""The paper's supervisor and the oracle: actions, observation, rewards, KPIs; pure functions over `types`.
+
+Not the user.
+"""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.constants import OTHER_LEVEL_M
-from wcsim.joystick import limits_of, shaped_rows
+from wcsim.core.constants import OTHER_LEVEL_M
+from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
 from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 

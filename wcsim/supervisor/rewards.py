@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from wcsim.config import RewardConfig
+from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
-from wcsim.frames import rad
 from wcsim.types import F64, Contact, Events, ImuFrame, PlantState, RewardTerms
 
 CrashReason = Literal["", "collision", "drop", "acceleration", "tilt"]

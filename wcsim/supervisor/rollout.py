@@ -11,10 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.constants import GRAVITY_MPS2, KERB_STEP_CM
-from wcsim.frames import rad
-from wcsim.jit import exact_kernel
-from wcsim.joystick import driven
+from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
+from wcsim.core.frames import rad
+from wcsim.core.jit import exact_kernel
+from wcsim.core.joystick import driven
 from wcsim.types import F64, U8
 
 I64 = npt.NDArray[np.int64]
@@ -57,7 +57,7 @@ def roll_out(
         state: (5,) x, y, yaw, v, w of the drive axle.
         waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
-        limits: (7,) of the drive, see `wcsim.joystick`.
+        limits: (7,) of the drive, see `wcsim.core.joystick`.
         hull: (3,) see the column names above.
         wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
         height_cm: (rows, cols) of the street grid.

@@ -1,1 +1,4 @@
-"""Offline: import OpenStreetMap and SUMO towns, check them, and make their street mesh and walk graph."""
+"""Towns: from OpenStreetMap or somebody's SUMO scenario to a street that wheels and cameras can use.
+
+Read `street.py` first. No simulator runs here.
+"""

@@ -9,30 +9,30 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.constants import KERB_STEP_M
+from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import TownError
-from wcsim.towns.buildings import Building, buildings_of
-from wcsim.towns.cache import cached_street, pack_street, shown_cache, street_key
-from wcsim.towns.crossmarks import unmarked_crossings
-from wcsim.towns.fittings import fittings_of
-from wcsim.towns.grid import GridMaker
-from wcsim.towns.ground import build_ground
-from wcsim.towns.items import read_items
-from wcsim.towns.kerbing import Kerbing, kerbing_of
-from wcsim.towns.kerbs import kerb_walls
-from wcsim.towns.landcover import covered
-from wcsim.towns.looks import FOOT_M
-from wcsim.towns.mesh import build_mesh
-from wcsim.towns.netread import read_net
-from wcsim.towns.obstacles import author_things
-from wcsim.towns.patches import buffered
-from wcsim.towns.relief import on_land, relief_of
-from wcsim.towns.shapes import Piece, prism
-from wcsim.towns.standing import HeightAt, Place, footprints_of, set_on_ground
-from wcsim.towns.surfaces import Surfaces, surfaces_of
-from wcsim.towns.tiles import Packed, pack_tiles
-from wcsim.towns.town import Town
-from wcsim.towns.walkgraph import build_walk_graph, free_space
+from wcsim.towns.cache.street_cache import cached_street, pack_street, shown_cache, street_key
+from wcsim.towns.furniture.author_obstacles import author_things
+from wcsim.towns.furniture.buildings import Building, buildings_of
+from wcsim.towns.furniture.everything import fittings_of
+from wcsim.towns.furniture.models import FOOT_M
+from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
+from wcsim.towns.ground.crossing_paint import unmarked_crossings
+from wcsim.towns.ground.kerb_faces import kerb_walls
+from wcsim.towns.ground.kerb_heights import Kerbing, kerbing_of
+from wcsim.towns.ground.landcover import covered
+from wcsim.towns.ground.mesh import build_mesh
+from wcsim.towns.ground.raster import GridMaker
+from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.ground.solids import Solid, prism
+from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
+from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.tiles import Packed, pack_tiles
+from wcsim.towns.ground.triangulation import build_ground
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.additional import read_items
+from wcsim.towns.sumo.net import read_net
+from wcsim.towns.walking.graph import build_walk_graph, free_space
 from wcsim.types import F64, ClassId, Relief, Street, WalkGraph
 
 log = logging.getLogger("wcsim.towns")
@@ -75,7 +75,9 @@ def build_street(town: Town) -> Packed:
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     walk = build_walk_graph(net, free_space(walkable, _kerb_lines(walls[0]), solids), town.file.chair_ways)
-    place = Place(low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull)
+    place = FreeGround(
+        low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
+    )
     things = fittings_of(items, net, town.additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
@@ -84,7 +86,7 @@ def build_street(town: Town) -> Packed:
     return pack_street(pack_tiles(mesh, grid), walk, relief, heads, net.z_origin_m)
 
 
-def _block(building: Building, ground_m: float, relief: Relief) -> Piece:
+def _block(building: Building, ground_m: float, relief: Relief) -> Solid:
     """A building stands on the lowest land below its walls, or hangs over the highest, and rises from the highest."""
     land_m = relief.at(shapely.get_coordinates(building.outline))
     top_m = float(land_m.max()) + ground_m

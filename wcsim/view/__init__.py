@@ -1,1 +1,1 @@
-"""Pictures and videos for people."""
+"""Pictures, videos and live tables for people. Nothing reads them back."""

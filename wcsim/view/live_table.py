@@ -12,8 +12,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.server.orders import WorldStatus
-from wcsim.server.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.specs import WorldStatus
 
 LINE_S = 10.0  # between two lines where there is no terminal
 WAITS_S = 0.5  # who is waited for is said when it takes so long ...

@@ -9,8 +9,8 @@ from types import TracebackType
 import cv2
 import numpy as np
 
+from wcsim.core.native_output import without_line
 from wcsim.errors import ConfigError
-from wcsim.quiet import without_line
 from wcsim.types import U8
 from wcsim.view.map import MapView, map_view
 

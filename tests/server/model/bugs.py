@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from wcsim.server import messages as m
-from wcsim.server.client_core import ClientCore, Outcome, Phase
-from wcsim.server.core import ServerCore
-from wcsim.server.cycle import Cycle, Kept
-from wcsim.server.events import Rules
-from wcsim.server.members import Member
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.barrier import Barrier, Kept
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
+from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.members import Member
+from wcsim.server.protocol.server_core import ServerCore
 
 
 class UncheckedTick(ServerCore):
@@ -27,7 +27,7 @@ class NoLease(ServerCore):
         self.cycle.__class__ = _Patient
 
 
-class _Patient(Cycle):
+class _Patient(Barrier):
     def watch(self, now_s: float) -> None:
         if now_s - self._told_s >= self.rules.notice_s:
             self._tell(now_s)
@@ -41,9 +41,9 @@ class NoPromotion(ServerCore):
         self.cycle.__class__ = _Headless
 
 
-class _Headless(Cycle):
-    def crown(self, member: Member | None, tell: bool) -> None:
-        super().crown(None if tell else member, tell)
+class _Headless(Barrier):
+    def promote(self, member: Member | None, tell: bool) -> None:
+        super().promote(None if tell else member, tell)
 
 
 class NotLookedAtAgain(ServerCore):
@@ -54,7 +54,7 @@ class NotLookedAtAgain(ServerCore):
         self.cycle.__class__ = _Absent
 
 
-class _Absent(Cycle):
+class _Absent(Barrier):
     def remove(self, member: Member, reason: str, now_s: float) -> None:
         self._removing = True
         super().remove(member, reason, now_s)
@@ -69,7 +69,7 @@ class ShowsAnyFrame(ClientCore):
     """Takes a frame that it has had for the next one."""
 
     def _frame(self, frame: m.Frame) -> list[Outcome]:
-        if self.phase in (Phase.THINK, Phase.WAIT_TICK, Phase.WAIT_SENSORS):
+        if self.phase in (ClientPhase.THINK, ClientPhase.WAIT_TICK, ClientPhase.WAIT_SENSORS):
             return self._seen(frame)
         return super()._frame(frame)
 

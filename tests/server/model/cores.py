@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 
 from tests.server.model.scope import Scope, Violation
-from wcsim.server import messages as m
-from wcsim.server.client_core import Ask, ClientCore, Failed, Outcome, Patience
-from wcsim.server.core import ServerCore
-from wcsim.server.cycle import Kept
-from wcsim.server.events import Clock, Effect, Event, Rules, Stage
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
+from wcsim.server.protocol.events import BarrierState, Clock, Effect, Event, Rules
+from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
 PATIENCE = Patience(resend_s=2.0, reconnect_s=900.0, tick_s=9000.0)
@@ -161,7 +161,7 @@ def _one_master(before: tuple[bytes, int], core: ServerCore) -> None:
 def _master_is_member(core: ServerCore) -> None:
     cycle = core.cycle
     here = [mate.session for mate in cycle.roll.members if not mate.vacant]
-    if cycle.stage is not Stage.STOPPED and (cycle.master not in here if here else cycle.master != b""):
+    if cycle.stage is not BarrierState.STOPPED and (cycle.master not in here if here else cycle.master != b""):
         raise Violation(f"the master {cycle.master!r} is none of the members {here}")
 
 

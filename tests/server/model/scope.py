@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from wcsim.server.client_core import ClientCore
-from wcsim.server.core import ServerCore
+from wcsim.server.protocol.client_core import ClientCore
+from wcsim.server.protocol.server_core import ServerCore
 
 
 class Violation(Exception):

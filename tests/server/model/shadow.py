@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from tests.server.model.scope import Violation
-from wcsim.server.cycle import Kept
+from wcsim.server.protocol.barrier import Kept
 from wcsim.types import Command, SeatSpec
 
 

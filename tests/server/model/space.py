@@ -12,10 +12,11 @@ from tests.server.model.cores import Clients, Servers
 from tests.server.model.scope import BUDGETS, Scope, Violation
 from tests.server.model.shadow import Shadow, stick_of
 from tests.server.model.view import NOTHING_SEEN, View, hear
-from wcsim.server import messages as m
-from wcsim.server.client_core import ClientCore, Outcome, Phase, Say
-from wcsim.server.events import (
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome, Say
+from wcsim.server.protocol.events import (
     Admit,
+    BarrierState,
     Dismiss,
     Effect,
     Lost,
@@ -25,7 +26,6 @@ from wcsim.server.events import (
     RespawnSeats,
     Send,
     SendFrame,
-    Stage,
     Step,
     Stepped,
 )
@@ -95,10 +95,10 @@ class Space:
             core = self.clients[i].cores[slot.core]
             if slot.mode == "hung" or (slot.mode == "dead" and not slot.starts):
                 continue
-            if slot.mode == "live" and core.phase is Phase.OFF and not slot.starts:
+            if slot.mode == "live" and core.phase is ClientPhase.OFF and not slot.starts:
                 continue
             there = slot.mode == "live" and (core.epoch, core.tick) == (at.shadow.epoch, self.scope.last_tick)
-            if not (there and core.phase is Phase.THINK) and not (top and roll.waiting(core.session) is not None):
+            if not (there and core.phase is ClientPhase.THINK) and not (top and roll.waiting(core.session) is not None):
                 return False
         return True
 
@@ -106,7 +106,7 @@ class Space:
 
     def _server_moves(self, at: World) -> Iterator[Move]:
         cycle = self.servers.cores[at.server].cycle
-        if cycle.stage is Stage.STEPPING:
+        if cycle.stage is BarrierState.STEPPING:
             yield "stepped", self._stepped(at)
             if not self.scope.split_step:
                 return
@@ -119,12 +119,12 @@ class Space:
         for waiting in cycle.roll.pending:
             if waiting.session not in alive and not self.scope.remote and not self._hung(at, waiting.session):
                 yield from self._lost(at, waiting.session, fault=False)
-        if cycle.stage is Stage.READY:
+        if cycle.stage is BarrierState.READY:
             slow = cycle.master in alive
             yield from self._paid(at, "tick lease", "slow", slow, lambda server, _: self.servers.tick_lease(server), 0)
             if not any(isinstance(x, m.Tick) for slot in at.slots for _, x in slot.up):
                 yield from self._paid(at, "notice", "slow", False, lambda server, _: self.servers.notice(server), 0)
-        if cycle.stage is Stage.EMPTY and cycle.roll.pending:
+        if cycle.stage is BarrierState.EMPTY and cycle.roll.pending:
             yield from self._paid(at, "gathered", "slow", False, lambda server, _: self.servers.gathered(server), 0)
         yield from self._deaths(at)
 
@@ -204,7 +204,7 @@ class Space:
 
     def _arrivals(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
         (peer, message), rest = slot.up[0], slot.up[1:]
-        if self.servers.cores[at.server].cycle.stage is not Stage.STEPPING or self.scope.split_step:
+        if self.servers.cores[at.server].cycle.stage is not BarrierState.STEPPING or self.scope.split_step:
             server, effects = self.servers.handle(at.server, Received(peer, message))
             self._fenced(at.server, server, message)
             after = _with(replace(at, server=server), i, replace(slot, up=rest))
@@ -244,9 +244,9 @@ class Space:
             after = self._act(at, i, slot, "again", lambda c: c.clock(3.0))
             if after != at:
                 yield f"{i} asks again", after
-        if core.phase is Phase.OFF and slot.starts:
+        if core.phase is ClientPhase.OFF and slot.starts:
             yield f"{i} joins", self._join(at, i, slot)
-        if core.phase is Phase.THINK:
+        if core.phase is ClientPhase.THINK:
             yield from self._driver_moves(at, i, slot, core.epoch, core.tick)
 
     def _driver_moves(self, at: World, i: int, slot: Slot, epoch: int, tick: int) -> Iterator[Move]:
@@ -282,7 +282,7 @@ class Space:
         view = hear(slot.view, before, after, outcomes)
         peer = bytes([i, slot.process])
         up = slot.up + tuple((peer, x.message) for x in outcomes if isinstance(x, Say))
-        gone = after.phase is Phase.GONE
+        gone = after.phase is ClientPhase.GONE
         slot = replace(slot, core=core, drawn=drawn, up=up, view=NOTHING_SEEN if gone else view)
         return _with(at, i, replace(slot, mode="dead", down=()) if gone else slot)
 
@@ -290,7 +290,7 @@ class Space:
 
     def _alive(self, at: World) -> set[bytes]:
         cores = [self.clients[i].cores[slot.core] for i, slot in enumerate(at.slots) if slot.mode == "live"]
-        return {core.session for core in cores if core.phase is not Phase.OFF}
+        return {core.session for core in cores if core.phase is not ClientPhase.OFF}
 
     def _hung(self, at: World, session: bytes) -> bool:
         slot = at.slots[session[0]]
@@ -302,7 +302,7 @@ class Space:
         return slot is not None and slot.mode == "live" and self._waits(slot, int(chair.owner[1:]) if chair else 0)
 
     def _waits(self, slot: Slot, i: int) -> bool:
-        return self.clients[i].cores[slot.core].phase is not Phase.OFF
+        return self.clients[i].cores[slot.core].phase is not ClientPhase.OFF
 
     def _pay(self, at: World, budget: str) -> World | None:
         k = BUDGETS.index(budget)

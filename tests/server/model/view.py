@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tests.server.model.scope import Violation
-from wcsim.server import messages as m
-from wcsim.server.client_core import ClientCore, Failed, Outcome, Phase, Seen
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Failed, FrameSeen, Outcome
 
 Last = tuple[int, int, int, int]  # epoch, tick, life, chair
 
@@ -25,7 +25,7 @@ NOTHING_SEEN = View()
 
 def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outcome, ...]) -> View:
     """What the driver has seen after these outcomes. Raises Violation for what must not be."""
-    seen = next((x for x in outcomes if isinstance(x, Seen)), None)
+    seen = next((x for x in outcomes if isinstance(x, FrameSeen)), None)
     errors = [type(x.error).__name__ for x in outcomes if isinstance(x, Failed)]
     told_restart = "WorldRestartedError" in errors
     asked_rebuild = isinstance(before.pending, m.Rebuild)
@@ -35,7 +35,7 @@ def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outc
     if seen is None:
         if told_restart:
             raise Violation("told of a new epoch without its first frame")
-        return NOTHING_SEEN if after.phase is Phase.OFF else view
+        return NOTHING_SEEN if after.phase is ClientPhase.OFF else view
     now = (seen.epoch, after.tick, after.life, seen.slot)
     if seen.stepped != (view.last is not None and _goes_on(view.last, now) and seen.tick > view.last[1]):
         raise Violation(f"frame {now} after {view.last} says of itself: stepped {seen.stepped}")

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.physics.renderer.kernels import place_models
-from wcsim.physics.renderer.models import GAIT_PHASES, POSTURES, STANDING
-from wcsim.physics.renderer.templates import Template, template_of
+from wcsim.physics.renderer.models.catalog import Template, template_of
+from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
 from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.jit import kernel
+from wcsim.core.jit import kernel
 from wcsim.types import F32, F64, I32, U8
 
 U32Array = npt.NDArray[np.uint32]

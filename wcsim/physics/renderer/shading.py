@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wcsim.jit import kernel
+from wcsim.core.jit import kernel
 from wcsim.physics.renderer.kernels import COLOURED, PLAIN, SKY_ID, STRIPES, StreetArrays, U32Array, View
 from wcsim.types import F32, I32, U8
 

@@ -1,0 +1,146 @@
+"""A client's own process: how it ends, what it says, where its time went, what it begins again with."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from itertools import count
+
+import pytest
+
+from tests.agents.learning.test_train import Nervous, config, street
+from wcsim import errors
+from wcsim.agents.clients.client import StatusPipe, exit_of
+from wcsim.agents.clients.client_process import main
+from wcsim.agents.clients.time_shares import Stopped, TimeShares
+from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
+from wcsim.agents.learning.train import train
+from wcsim.core.files import locked
+from wcsim.server.launch.states import ClientExit
+from wcsim.server.links.base import Waits
+from wcsim.server.specs import ClientSpec, ClientStatus, SeatRequest, of_line, to_line
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (errors.InterruptedRunError, ClientExit.STOPPED),
+        (errors.ConfigError, ClientExit.USER_ERROR),
+        (errors.PolicyError, ClientExit.USER_ERROR),
+        (errors.DiskFullError, ClientExit.DISK_FULL),
+        (errors.ConfigMismatchError, ClientExit.USER_ERROR),
+        (errors.VersionMismatchError, ClientExit.USER_ERROR),
+        (errors.AccessError, ClientExit.USER_ERROR),
+        (errors.EvictedError, ClientExit.EVICTED),
+        (errors.StaleSessionError, ClientExit.EVICTED),
+        (errors.ServerGoneError, ClientExit.SERVER_GONE),
+        (errors.TickTimeoutError, ClientExit.SERVER_GONE),
+        (errors.SeatTakenError, ClientExit.SERVER_GONE),
+    ],
+)
+def test_how_a_client_ends(error, code):
+    assert exit_of(error("so")) is code
+
+
+def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda grace_s, code: None)
+    join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="c")
+    order = ClientSpec(
+        join=join, config_json=config(network="nonesuch").model_dump_json(), seed=1, out=str(tmp_path / "run")
+    )
+    (tmp_path / "order").write_bytes(to_line(order))
+    assert main([str(tmp_path / "order")]) == ClientExit.USER_ERROR
+    assert "wcsim: unknown network 'nonesuch'" in capfd.readouterr().err
+    assert main([str(tmp_path / "none")]) == ClientExit.USER_ERROR
+    assert not (tmp_path / "run").exists()
+
+
+class WaitingEnv:
+    waits = Waits(steps=3, simulation_s=1.5, link_s=4.0)
+
+
+def told(step, total=100):
+    return TrainProgress(step=step, total_steps=total, phase=2, episodes=1, crashes=0, kpi1=None)
+
+
+def test_status_lines_come_half_a_second_apart_and_in_the_end():
+    reads, writes = os.pipe()
+    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+    for step in (1, 2, 3, 100):
+        pipe.show(told(step))
+    os.close(writes)
+    lines = [of_line(ClientStatus, line) for line in os.read(reads, 1 << 16).splitlines()]
+    os.close(reads)
+    assert [status.step for status in lines] == [1, 100]
+    assert (lines[0].name, lines[0].simulation_s, lines[0].barrier_s) == ("a", 1.5, 2.5)
+
+
+def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, monkeypatch):
+    monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda grace_s, code: None)
+    reads, writes = os.pipe()
+    os.close(reads)
+    assert main([str(tmp_path / "none"), "--status-fd", str(writes)]) == ClientExit.SERVER_GONE
+    os.close(writes)
+
+
+def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
+    reads, writes = os.pipe()
+    os.close(reads)
+    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+    with StopRequest() as request:
+        signal.raise_signal(signal.SIGTERM)  # as the kernel does when the launcher dies
+        pipe.show(told(100))
+        pipe.show(told(100))
+        os.close(writes)
+    assert (request.asked, request.forced) == (True, False)
+
+
+def test_a_call_within_a_call_counts_once(monkeypatch):
+    clock = count()
+    monkeypatch.setattr("wcsim.agents.clients.time_shares.time.perf_counter", lambda: next(clock))
+    watch = Stopped()
+    inner = watch.around(lambda: next(clock))
+    watch.around(lambda: (inner(), inner()))()
+    assert (watch.calls, watch.seconds) == (1, 3)
+
+
+def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
+    shares, seen = TimeShares(), []
+    settings = config(total_steps=60, phase1_steps=20, learning_starts=10, train_every=4)
+    train(settings, street, tmp_path / "run", 3, seen.append, progress_every=1, callbacks=(shares,))
+    assert shares.learning.calls == pytest.approx(50 / 4, abs=2)
+    assert shares.inference.calls >= 40  # each step of the second phase, and some of the first
+    assert min(shares.learning.seconds, shares.inference.seconds) > 0.0
+    assert [now.step for now in seen] == sorted(now.step for now in seen)
+    assert len(seen) >= 15
+
+
+def test_a_client_that_loses_its_world_keeps_what_it_has_learned(tmp_path):
+    def fail():
+        raise errors.ServerGoneError("gone")
+
+    settings = config(total_steps=60, phase1_steps=20, learning_starts=10, checkpoint_every=1000)
+    with pytest.raises(errors.ServerGoneError):
+        train(settings, lambda: Nervous(31, fail), tmp_path / "run", 3)
+    assert [path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*")] == ["step-00000030"]
+    train(settings, street, tmp_path / "run", 3, resume=True)
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+
+
+def test_measuring_changes_nothing(tmp_path):
+    settings = config(total_steps=60, phase1_steps=20, learning_starts=10)
+    train(settings, street, tmp_path / "a", 3)
+    train(settings, street, tmp_path / "b", 3, progress_every=1, callbacks=(TimeShares(),))
+    a, b = ((tmp_path / name / "policies" / "final" / "weights.safetensors").read_bytes() for name in "ab")
+    assert a == b
+    assert json.loads((tmp_path / "a" / "manifest.json").read_text())["status"] == "done"
+
+
+def test_a_run_folder_belongs_to_one_launcher_at_a_time(tmp_path):
+    with locked(tmp_path), pytest.raises(errors.PolicyError, match="another process"), locked(tmp_path):
+        pass
+    with locked(tmp_path):
+        pass

@@ -1,0 +1,158 @@
+"""Checkpoints: which one is resumed from, which ones are kept, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+
+import pytest
+
+from tests.attack.files.checkpoints import Bench, config, content, street
+from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
+from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
+from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.learning.train import train
+from wcsim.agents.runs.run_folder import open_run
+from wcsim.errors import InterruptedRunError, PolicyError
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    return Bench(tmp_path_factory.mktemp("bench"))
+
+
+@pytest.fixture
+def folder(bench, tmp_path):
+    bench.fresh()
+    return shutil.copytree(bench.sound, tmp_path / "checkpoints")
+
+
+def names(folder):
+    return [path.name for path in step_folders(folder)]
+
+
+def test_the_newest_is_that_of_the_largest_number(bench, folder):
+    load_checkpoint(folder, bench.model)
+    for step in (99_990_000, 99_995_000, 99_999_000, 100_000_000, 100_000_001):
+        bench.model.num_timesteps = step
+        assert save_checkpoint(folder, bench.model, {}).is_dir()
+    assert names(folder) == ["step-99999000", "step-100000000", "step-100000001"]
+    assert (folder / "LATEST").read_text() == "step-100000001\n"
+    assert load_checkpoint(folder, bench.model).path.name == "step-100000001"
+
+
+def test_one_that_was_just_written_is_kept_whatever_others_there_are(bench, folder):
+    load_checkpoint(folder, bench.model)
+    bench.model.num_timesteps = 7
+    assert save_checkpoint(folder, bench.model, {}).is_dir()
+    assert names(folder) == ["step-00000007", "step-00000040", "step-00000080", "step-00000120"]
+
+
+def test_names_that_are_none_are_neither_used_nor_deleted(bench, folder):
+    shutil.copytree(folder / "step-00000040", folder / "step-00000120-copy")
+    (folder / "step-zzz").symlink_to("/")
+    (folder / "step-00000200").symlink_to("step-00000040")
+    assert load_checkpoint(folder, bench.model).path.name == "step-00000120"
+    bench.model.num_timesteps = 160
+    save_checkpoint(folder, bench.model, {})
+    assert names(folder) == ["step-00000080", "step-00000120", "step-00000160"]
+    assert {"step-00000120-copy", "step-zzz", "step-00000200"} <= {path.name for path in folder.iterdir()}
+
+
+BAD = {
+    "num_timesteps": 10**9, "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
+    "explore_rng": {}, "schema_version": 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", BAD)
+def test_a_state_with_another_value_is_passed_over(bench, folder, key):
+    file = folder / "step-00000120" / STATE
+    data = json.loads(file.read_text())
+    file.write_text(json.dumps({**data, key: BAD[key]}))
+    loaded = load_checkpoint(folder, bench.model)
+    assert loaded.path.name == "step-00000080"
+    assert [item.path.name for item in loaded.passed_over] == ["step-00000120"]
+    assert content(bench.model, loaded.extra) == bench.known[80]
+
+
+@pytest.mark.parametrize("seal", [True, False])
+def test_a_checkpoint_of_the_version_before_has_no_seal(bench, folder, seal):
+    """Its files have hashes; its counters are held against their bounds alone."""
+    file = folder / "step-00000120" / STATE
+    data = json.loads(file.read_text())
+    if not seal:
+        del data["seal"]
+    file.write_text(json.dumps({**data, "schema_version": 1}))
+    loaded = load_checkpoint(folder, bench.model)
+    assert (loaded.path.name, loaded.sealed) == (("step-00000080", True) if seal else ("step-00000120", False))
+    if not seal:
+        assert content(bench.model, loaded.extra) == bench.known[120]
+        for key in BAD.keys() - {"schema_version"}:
+            file.write_text(json.dumps({**data, "schema_version": 1, key: BAD[key]}))
+            bench.fresh()
+            assert load_checkpoint(folder, bench.model).path.name == "step-00000080"
+
+
+def test_a_learner_is_what_it_was_when_all_are_refused(bench, folder):
+    for path in step_folders(folder):
+        (path / MODEL).write_bytes(b"")
+    with pytest.raises(PolicyError, match="no sound checkpoint that fits") as told:
+        load_checkpoint(folder, bench.model)
+    assert all(path.name in str(told.value) for path in step_folders(folder))
+    assert content(bench.model, {}) == bench.blank
+
+
+def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
+    out, told = tmp_path / "run", []
+
+    def stop(now):
+        if now.step >= 90 and not out.joinpath("stopped").exists():
+            out.joinpath("stopped").touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(InterruptedRunError):
+        train(config(), street, out, 5, stop, progress_every=10)
+    newest = step_folders(out / "checkpoints")[-1]
+    (newest / STATE).write_text("[" * 100_000)
+    train(config(), street, out, 5, resume=True, say=told.append)
+    assert open_run(out).manifest.status == "done"
+    assert [newest.name in line and "not JSON" in line for line in told] == [True]
+    assert newest.with_name(f"{newest.name}.damaged").is_dir()
+    assert any(json.loads(line)["event"] == "passed_over" for line in (out / "events.jsonl").read_text().splitlines())
+
+
+def test_a_storm_of_signals_leaves_a_run_that_can_be_resumed(tmp_path):
+    out, before = tmp_path / "run", signal.getsignal(signal.SIGTERM)
+
+    def storm():
+        for _ in range(2 if signal.getsignal(signal.SIGTERM) is not before else 0):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(InterruptedRunError):
+        train(config(), street, out, 5, lambda now: now.step >= 60 and storm(), progress_every=10)
+    assert open_run(out).manifest.status == "interrupted"
+    train(config(), street, out, 5, resume=True)
+    assert open_run(out).manifest.status == "done"
+
+
+def test_a_run_without_a_checkpoint_begins_again(tmp_path):
+    """As after a disk that was full before the first one."""
+    once, out, told = train(config(), street, tmp_path / "once", 5), tmp_path / "run", []
+    shutil.copytree(once, out)
+    shutil.rmtree(out / "checkpoints")
+    train(config(), street, out, 5, resume=True, say=told.append)
+    assert "begins again" in told[0]
+    rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
+    one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)
+    assert one == other
+
+
+def test_two_cannot_learn_in_one_folder(tmp_path):
+    def again(now):
+        with pytest.raises(PolicyError, match="by another process"):
+            train(config(), street, tmp_path / "run", 5, resume=True)
+
+    train(config(), street, tmp_path / "run", 5, again, progress_every=60)

@@ -1,0 +1,310 @@
+"""The training aid: what the oracle says of every action, from the environment's info to the values."""
+
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import wcsim.agents.learning.seqdqn as seqdqn
+from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.flip_augmentation import mirrored, mirrored_advice
+from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled, teacher_actions
+from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.safe_actions import AdviceBatch
+from wcsim.agents.replay.state import replay_arrays, restore_replay
+from wcsim.config import LearnConfig, RunConfig, load_run_config
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
+from wcsim.types import ClassId
+
+CAMERA = toy_camera(24, 32)
+ACTIONS = action_set("square81")
+POINTS = ACTIONS.points
+AHEAD = POINTS[:, 1] > 0.3
+SPACE = gym.spaces.Dict(
+    seg=gym.spaces.Box(0, 255, (1, 24, 32), np.uint8), depth=gym.spaces.Box(0, 255, (1, 24, 32), np.uint8),
+    imu=gym.spaces.Box(-1, 1, (5,), np.float32), joystick=gym.spaces.Box(-1, 1, (2,), np.float32),
+)  # fmt: skip
+
+
+def distances(*sticks):
+    return torch.as_tensor(ACTIONS.distances(np.array(sticks)), dtype=torch.float32)
+
+
+def safe_rows(*rows):
+    return torch.as_tensor(np.stack(rows))
+
+
+# --- teacher and loss ---
+
+
+def test_the_teacher_is_the_safe_action_nearest_to_the_stick():
+    safe = safe_rows(np.ones(81, bool), ~AHEAD)
+    assert POINTS[teacher_actions(distances((0, 1), (0, 1)), safe)].tolist() == [[0, 1], [0, 0.25]]
+
+
+def test_a_moment_in_which_nothing_is_safe_teaches_nothing():
+    values = torch.zeros(1, 81, requires_grad=True)
+    aid_loss(values, distances((0, 1)), safe_rows(np.zeros(81, bool)), 0.05, 1.0).backward()
+    assert not values.grad.any()
+
+
+def test_the_loss_by_hand():
+    g = np.random.default_rng(0)
+    values, safe, stick = g.normal(size=81), g.random(81) < 0.7, (0.3, 0.6)
+    gap = ACTIONS.distances(np.array([stick]))[0]
+    label = int(np.where(safe, gap, np.inf).argmin())
+    behind = values + 0.05 * (np.maximum(gap - gap[label], 0) + MARGIN_OFFSET + 3.0 * ~safe) - values[label]
+    behind[label] = 0.0
+    behind = np.maximum(behind, 0)
+    expected = behind.max() + behind[~safe].mean()
+    tensor = torch.as_tensor(values, dtype=torch.float32)[None]
+    got = aid_loss(tensor, distances(stick), safe_rows(safe), scale=0.05, unsafe=3.0)
+    assert float(got) == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_loss_is_zero_when_the_teacher_wins_clearly_and_its_slope_goes_the_right_way():
+    safe, gap = safe_rows(~AHEAD), distances((0, 1))
+    clear = -10 * gap - 100 * ~safe
+    assert float(aid_loss(clear, gap, safe, 0.05, 1.0)) == 0.0
+    values = torch.zeros(1, 81, requires_grad=True)
+    aid_loss(values, gap, safe, 0.05, 1.0).backward()
+    label = int(teacher_actions(gap, safe))
+    assert values.grad[0, label] < 0
+    assert (values.grad[0, torch.as_tensor(AHEAD)] > 0).all()
+
+
+def test_other_wishes_are_any_and_only_a_share():
+    sticks = np.tile(np.array([[0.1, 0.2]], np.float32), (400, 1))
+    wishes = relabelled(sticks, POINTS, 0.5, np.random.default_rng(0))
+    assert wishes.dtype == np.float32
+    changed = (wishes != sticks).any(axis=1)
+    assert 0.4 < changed.mean() < 0.6
+    assert np.hypot(*wishes.T).max() <= 1.0 + 1e-6
+    assert len(np.unique(ACTIONS.nearest_many(wishes))) > 40
+    assert np.array_equal(relabelled(sticks, POINTS, 0.0, np.random.default_rng(0)), sticks)
+
+
+# --- advice in the replay memory ---
+
+
+def observed(number):
+    image = np.full((1, 1, 24, 32), number % 251, np.uint8)
+    stick = np.array([[0.0, number / 1000]], np.float32)
+    return {"seg": image, "depth": image, "imu": np.zeros((1, 5), np.float32), "joystick": stick}
+
+
+def mask(number):
+    return (np.arange(81) * 7 + number) % 5 != 0
+
+
+def filled(steps, rows=1000, crash_every=7, unknown=()):
+    """A memory in which the safe actions of observation k are mask(k)."""
+    replay = FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", n_step=3, advice=True, seed=5)
+    number = 0
+    for k in range(steps):
+        done = k % crash_every == crash_every - 1
+        truth = None if number + 1 in unknown else SimpleNamespace(safe_actions=mask(number + 1))
+        replay.add(
+            observed(number), observed(number + 1), np.array([0]), np.zeros(1), np.array([done]), [{"truth": truth}]
+        )
+        number += 2 if done else 1  # the observation after a crash is the episode's last; the next begins another
+    return replay
+
+
+def numbers(batch):
+    return np.rint(batch.observations["joystick"][:, 1].numpy() * 1000).astype(int)
+
+
+@pytest.mark.parametrize("rows", [1000, 25])
+def test_advice_belongs_to_its_observation(rows):
+    replay = filled(60, rows, unknown=(50, 51))
+    batch = replay.sample_advice(300, 0.5)
+    seen = numbers(batch)
+    assert np.array_equal(batch.safe.numpy(), np.stack([mask(k) for k in seen]))
+    assert not set(seen) & ({8 * k for k in range(10)} | {50, 51})  # first observations and untold ones
+    if rows == 25:
+        assert seen.min() > 68 - 30
+
+
+def test_a_look_ahead_ends_with_the_episode():
+    replay = filled(40)
+    batch = replay.sample_advice(200, 0.5, ahead=2)
+    for number, safe in zip(numbers(batch), batch.safe.numpy(), strict=True):
+        last = min(8 * (number // 8) + 6, number + 2, 39 + 39 // 7)
+        assert np.array_equal(safe, np.all([mask(k) for k in range(number, last + 1)], axis=0))
+
+
+def test_a_look_ahead_leaves_an_action():
+    replay = FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu", advice=True)
+    for k in range(20):
+        info = {"truth": SimpleNamespace(safe_actions=AHEAD if (k + 1) % 2 else ~AHEAD)}
+        replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
+    batch = replay.sample_advice(100, 0.5, ahead=3)
+    for number, safe in zip(numbers(batch), batch.safe.numpy(), strict=True):
+        assert np.array_equal(safe, AHEAD if number % 2 else ~AHEAD)
+
+
+def test_tight_moments_get_their_share():
+    replay = FrameReplay(1000, SPACE, gym.spaces.Discrete(81), "cpu", advice=True)
+    for k in range(200):
+        safe = np.ones(81, bool) if (k + 1) % 50 else ~AHEAD
+        info = {"truth": SimpleNamespace(safe_actions=safe)}
+        replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
+    tight = (~replay.sample_advice(400, 0.5).safe.all(dim=1)).float().mean()
+    assert 0.45 < tight < 0.6
+
+
+def test_advice_survives_a_checkpoint():
+    replay = filled(60, 25)
+    again = FrameReplay(25, SPACE, gym.spaces.Discrete(81), "cpu", n_step=3, advice=True, seed=5)
+    restore_replay(again, replay_arrays(replay))
+    one, two = replay.sample_advice(50, 0.5, 3), again.sample_advice(50, 0.5, 3)
+    assert torch.equal(one.safe, two.safe)
+    assert np.array_equal(numbers(one), numbers(two))
+
+
+def test_without_advice_there_is_none_to_draw():
+    plain = FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu")
+    with pytest.raises(ValueError, match="advice=True"):
+        plain.sample_advice(4, 0.5)
+    assert FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu", advice=True).sample_advice(4, 0.5) is None
+
+
+# --- mirror ---
+
+
+def random_batch(count=5):
+    g = torch.Generator().manual_seed(0)
+
+    def seen():
+        images = {
+            k: torch.randint(0, 34, (count, 1, 24, 32), generator=g, dtype=torch.uint8) for k in ("seg", "depth")
+        }
+        vectors = {k: torch.rand(count, n, generator=g) - 0.5 for k, n in (("imu", 5), ("joystick", 2))}
+        return {**images, **vectors}
+
+    column = torch.rand(count, 1, generator=g)
+    return DictReplayBufferSamples(
+        observations=seen(), actions=torch.arange(count)[:, None], next_observations=seen(), dones=column,
+        rewards=column, discounts=column,
+    )  # fmt: skip
+
+
+def test_a_mirror_image_of_a_mirror_image_is_the_first_one():
+    batch, swap = random_batch(), torch.as_tensor(ACTIONS.mirror)
+    once = mirrored(batch, swap)
+    assert torch.equal(once.observations["seg"][..., 0], batch.observations["seg"][..., -1])
+    assert torch.allclose(once.observations["joystick"], batch.observations["joystick"] * torch.tensor([-1.0, 1.0]))
+    assert np.allclose(POINTS[once.actions[:, 0]], POINTS[batch.actions[:, 0]] * [-1, 1])
+    assert torch.equal(once.rewards, batch.rewards)
+    twice = mirrored(once, swap)
+    assert torch.equal(twice.actions, batch.actions)
+    for part in ("observations", "next_observations"):
+        for key, value in getattr(batch, part).items():
+            assert torch.equal(getattr(twice, part)[key], value)
+
+
+def test_advice_in_the_mirror():
+    left_safe = safe_rows(POINTS[:, 0] < 0)
+    batch = AdviceBatch({k: v[:1] for k, v in random_batch().observations.items()}, left_safe)
+    there = mirrored_advice(batch, torch.as_tensor(ACTIONS.mirror))
+    assert np.array_equal(there.safe[0].numpy(), POINTS[:, 0] > 0)
+
+
+# --- the learner ---
+
+
+def learner(**learn):
+    settings = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16, "aid": "oracle", "mirror": True}
+    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**settings, **learn}))
+    return build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA)]), 0)
+
+
+def wall_or_way(wall):
+    """A wall before the chair, or a free pavement; the user wants to go ahead in both."""
+    seg = np.full((1, 1, 24, 32), ClassId.WALL if wall else ClassId.SIDEWALK, np.uint8)
+    depth = np.full((1, 1, 24, 32), 60 if wall else 200, np.uint8)
+    return {
+        "seg": seg, "depth": depth, "imu": np.zeros((1, 5), np.float32), "joystick": np.array([[0, 0.9]], np.float32),
+    }  # fmt: skip
+
+
+def choice_before(model, wall):
+    action, _ = model.policy.predict({key: value[0] for key, value in wall_or_way(wall).items()})
+    return POINTS[int(action)]
+
+
+def taught():
+    """A learner after 60 updates on walls and ways, with no reward and no crash that could have told it."""
+    model = learner(phase1_steps=0, total_steps=100, aid_weight=5.0, learning_rate=1e-3)
+    model.learn(1)
+    buffer = model.replay_buffer
+    buffer.reset()
+    for k in range(60):
+        truth = SimpleNamespace(safe_actions=~AHEAD if (k + 1) % 2 else np.ones(81, bool))
+        stay = np.array([ACTIONS.nearest((0.0, 0.9))])
+        buffer.add(
+            wall_or_way(k % 2 == 1), wall_or_way((k + 1) % 2 == 1), stay, np.zeros(1), np.array([False]),
+            [{"truth": truth}],
+        )  # fmt: skip
+    model.train(60, 16)
+    return model
+
+
+def test_the_aid_teaches_to_stop_before_a_wall_and_to_go_on_where_the_way_is_free():
+    model = taught()
+    assert choice_before(model, wall=True)[1] <= 0.3
+    assert choice_before(model, wall=False).tolist() == [0.0, 1.0]
+
+
+def _wrong_sign(*arguments, **more):
+    return -aid_loss(*arguments, **more).clamp(max=1.0)
+
+
+def _no_loss(values, *arguments, **more):
+    return 0.0 * values.sum()
+
+
+@pytest.mark.parametrize("fault", [_wrong_sign, _no_loss])
+def test_an_aid_with_a_planted_fault_teaches_nothing(fault, monkeypatch):
+    monkeypatch.setattr(seqdqn, "aid_loss", fault)
+    model = taught()
+    assert choice_before(model, wall=True)[1] > 0.3
+
+
+def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
+    plan = learner(phase1_steps=30, total_steps=100, aid_weight=3.0).plan
+    assert [plan.aid_weight(step) for step in (0, 29, 30, 99)] == [0, 0, 3, 3]
+    assert load_run_config("paper").learn.aid == "none"
+    assert load_run_config("quick").learn.aid == "oracle"
+    assert learner(aid="none").replay_buffer.advice is None
+
+
+def test_a_camera_off_the_middle_has_no_mirror_image():
+    camera = CAMERA.model_copy(update={"p_BC_m": (0.0, 0.2, 1.0)})
+    config = RunConfig(cameras=(camera,), learn=LearnConfig(mirror=True))
+    with pytest.raises(ConfigError, match=r"learn\.mirror=false"):
+        build_model(config, DummyVecEnv([lambda: ToyStreet(camera)]), 0)
+
+
+def test_a_fading_rate_ends_at_zero():
+    model = learner(learning_rate=1e-3, learning_rate_fade=0.5)
+    rates = [model.lr_schedule(left) for left in (1.0, 0.5, 0.25, 0.0, -0.01)]
+    assert rates == pytest.approx([1e-3, 1e-3, 5e-4, 0.0, 0.0])
+    assert learner(learning_rate=1e-3).lr_schedule(0.0) == 1e-3
+
+
+def test_an_exploration_is_held_for_its_steps_and_keeps_its_share():
+    model = learner(epsilon_hold=8, exploration="local")
+    model.exploration_rate = 0.2
+    runs = np.array([model._begins(1)[0] for _ in range(6000)])
+    assert 0.15 < runs.mean() < 0.25
+    edges = np.flatnonzero(np.diff(np.r_[0, runs.astype(int), 0]))
+    lengths = edges[1::2] - edges[::2]
+    assert (lengths[:-1] % 8 == 0).all()

@@ -1,0 +1,146 @@
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors.torch import load_file, save_file
+
+import wcsim.agents
+from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy, save_policy
+from wcsim.agents.networks import registry
+from wcsim.agents.networks.convolutional import SmallNet
+from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.config import LearnConfig, RunConfig
+from wcsim.core import files
+from wcsim.errors import PolicyError
+
+CAMERA = toy_camera(24, 32)
+
+
+def learner(**learn):
+    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=100, **learn))
+    return build_model(config, ToyStreet(CAMERA), 0)
+
+
+@pytest.fixture(scope="module")
+def original():
+    return learner()
+
+
+@pytest.fixture
+def saved(original, tmp_path):
+    return save_policy(tmp_path / "mine", original, CAMERA, "ab" * 32)
+
+
+def test_a_loaded_policy_acts_like_the_saved_one(original, saved):
+    policy, env = load_policy(saved), ToyStreet(CAMERA)
+    observation, _ = env.reset(seed=2)
+    for _ in range(20):
+        batch = {key: torch.from_numpy(value)[None] for key, value in observation.items()}
+        with torch.no_grad():
+            assert np.array_equal(policy.values(observation), original.q_net(batch)[0].numpy())
+        assert policy.act(observation) == int(original.predict(observation, deterministic=True)[0])
+        observation, *_ = env.step(policy.act(observation))
+    assert policy.name == "mine"
+    assert policy.file.manifest_sha256 == "ab" * 32
+
+
+def test_saving_again_replaces_and_leaves_nothing_behind(original, saved):
+    save_policy(saved, original, CAMERA)
+    assert sorted(p.name for p in saved.parent.iterdir()) == ["mine"]
+    assert load_policy(saved).file.manifest_sha256 == ""
+
+
+def rewrite(saved, **changes):
+    data = json.loads((saved / POLICY_JSON).read_text())
+    (saved / POLICY_JSON).write_text(json.dumps({**data, **changes}))
+
+
+def test_damaged_weights_are_refused(saved):
+    data = bytearray((saved / WEIGHTS).read_bytes())
+    data[-100] ^= 1
+    (saved / WEIGHTS).write_bytes(bytes(data))
+    with pytest.raises(PolicyError, match="SHA-256"):
+        load_policy(saved)
+
+
+def test_weights_of_another_shape_or_not_finite_are_refused(saved):
+    tensors = load_file(saved / WEIGHTS)
+    name = "advantage.bias"
+    not_finite = torch.full((81,), float("nan"))
+    for wrong, says in ((torch.zeros(69), r"\[69\], expected F32 \[81\]"), (not_finite, "not finite")):
+        save_file({**tensors, name: wrong}, saved / WEIGHTS)
+        rewrite(saved, weights_sha256=files.sha256(saved / WEIGHTS))
+        with pytest.raises(PolicyError, match=says):
+            load_policy(saved)
+
+
+def test_weights_that_are_a_pickle_are_refused(saved):
+    torch.save({"a": torch.zeros(1)}, saved / WEIGHTS)
+    rewrite(saved, weights_sha256=files.sha256(saved / WEIGHTS))
+    with pytest.raises(PolicyError, match="safetensors"):
+        load_policy(saved)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [({"schema_version": 2}, "schema_version"), ({"surprise": 1}, "surprise"), ({"reward_scale": -1}, "reward_scale"),
+     ({"image_hw_px": [24, 100000]}, "image_hw_px"), ({"net": 3}, "net")],
+)  # fmt: skip
+def test_wrong_entries_are_named(saved, changes, says):
+    rewrite(saved, **changes)
+    with pytest.raises(PolicyError, match=says):
+        load_policy(saved)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_no_policy_json_breaks_the_loader(saved, data):
+    text = (saved / POLICY_JSON).read_text()
+    keep = text
+    at, length = data.draw(st.integers(0, len(text) - 1)), data.draw(st.integers(0, 30))
+    try:
+        (saved / POLICY_JSON).write_text(text[:at] + data.draw(st.text(max_size=8)) + text[at + length :])
+        load_policy(saved)
+    except PolicyError:
+        pass
+    finally:
+        (saved / POLICY_JSON).write_text(keep)
+
+
+def test_a_folder_that_is_no_policy_is_explained(tmp_path):
+    with pytest.raises(PolicyError, match="not a policy folder"):
+        load_policy(tmp_path)
+    (tmp_path / POLICY_JSON).write_text("[" * 100_000)
+    with pytest.raises(PolicyError, match="not JSON"):
+        load_policy(tmp_path)
+
+
+def test_a_policy_cannot_choose_which_code_runs(tmp_path, monkeypatch):
+    (tmp_path / "strange_net_c.py").write_text(
+        "from wcsim.agents.networks.convolutional import SmallNet as Net\n"
+        "from pathlib import Path\nPath('ran').touch()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    folder = save_policy(tmp_path / "p", learner(), CAMERA)
+    data = json.loads((folder / POLICY_JSON).read_text())
+    rewrite(folder, net={**data["net"], "network": "strange_net_c:Net"})
+    with pytest.raises(PolicyError, match="runs its code"):
+        load_policy(folder)
+    assert not Path("ran").exists()
+    assert load_policy(folder, network="strange_net_c:Net").file.net.network == "strange_net_c:Net"
+    assert Path("ran").exists()
+    monkeypatch.setitem(registry.NETWORKS, "mine", SmallNet)
+    rewrite(folder, net={**data["net"], "network": "mine"})
+    assert load_policy(folder).net.spec.network == "mine"
+
+
+def test_nothing_in_agents_unpickles():
+    for path in Path(wcsim.agents.__file__).parent.rglob("*.py"):
+        assert not re.search(r"pickle|torch\.load\(|\beval\(|\bexec\(", path.read_text()), path

@@ -1,0 +1,201 @@
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
+from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.config import LearnConfig, RunConfig
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+CAMERA = toy_camera(24, 32)
+SMALL = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16}
+
+
+def model(seed=0, envs=1, **learn):
+    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**SMALL, **learn}))
+    return build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA)] * envs), seed)
+
+
+def batch(count=6, seed=0):
+    g = np.random.default_rng(seed)
+
+    def observations():
+        images = {k: torch.from_numpy(g.integers(0, 34, (count, 1, 24, 32), dtype=np.uint8)) for k in ("seg", "depth")}
+        stick = torch.from_numpy(g.uniform(-0.7, 0.7, (count, 2)).astype(np.float32))
+        return {**images, "imu": torch.zeros(count, 5), "joystick": stick}
+
+    column = lambda *values: torch.tensor(values, dtype=torch.float32)[:, None]  # noqa: E731
+    return DictReplayBufferSamples(
+        observations=observations(), actions=torch.arange(count)[:, None], next_observations=observations(),
+        dones=column(0, 1, 0, 0, 1, 0), rewards=column(1, -100, 2, 0, 5, -3),
+        discounts=column(0.9, 0.9, 0.81, 0.5, 0.5, 1),
+    )  # fmt: skip
+
+
+def perturb(learner):
+    """Make online and target network differ."""
+    torch.manual_seed(1)
+    for p in learner.q_net_target.parameters():
+        p.data += 0.05 * torch.randn_like(p)
+
+
+@pytest.mark.parametrize("double_q", [True, False])
+def test_targets_by_hand(double_q):
+    learner, data = model(double_q=double_q), batch()
+    perturb(learner)
+    with torch.no_grad():
+        online = learner.q_net(data.next_observations).numpy()
+        target = learner.q_net_target(data.next_observations).numpy()
+    picks = online.argmax(axis=1) if double_q else target.argmax(axis=1)
+    for k in range(6):
+        value = 0.05 * float(data.rewards[k])
+        value += (1 - float(data.dones[k])) * float(data.discounts[k]) * target[k, picks[k]]
+        assert float(learner.targets(data)[k]) == pytest.approx(value, abs=1e-5)
+
+
+def test_margin_loss_by_hand_and_zero_when_the_user_wins_clearly():
+    learner, data = model(), batch()
+    points = action_set("square81").points
+    values = torch.randn(6, 81, generator=torch.Generator().manual_seed(0))
+    losses = []
+    for k in range(6):
+        gap = np.linalg.norm(points - data.observations["joystick"][k].numpy(), axis=1)
+        label = int(gap.argmin())
+        wanted = 0.05 * (gap - gap[label] + 0.4)
+        wanted[label] = 0.0
+        losses.append((values[k].numpy() + wanted).max() - float(values[k, label]))
+    assert float(learner.margin_loss(values, data.observations)) == pytest.approx(np.mean(losses), abs=1e-5)
+    clear = -learner.q_net.distances(data.observations["joystick"])
+    assert float(learner.margin_loss(clear * 10, data.observations)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_plan_fades():
+    plan = PhasePlan(total_steps=1000, phase1_steps=200, margin=2.0, margin_fade=0.25)
+    assert [plan.phase(s) for s in (0, 199, 200)] == [LearningPhase.ACTION_DRIVEN] * 2 + [LearningPhase.AGENT_DRIVEN]
+    assert [plan.margin_weight(s) for s in (0, 199, 200, 300, 400, 999)] == pytest.approx([2, 2, 2, 1, 0, 0])
+    assert [plan.epsilon(s) for s in (0, 200, 600, 1000)] == pytest.approx([0, 0.2, 0.125, 0.05])
+    hard = PhasePlan(total_steps=10, phase1_steps=5, margin_fade=0.0)
+    assert [hard.margin_weight(s) for s in (4, 5)] == [1.0, 0.0]
+
+
+def test_phase_one_executes_the_users_action_and_phase_two_the_agents():
+    learner = model(phase1_steps=60, total_steps=120, head="plain", epsilon_start=0.0, epsilon_end=0.0, margin=0.0)
+    learner.learn(120)
+    buffer = learner.replay_buffer
+    followed = action_set("square81").nearest_many(buffer.vectors[:120, 0, -2:]) == buffer.actions[:120, 0]
+    assert followed[:60].all()
+    assert followed[60:].mean() < 0.5
+
+
+def test_each_seat_explores_by_itself_and_near_the_stick():
+    learner = model(exploration="local")
+    learner.exploration_rate = 0.5
+    one = ToyStreet(CAMERA).reset(seed=1)[0]
+    many = {key: np.repeat(value[None], 400, axis=0) for key, value in one.items()}
+    actions, _ = learner.predict(many)
+    greedy, _ = learner.predict(many, deterministic=True)
+    assert 0.3 < np.mean(actions != greedy) < 0.6
+    wide = action_set("square81").distances(one["joystick"][None])[0][actions]
+    assert wide.mean() < 0.5
+    learner.settings = SeqSettings(exploration="uniform")
+    assert action_set("square81").distances(one["joystick"][None])[0][learner.predict(many)[0]].mean() > wide.mean()
+
+
+def test_exploration_leaves_the_global_generators_alone():
+    learner = model(phase1_steps=20, total_steps=80)
+    learner.learn(40)
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    learner.learn(40, reset_num_timesteps=False)
+    assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
+
+
+def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
+    learner = model()
+    before = [p.detach().clone() for p in learner.q_net.parameters()]
+    for _ in range(10):
+        learner._update(torch.tensor(float("nan"), requires_grad=True))
+    assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+    with pytest.raises(PolicyError, match="finite"):
+        learner._update(torch.tensor(float("inf"), requires_grad=True))
+
+
+def chain_errors(n_step=1):
+    """Largest error of the values of going on and of giving up, over the states of a chain."""
+    gamma = 0.9
+    learner = SeqDQN(
+        SeqQPolicy, Chain(), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=1, gamma=gamma,
+        learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
+        exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0))},
+        replay_buffer_kwargs={"n_step": n_step, "gamma": gamma, "seed": 1},
+    )  # fmt: skip
+    learner.learn(1200)
+    onward, errors = action_set("square81").points[:, 1] > 0, []
+    for state, value in enumerate(chain_values(gamma)):
+        one = {
+            "seg": torch.full((1, 1, SIDE, SIDE), CLASSES[state], dtype=torch.uint8),
+            "depth": torch.zeros(1, 1, SIDE, SIDE, dtype=torch.uint8),
+            "imu": torch.zeros(1, 5), "joystick": torch.zeros(1, 2),
+        }  # fmt: skip
+        with torch.no_grad():
+            q = learner.q_net(one)[0].numpy()
+        errors.append((abs(q[onward].mean() - value), abs(q[~onward].mean() - 0.3)))
+    return np.max(errors, axis=0)
+
+
+def test_the_values_of_a_chain_are_found():
+    assert chain_errors().max() < 0.06
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    "fault",
+    [
+        lambda b: b._replace(actions=b.actions.roll(1, dims=0)),
+        lambda b: b._replace(dones=torch.zeros_like(b.dones)),
+        lambda b: b._replace(next_observations=b.observations),
+        lambda b: b._replace(rewards=b.rewards.roll(1, dims=0)),
+        lambda b: b._replace(discounts=b.discounts * 0.5),
+    ],
+    ids=["actions", "dones", "next", "rewards", "discounts"],
+)
+def test_a_replay_with_a_planted_fault_misses_the_values(fault, monkeypatch):
+    gather = FrameReplay.gather
+    monkeypatch.setattr(FrameReplay, "gather", lambda self, *at: fault(gather(self, *at)))
+    assert chain_errors().max() > 0.1
+
+
+# --- it stays an algorithm of Stable-Baselines3 ---
+
+
+def test_sb3s_callbacks_save_and_load_work(tmp_path):
+    learner = model(phase1_steps=20, total_steps=80)
+    evaluation = EvalCallback(
+        DummyVecEnv([lambda: Monitor(ToyStreet(CAMERA, max_steps=20))]), eval_freq=30, n_eval_episodes=1, verbose=0
+    )
+    learner.learn(80, callback=evaluation)
+    assert -200 < evaluation.last_mean_reward < 25
+    learner.save(tmp_path / "own.zip")
+    again = SeqDQN.load(tmp_path / "own.zip", env=DummyVecEnv([lambda: ToyStreet(CAMERA)]), device="cpu")
+    one = ToyStreet(CAMERA).reset(seed=3)[0]
+    assert learner.predict(one, deterministic=True)[0] == again.predict(one, deterministic=True)[0]
+    again.learn(20, reset_num_timesteps=False)
+    assert again.num_timesteps == 100
+
+
+def test_several_seats_train_one_learner():
+    learner = model(envs=3, phase1_steps=60, total_steps=240, replay_frames=300)
+    learner.learn(240)
+    assert learner.replay_buffer.size() == 80
+    assert learner.replay_buffer.n_envs == 3
+    assert np.isfinite(learner.last_loss)

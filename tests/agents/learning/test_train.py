@@ -1,0 +1,303 @@
+import csv
+import json
+import os
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import wcsim
+from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.learning.build import build_model, checked_device
+from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
+from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
+from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.train import train
+from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
+from wcsim.config import LearnConfig, RunConfig
+from wcsim.core import files
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
+
+CAMERA = toy_camera(16, 20)
+
+
+def config(**learn):
+    small = {
+        "total_steps": 240, "phase1_steps": 80, "learning_starts": 20, "replay_frames": 200, "batch_size": 8,
+        "checkpoint_every": 60,
+    }  # fmt: skip
+    return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))
+
+
+class Nervous(gym.Wrapper):
+    """Calls something once, at a certain step."""
+
+    def __init__(self, at, call, max_steps=30):
+        super().__init__(ToyStreet(CAMERA, max_steps=max_steps))
+        self.at, self.call, self.done_steps, self.seeds = at, call, 0, []
+
+    def reset(self, *, seed=None, options=None):
+        self.seeds.append(seed)
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action):
+        self.done_steps += 1
+        if self.done_steps == self.at:
+            self.call()
+        return super().step(action)
+
+
+def street():
+    return ToyStreet(CAMERA, max_steps=30)
+
+
+def comparable(path):
+    """metrics.csv without the wall-clock columns."""
+    rows = read_metrics(path / "metrics.csv")
+    return [{k: v for k, v in row.items() if not k.endswith("_s_wall")} for row in rows]
+
+
+def weights(path, stage="final"):
+    return (path / "policies" / stage / "weights.safetensors").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    seen = []
+    path = train(config(), street, tmp_path_factory.mktemp("a") / "run", 5, seen.append, town="toy", town_sha256="00")
+    return path, seen
+
+
+def test_a_run_folder_says_everything(run):
+    path, seen = run
+    names = {"manifest.json", "config.json", "metrics.csv", "events.jsonl", "checkpoints", "policies"}
+    assert {p.name for p in path.iterdir()} == names
+    opened = open_run(path)
+    assert opened.config == config()
+    assert (opened.manifest.status, opened.manifest.steps, opened.manifest.seed) == ("done", 240, 5)
+    assert opened.manifest.config_sha256 == config().digest()
+    events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
+    assert [e["event"] for e in events] == ["checkpoint", "phase2", "checkpoint", "checkpoint", "checkpoint", "done"]
+    assert seen[-1].step == 240
+    assert [p.phase for p in seen] == sorted(p.phase for p in seen)
+    rows = read_metrics(path / "metrics.csv")
+    assert sum(int(row["length"]) for row in rows) == int(rows[-1]["step"])
+    assert seen[-1].episodes == len(rows)
+    assert seen[-1].crashes == sum(int(row["crashed"]) for row in rows)
+    assert float(rows[0]["kpi1"]) <= 0.1768  # the user's own action is executed first
+    assert sorted(p.name for p in (path / "checkpoints").glob("step*")) == [f"step-{k:08d}" for k in (120, 180, 240)]
+
+
+def test_both_policies_can_be_named(run):
+    path, _ = run
+    assert policy_path(str(path)) == policy_path(f"{path}:final") == path / "policies" / "final"
+    assert open_policy(f"{path}:phase1", config()).name == f"{path}:phase1"
+    assert weights(path) != weights(path, "phase1")
+    assert load_policy(policy_path(str(path))).file.manifest_sha256 == open_run(path).manifest_sha256()
+
+
+def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
+    path, _ = run
+    for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
+        assert run_of(name) == open_run(path).manifest
+        assert config_of(name, "quick", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
+    shutil.copytree(path / "policies" / "final", tmp_path / "copy")
+    assert run_of(str(tmp_path / "copy")) is None
+    alone = config_of(str(tmp_path / "copy"), "quick", ("env.max_steps=7",))
+    assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
+    assert open_policy(str(tmp_path / "copy"), alone).name == str(tmp_path / "copy")
+    with pytest.raises(PolicyError, match="20x16 images"):
+        open_policy(str(path), RunConfig())
+
+
+def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
+    path, _ = run
+    again = train(config(), street, tmp_path / "again", 5)
+    other = train(config(), street, tmp_path / "other", 6)
+    assert weights(path) == weights(again) != weights(other)
+    assert comparable(path) == comparable(again) != comparable(other)
+    assert not torch.are_deterministic_algorithms_enabled()
+
+
+def test_a_checkpoint_is_heard_of_while_it_is_written(tmp_path):
+    heard = []
+    train(config(), street, tmp_path / "run", 5, alive=lambda: heard.append(len(list(tmp_path.rglob("LATEST")))))
+    written = config().learn.total_steps // config().learn.checkpoint_every
+    assert len(heard) >= 2 * written
+    assert heard[0] == 0, "before the first one was whole"
+
+
+@pytest.mark.parametrize("stop", ["exception", "signal"])
+def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
+    def interrupt():
+        if stop == "exception":
+            raise KeyboardInterrupt
+        os.kill(os.getpid(), signal.SIGINT)
+
+    env, before = Nervous(150, interrupt), signal.getsignal(signal.SIGINT)
+    with pytest.raises(InterruptedRunError, match="--resume"):
+        train(config(), lambda: env, tmp_path / "run", 5)
+    path = tmp_path / "run"
+    first = open_run(path).manifest
+    assert (first.status, first.steps) == ("interrupted", 149 if stop == "exception" else 152)
+    assert load_policy(policy_path(f"{path}:phase1")).act(street().reset(seed=0)[0]) in range(81)
+    assert load_policy(policy_path(str(path))).act(street().reset(seed=0)[0]) in range(81)
+    assert signal.getsignal(signal.SIGINT) is before  # ignored, when the tests run in a shell's background
+
+    follower = Nervous(-1, interrupt)
+    train(config(), lambda: follower, path, 5, resume=True)
+    done = open_run(path).manifest
+    assert (done.status, done.steps) == ("done", 240)
+    # What was torn out of a step goes on from the last checkpoint, what was asked to stop from where it stopped.
+    assert follower.done_steps == 240 - (120 if stop == "exception" else 152)
+    assert follower.seeds[0] not in (None, 5)  # a new segment has a seed of its own
+    steps = [int(row["step"]) for row in read_metrics(path / "metrics.csv")]
+    assert steps == sorted(set(steps))
+    assert [int(r["episode"]) for r in read_metrics(path / "metrics.csv")] == list(range(1, len(steps) + 1))
+
+
+def test_a_damaged_checkpoint_is_passed_over(run, tmp_path):
+    path, _ = run
+    files_of = sorted((path / "checkpoints").glob("step-*"))
+    keep = (files_of[-1] / "model.safetensors").read_bytes()
+    (files_of[-1] / "model.safetensors").write_bytes(keep[:1000])
+    try:
+        model = build_model(config(), DummyVecEnv([street]), 5)
+        load_checkpoint(path / "checkpoints", model)
+        assert model.num_timesteps == 180
+    finally:
+        (files_of[-1] / "model.safetensors").write_bytes(keep)
+    with pytest.raises(PolicyError, match="no sound checkpoint"):
+        load_checkpoint(tmp_path, model)
+
+
+def test_a_checkpoint_restores_the_whole_learner(run):
+    path, _ = run
+    learners = [build_model(config(), DummyVecEnv([street]), seed) for seed in (1, 2)]
+    for learner in learners:
+        load_checkpoint(path / "checkpoints", learner)
+        learner.set_logger(configure(None, []))
+        learner.train(5, 8)
+    for a, b in zip(learners[0].policy.parameters(), learners[1].policy.parameters(), strict=True):
+        assert torch.equal(a, b)
+    assert learners[0].rng.random() == learners[1].rng.random()
+
+
+def test_wrong_folders_are_explained(run, tmp_path):
+    path, _ = run
+    with pytest.raises(PolicyError, match="not empty"):
+        train(config(), street, path, 5)
+    with pytest.raises(PolicyError, match="not a run"):
+        open_run(tmp_path)
+    with pytest.raises(PolicyError, match="another configuration"):
+        train(config(gamma=0.5), street, path, 5, town="toy", town_sha256="00", resume=True)
+    with pytest.raises(PolicyError, match="another town_sha256"):
+        train(config(), street, path, 5, town="other", town_sha256="01", resume=True)
+    with pytest.raises(PolicyError, match="another rewards"):
+        train(config(), street, path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True)
+    with pytest.raises(PolicyError, match="unknown stage"):
+        policy_path(f"{path}:best")
+    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), 1, "t", "", (), ()))
+    with pytest.raises(PolicyError, match="it has: none"):
+        policy_path(str(fresh.path))
+    (fresh.path / "manifest.json").write_text("{")
+    with pytest.raises(PolicyError, match=r"is not JSON.*train again"):
+        open_run(fresh.path)
+
+
+def test_a_network_that_does_not_exist_leaves_a_clear_error(tmp_path):
+    with pytest.raises(PolicyError, match="expected one of"):
+        train(config(network="enormous"), street, tmp_path / "run", 0)
+
+
+def test_a_run_of_one_phase_has_both_policies(tmp_path):
+    path = train(config(total_steps=60, phase1_steps=60), street, tmp_path / "run", 0)
+    assert weights(path) == weights(path, "phase1")
+
+
+# --- the parts ---
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31), st.integers(0, 50))
+def test_generators_survive_json(seed, draws):
+    rng = np.random.Generator(np.random.Philox(seed))
+    rng.integers(0, 7, draws)
+    rng.random(draws, dtype=np.float32)
+    twin = restored_generator(json.loads(json.dumps(generator_state(rng))))
+    assert np.array_equal(rng.normal(size=9), twin.normal(size=9))
+    assert np.array_equal(rng.integers(0, 9, 9, dtype=np.int32), twin.integers(0, 9, 9, dtype=np.int32))
+
+
+def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
+    path = tmp_path / "metrics.csv"
+    metrics = MetricsFile(path)
+    for step in (10, 20, 30):
+        metrics.add({**dict.fromkeys(COLUMNS), "step": step, "loss": float("nan"), "return": 0.5})
+    with path.open("a") as file:
+        file.write("40,4,")
+    assert [row["step"] for row in read_metrics(path)] == ["10", "20", "30"]
+    assert read_metrics(path)[0]["loss"] == ""
+    MetricsFile(path, keep_to_step=20)
+    with path.open(newline="") as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["10", "20"]
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(PolicyError, match="columns a, b"):
+        read_metrics(path)
+
+
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "x"
+    files.write_folder(target, lambda folder: (folder / "a").write_text("1") and None)
+
+    def fail(folder):
+        (folder / "a").write_text("2")
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        files.write_folder(target, fail)
+    assert (target / "a").read_text() == "1"
+    files.write_folder(target, lambda folder: (folder / "b").write_text("3") and None)
+    assert [p.name for p in target.iterdir()] == ["b"]
+    assert not list(tmp_path.glob(".x.old"))
+
+
+def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
+    run = create_run(tmp_path / "r", config(), make_manifest(config(), 1, "t", "ab", (), ("wcsim", "train")))
+    digest = run.manifest_sha256()
+    run = run.with_status("interrupted", 7)
+    assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)
+    assert run.manifest_sha256() == digest
+
+
+def test_a_run_keeps_the_user_s_own_plant(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_bytes((Path(wcsim.__file__).parent / "config" / "plants" / "rwd.toml").read_bytes())
+    wanted = config().model_copy(update={"chair": config().chair.model_copy(update={"plant": str(own)})})
+    run = create_run(tmp_path / "r", wanted, make_manifest(wanted, 1, "t", "ab", (), ("wcsim", "train")))
+    text = own.read_bytes()
+    own.unlink()
+    kept = open_run(run.path).config.chair.plant
+    assert kept == run.config.chair.plant != str(own)
+    assert Path(kept).read_bytes() == text
+
+
+def test_a_replay_beyond_the_memory_and_a_device_without_numbers_are_named(monkeypatch):
+    def full(*words, **more):
+        raise MemoryError
+
+    with pytest.raises(ConfigError, match=r"learn\.device='meta' cannot be used here"):
+        checked_device("meta")
+    monkeypatch.setattr("wcsim.agents.learning.build.SeqDQN", full)
+    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into the memory"):
+        build_model(config(), ToyStreet(CAMERA), 0)

@@ -1,0 +1,200 @@
+"""The dynamic-window baseline: what it takes for an obstacle, what it does about it, what it remembers."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.agents.policies.test_baselines import box, ground, looking_at
+from tests.support.yardstick import multiple
+from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+from wcsim.agents.evaluation.evaluate import evaluate
+from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.depth_check import viewing_rays
+from wcsim.agents.policies.dwa import KEEP_S, arcs, follow, up_in_body
+from wcsim.agents.policies.elevation_map import StepMap
+from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
+from wcsim.core.joystick import limits_of
+from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import decode_depth
+
+CAMERA = CameraConfig(width_px=96, height_px=72)
+CONFIG = RunConfig(cameras=(CAMERA,))
+POINTS = action_set("square81").points
+CHAIR = np.array([-0.34, 0.80, 0.31])
+LIMITS = limits_of(ChairConfig())
+AHEAD = np.array([0.0, 1.0], np.float32)
+
+
+@cache
+def view_of(surface):
+    """The observation of a surface, of each one once."""
+    return looking_at(surface, camera=CAMERA)
+
+
+def obstacles(surface):
+    """What the step map says of a surface, (n, 2)."""
+    seen = view_of(surface)
+    depth_m = decode_depth(seen["depth"].reshape(-1), CAMERA.range_m)
+    rays = viewing_rays(CAMERA).astype(np.float32)
+    return StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), up_in_body(seen["imu"])).copy()
+
+
+def drive(surface, ticks, stick=AHEAD, driver=None):
+    """Joystick positions that the baseline chooses while it is shown the same picture again and again."""
+    driver = driver or baseline("dwa", CONFIG)
+    view = {**view_of(surface), "joystick": np.asarray(stick, np.float32)}
+    return [tuple(POINTS[driver.act(view)]) for _ in range(ticks)]
+
+
+@pytest.mark.parametrize(
+    ("name", "surface", "at_m"),
+    [
+        ("level ground", ground, None),
+        ("a step that casters climb", box(1.8, 9.0, -5, 5, 0, 0.04), None),
+        ("a ramp up 1:8", lambda x, y, z: z <= np.clip((x - 1.0) / 8, 0, 0.3), None),
+        ("a ramp down 1:8", lambda x, y, z: z <= -np.clip((x - 1.0) / 8, 0, 0.3), None),
+        ("a hill of 10 degrees to the side", lambda x, y, z: z <= 0.176 * y, None),
+        ("a branch above", box(1.6, 2.2, -1, 1, 1.8, 1.9), None),
+        ("a wall", box(2.0, 3.0, -3, 3, 0, 3), 2.0),
+        ("a kerb up", box(1.8, 9.0, -5, 5, 0, 0.12), 1.8),
+        ("a kerb down", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -0.12), 1.8),
+        ("a bench", box(1.6, 2.0, -1, 1, 0.4, 0.5), 1.6),
+        ("steps down", lambda x, y, z: z <= np.where(x < 1.7, 0.0, -0.6), 1.7),
+        ("a platform's edge", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -20.0), 1.8),
+    ],
+)
+def test_what_is_an_obstacle_and_where(name, surface, at_m):
+    found = obstacles(surface)
+    before = found[np.abs(found[:, 1]) < 0.5]  # straight ahead
+    if at_m is None:
+        assert len(before) == 0, name
+    else:
+        assert before[:, 0].min() == pytest.approx(at_m, abs=0.16), name
+
+
+def test_a_kerb_beside_the_way_is_seen_along_its_length():
+    found = obstacles(lambda x, y, z: z <= np.where(y < 0.8, 0.0, -0.12))
+    near = found[found[:, 0] < 3.0]
+    assert len(near) > 10
+    assert np.abs(near[:, 1] - 0.8).max() < 0.16
+    assert np.ptp(near[:, 0]) > 1.2
+
+
+def test_what_was_not_measured_is_nothing():
+    rays = viewing_rays(CAMERA).astype(np.float32)
+    for depth in (0.0, CAMERA.range_m):
+        depth_m = np.full(len(rays), depth, np.float32)
+        found = StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), np.array([0.0, 0.0, 1.0]))
+        assert (found[:, 0] < 4.0).sum() == 0 or depth > 0.0  # far below the horizon, no ground is a drop
+
+
+def test_on_a_free_way_the_user_decides():
+    rng = np.random.default_rng(1)
+    driver, actions = baseline("dwa", CONFIG), action_set("square81")
+    view = view_of(ground)
+    for stick in rng.uniform(-0.7, 0.7, (40, 2)):
+        assert driver.act({**view, "joystick": stick}) == actions.nearest(stick)
+
+
+def test_it_stops_before_a_wall_and_keeps_turning():
+    wall = box(0.95, 3.0, -3, 3, 0, 3)
+    assert max(y for _, y in drive(wall, 3)) < 0.5
+    assert drive(wall, 1, (0.75, 0.0)) == [(0.75, 0.0)]
+    assert drive(wall, 1, (0.0, -0.5)) == [(0.0, -0.5)]
+
+
+def test_it_slows_down_the_later_the_farther_the_wall():
+    driver = baseline("dwa", CONFIG)
+    drive(ground, 25, driver=driver)  # at full speed
+    near, far = box(2.2, 3.0, -3, 3, 0, 3), box(3.9, 4.5, -3, 3, 0, 3)
+    assert drive(far, 1, driver=driver) == [(0.0, 1.0)]
+    ((_, y),) = drive(near, 1, driver=driver)
+    assert y <= 0.5
+
+
+def test_it_steers_past_a_post():
+    post = box(2.0, 2.1, 0.20, 0.30, 0, 1.2)
+    driver = baseline("dwa", CONFIG)
+    drive(ground, 15, driver=driver)
+    ((x, y),) = drive(post, 1, driver=driver)
+    assert x > 0.0 and y > 0.4  # to the right of it, and on
+
+
+def test_it_remembers_what_it_sees_no_more_and_forgets_it_later():
+    beside = box(0.9, 1.6, 0.45, 1.2, 0, 0.5)
+    driver = baseline("dwa", CONFIG)
+    drive(beside, 1, (0.0, 0.0), driver)
+    left = (-0.75, 0.5)
+    assert drive(ground, 1, left, driver) != [left], "it is too near to be seen, but it was seen"
+    drive(ground, round(KEEP_S / 0.1) + 1, (0.0, 0.0), driver)
+    assert drive(ground, 1, left, driver) == [left]
+    drive(beside, 1, (0.0, 0.0), driver)
+    driver.reset()
+    assert drive(ground, 1, left, driver) == [left]
+
+
+def test_what_it_remembers_moves_as_the_chair_does():
+    driver = baseline("dwa", CONFIG)
+    drive(box(2.2, 2.4, -0.1, 0.1, 0, 1.0), 1, (0.0, 0.0), driver)
+    driver._motion[:2] = 0.5, 1.0
+    before = driver._seen_B_m.copy()
+    driver._reckon(action_set("square81").nearest((-0.75, 0.25)))
+    turn, way_m = 0.05 * (driver._motion[1] + 1.0), 0.05 * (driver._motion[0] + 0.5)
+    cos, sin = math.cos(turn), math.sin(turn)
+    moved = before - way_m * np.array([math.cos(turn / 2), math.sin(turn / 2)])
+    expected = moved @ np.array([[cos, -sin], [sin, cos]])
+    assert np.allclose(driver._seen_B_m, expected)
+    assert np.arctan2(*driver._seen_B_m.mean(axis=0)[::-1]) < 0.0  # turned to the left, it lies to the right
+
+
+def test_reckoned_braking_takes_the_way_that_the_drive_takes():
+    motion, way_m = np.array([1.67, 0.0, 0.0]), 0.0
+    while motion[0] > 0.0:
+        before = motion[0]
+        follow(motion, np.zeros(2), LIMITS, 0.02)
+        way_m += 0.01 * (before + motion[0])
+    assert way_m == pytest.approx(stopping_distance_m(1.67, 1.5, 4.0), abs=0.12)
+
+
+def test_arcs_touch_what_they_sweep_over():
+    commands = np.array([[0.0, 1.0], [0.0, 0.0], [0.0, -1.0]])
+    gap_m = np.empty(3)
+    arcs(np.array([1.5, 0.0, 0.0]), commands, LIMITS, CHAIR, np.array([[2.0, 0.0]]), gap_m)
+    assert gap_m[0] == 0.0 and gap_m[1] > 0.0
+    assert gap_m[2] >= gap_m[1]
+    arcs(np.zeros(3), commands, LIMITS, CHAIR, np.zeros((0, 2)), gap_m)
+    assert np.isinf(gap_m).all()
+
+
+def test_both_forms_of_observation_give_the_same_choice():
+    view = view_of(box(1.9, 3.0, -0.3, 3, 0, 3))
+    depth = decode_depth(view["depth"], CAMERA.range_m) / np.float32(CAMERA.range_m)
+    floats = {**view, "depth": depth.astype(np.float32), "joystick": AHEAD}
+    assert baseline("dwa", CONFIG).act(floats) == baseline("dwa", CONFIG).act({**view, "joystick": AHEAD})
+
+
+def test_a_decision_is_quick():
+    config = RunConfig(cameras=(CameraConfig(),), chair=ChairConfig())
+    driver = baseline("dwa", config)
+    coarse = view_of(box(1.5, 3.0, -3, 0.2, 0, 3))
+    depth = np.repeat(np.repeat(coarse["depth"], 4, axis=1), 4, axis=2)[:, :240, :320]
+    view = {**coarse, "depth": depth, "joystick": AHEAD}
+    assert multiple(lambda: driver.act(view)) < 25  # about 5
+
+
+@pytest.mark.proof
+def test_in_traffic_it_crashes_less_than_the_user_alone_and_hardly_disobeys():
+    config = load_run_config("quick", ("env.profile=inattentive", "env.truth=true", "env.max_steps=600"))
+    env = WheelchairEnv("monaco", config=config)
+    try:
+        rows = [evaluate(baseline(name, config), env, 20, 600, seed=11) for name in ("follow", "dwa", "oracle")]
+    finally:
+        env.close()
+    alone, helped, bound = rows
+    assert alone.crashes >= 3, "nothing to help with"
+    assert helped.crashes <= 0.6 * alone.crashes and bound.crashes <= 0.6 * alone.crashes
+    assert helped.kpi1_free_mean < alone.kpi1_free_mean + 0.03
+    assert helped.speed_mps > 0.8 * alone.speed_mps

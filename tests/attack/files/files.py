@@ -1,0 +1,307 @@
+"""Hostile files of every kind that a person may get from another: settings, plants, towns, runs and recordings."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.attack.outcomes import Case
+from tests.attack.scenarios.twists import (
+    NASTY,
+    PATIENCE_S,
+    PLACES,
+    Rng,
+    cleared,
+    integer,
+    json_text,
+    pick,
+    places,
+    spoiled,
+    toml_text,
+    toml_value,
+    twisted,
+    without_none,
+)
+from wcsim.agents.envs.env_spec import make_face
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
+from wcsim.bridge.recording.fcd import write_fcd
+from wcsim.bridge.recording.framing import framed, whole_records
+from wcsim.bridge.recording.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
+from wcsim.config.plant import plant_text, read_plant
+from wcsim.config.scene import SceneFile
+from wcsim.errors import WcsimError
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.towns.scenario.overrides import Override
+from wcsim.types import ActorKind
+from wcsim.users.recorded import COLUMNS, find_user, read_recording
+
+RICH = (
+    *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),
+    *("vary.light=[0.5, 1.5]", "env.window=4"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """A kind of file: a sound one, how it is spoilt, and what says that it was taken rightly."""
+
+    name: str
+    file: str
+    sound: bytes
+    twist: Callable[[Rng], tuple[bytes, str]]
+    take: Callable[[Path], bool]  # whether what was made of the file makes the same again
+    share: int  # of all cases
+    beside: tuple[tuple[str, bytes], ...] = ()  # files that a sound one needs
+
+
+def same(model: Model) -> bool:
+    """Whether a model, written as wcsim writes it, is read as an equal one."""
+    return parse_json(type(model), model.model_dump_json(), "again") == model
+
+
+def take_config(config: RunConfig) -> bool:
+    """A configuration, with all that the faces do with one before there is a world."""
+    make_face("nowhere", config, "quick", (), None, None, "").observation_space()
+    plant_spec(config.chair)
+    return same(config)
+
+
+def _take_plant(path: Path) -> bool:
+    plant_text(str(path))
+    return same(read_plant(str(path)))
+
+
+def _take_town(path: Path) -> bool:
+    return same(read_toml(path, TownFile))
+
+
+def _take_scene(path: Path) -> bool:
+    return same(read_toml(path, SceneFile))
+
+
+def _take_manifest(path: Path) -> bool:
+    data = read_json(path.parent, MANIFEST)
+    clients = data.pop("clients", [])
+    manifest = manifest_of(data, path.parent)
+    plain = all(Path(name).name == name for name in clients)
+    return plain and manifest_of(json.loads(json.dumps(data)), path.parent) == manifest
+
+
+def _take_run(path: Path) -> bool:
+    return same(open_run(path.parent).config)
+
+
+def _take_recording(path: Path) -> bool:
+    recording = read_recording(path)
+    rows = np.c_[recording.time_s, recording.sticks].tolist()
+    path.write_text("\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]), encoding="utf-8")
+    again = read_recording(path)
+    return np.array_equal(recording.time_s, again.time_s) and np.allclose(recording.sticks, again.sticks, atol=1e-12)
+
+
+def _take_trace(path: Path) -> bool:
+    header, ticks = read_trace(path)
+    _write_trace(path, header, ticks)
+    found, again = read_trace(path)
+    with suppress(WcsimError):  # there may be no tick of epoch 0
+        write_fcd(path, path)
+    return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
+
+
+def _same_tick(a: TickRecord, b: TickRecord) -> bool:
+    plain = {"commands": None, "plants": None, "actors": None}
+    arrays = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in plain)
+    return arrays and replace(a, **plain) == replace(b, **plain)
+
+
+def _write_trace(path: Path, header: TraceHeader, ticks: Sequence[TickRecord]) -> None:
+    with TraceWriter(path, header) as writer:
+        for tick in ticks:
+            writer.append(tick)
+
+
+# --- sound ones ---
+
+
+def _model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str]) -> Callable[[Rng], tuple[bytes, str]]:
+    def twist(rng: Rng) -> tuple[bytes, str]:
+        changed, told = twisted(data, rng)
+        return write(changed).encode(), told
+
+    return twist
+
+
+def _csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
+    def twist(rng: Rng) -> tuple[bytes, str]:
+        table = [list(row) for row in rows]
+        line, number = integer(rng, len(table)), integer(rng, len(NASTY))
+        row = table[line]
+        row[integer(rng, len(row))] = NASTY[number]
+        out = io.StringIO()
+        csv.writer(out).writerows(table)
+        return out.getvalue().encode("utf-8"), f"line {line} = nasty {number}"
+
+    return twist
+
+
+def _trace_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+    """A field of the JSON in one record, or its numbers, with length and checksum made to fit."""
+    payloads = [record.payload for record in whole_records(io.BytesIO(sound))]
+
+    def twist(rng: Rng) -> tuple[bytes, str]:
+        at = integer(rng, len(payloads))
+        line, newline, raw = payloads[at].partition(b"\n")
+        if at and integer(rng, 3) == 0:
+            raw, told = spoiled(raw, rng) if integer(rng, 2) else (_odd_number(raw, rng), "an odd number")
+        else:
+            changed, told = twisted(json.loads(line), rng)
+            line = json_text(changed).encode()
+        changed_payloads = [*payloads[:at], line + newline + raw, *payloads[at + 1 :]]
+        return b"".join(map(framed, changed_payloads)), f"record {at}: {told}"
+
+    return twist
+
+
+def _odd_number(raw: bytes, rng: Rng) -> bytes:
+    numbers = np.frombuffer(raw, "<f8").copy()
+    numbers[integer(rng, len(numbers))] = pick(rng, (np.nan, np.inf, -np.inf, 1e308, -1e300, 5e-324, 0.0))
+    return numbers.tobytes()
+
+
+def _sound_trace(work: Path) -> bytes:
+    rng = np.random.default_rng(0)
+    bodies = (
+        ActorBody(id="v:a", kind=ActorKind.CAR, size_lwh_m=(4.5, 1.8, 1.5)),
+        ActorBody(id="p:b", kind=ActorKind.PEDESTRIAN, size_lwh_m=(0.4, 0.6, 1.7), piece=1),
+    )
+    ticks = [
+        TickRecord(
+            epoch=0, tick=tick, commands=rng.random((2, 2)), plants=rng.random((2, 15)), actor_ids=("v:a", "p:b"),
+            actors=rng.random((2, 8)), state_hash="ab" * 8, time_s=0.1 * tick, bodies=bodies, seats=(0, 3),
+        )
+        for tick in range(3)
+    ]  # fmt: skip
+    path = work / "sound.trace"
+    _write_trace(path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a"), ticks)
+    data = path.read_bytes()
+    path.unlink()
+    return data
+
+
+def _sound_manifest(config: RunConfig) -> dict[str, Any]:
+    override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
+    words = ("wcsim", "train")
+    manifest = make_manifest(config, 3, "helsinki", "ab" * 32, ("own:Term",), words, "own:Hook", (override,))
+    names = ("seed", "town", "town_sha256", "config_sha256", "rewards", "command", "versions", "git_revision", "steps")
+    data = {name: getattr(manifest, name) for name in (*names, "status", "hook")}
+    rows = [{"option": "--step-length", "author": "1", "wcsim": "0.1", "why": "ticks"}]
+    return json.loads(json.dumps({**data, "overrides": rows, "clients": ["small", "gru-2"]}))
+
+
+def families(work: Path) -> list[Family]:
+    """All kinds of files."""
+    config = load_run_config("quick", RICH)
+    whole = config.model_dump(mode="json")
+    plant, manifest = read_plant("rwd").model_dump(mode="json"), _sound_manifest(config)
+    town = {"name": "a", "split": "test", "origin_m": [4, 5], "warmup_s": 3.0, "sumocfg": "a.sumocfg", "source": "me",
+            "attribution": "(c) me", "rebuild": "make", "hashes": {"a": "ab" * 32}, "kerb_height_m": 0.12,
+            "lowered_kerb_m": 0.0, "chair_ways": ["sidewalk", "shared"]}  # fmt: skip
+    seats = [{"start_m": [1.0, 2.0], "heading_deg": 90.0, "goal_m": [9.0, 2.0], "profile": "competent"},
+             {"start_m": [1.0, 2.0], "heading_deg": 0.0, "script": [[0.0, 0.1, 0.2], [1.0, 0.0, 0.0]]}]  # fmt: skip
+    scene = {"name": "a", "shows": "a street", "seed": 3, "duration_s": 9.0, "seats": seats,
+             "expect": {"crashed": False, "climb_m": [0.1, 0.2]}, "warmup_s": 1.0, "lefthand": False}  # fmt: skip
+    sticks = [list(COLUMNS), *([0.1 * row, 0.01 * row, 0.5] for row in range(12))]
+    trace = _sound_trace(work)
+    toml, run_json = without_none(whole), json_text(whole).encode()
+    stick_text = "\n".join(",".join(map(str, row)) for row in sticks).encode()
+    lone = {key: value for key, value in manifest.items() if key != "clients"}
+    return [
+        Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=_model_twist(toml, toml_text),
+               take=lambda path: take_config(load_run_config("quick", (), path)), share=24),
+        Family(name="plant", file="p.toml", sound=toml_text(without_none(plant)).encode(),
+               twist=_model_twist(without_none(plant), toml_text), take=_take_plant, share=14),
+        Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=_model_twist(scene, toml_text),
+               take=_take_scene, share=10),
+        Family(name="town", file="town.toml", sound=toml_text(town).encode(), twist=_model_twist(town, toml_text),
+               take=_take_town, share=10),
+        Family(name="manifest", file=MANIFEST, sound=json_text(manifest).encode(),
+               twist=_model_twist(manifest, json_text), take=_take_manifest, share=10),
+        Family(name="run", file=CONFIG, sound=run_json, twist=_model_twist(whole, json_text), take=_take_run, share=8,
+               beside=((MANIFEST, json_text(lone).encode()),)),
+        Family(name="recording", file="s.csv", sound=stick_text, twist=_csv_twist(sticks), take=_take_recording,
+               share=8),
+        Family(name="trace", file="trace", sound=trace, twist=_trace_twist(trace), take=_take_trace, share=8),
+    ]  # fmt: skip
+
+
+# --- cases ---
+
+
+def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
+    """So many hostile files, one after the other; each is removed before the next one."""
+    kinds = families(work)
+    config = load_run_config("quick")
+    keys = [".".join(map(str, at)) for at in places(config.model_dump(mode="json"))]
+    order = [kind for kind in kinds for _ in range(kind.share)]
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        at = integer(rng, len(order) + 20)
+        yield _file_case(order[at], rng, number, work) if at < len(order) else _set_case(config, keys, rng, number)
+
+
+def _file_case(kind: Family, rng: Rng, number: int, work: Path) -> Case:
+    path = work / kind.file
+    how = integer(rng, 20)
+    if how == 0:
+        place = pick(rng, sorted(PLACES))
+        return _case(kind, number, place, functools.partial(_feed, kind, path, PLACES[place]))
+    if how == 1:
+        wrong = pick(rng, (work / f"x\0{kind.file}", work / ("a" * 300) / kind.file, work / kind.file / "deeper"))
+        return _case(kind, number, "an odd path", functools.partial(kind.take, wrong))
+    if how == 2:
+        data, told = kind.sound, "sound"
+    else:
+        data, told = spoiled(kind.sound, rng) if how < 9 else kind.twist(rng)
+    return _case(kind, number, told, functools.partial(_feed, kind, path, lambda place: place.write_bytes(data)))
+
+
+def _case(kind: Family, number: int, told: str, feed: Callable[[], bool]) -> Case:
+    return Case(area=kind.name, name=f"{number}: {told}", feed=feed, limit_s=PATIENCE_S)
+
+
+def _feed(kind: Family, path: Path, lay: Callable[[Path], object]) -> bool:
+    beside = [path.parent / name for name, _ in kind.beside]
+    try:
+        for place, (_, data) in zip(beside, kind.beside, strict=True):
+            place.write_bytes(data)
+        lay(path)
+        return kind.take(path)
+    finally:
+        for place in (path, *beside):
+            with suppress(FileNotFoundError):
+                cleared(place)
+
+
+def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case:
+    key, value = pick(rng, keys), pick(rng, NASTY)
+    odd = ("", ".", "a." * 2000 + "b", "world..tick_s", "\0", "cameras.99.name", "cameras.-1.name", "=", "world", "é")
+    text = f"{pick(rng, odd) if integer(rng, 10) == 0 else key}={value if integer(rng, 3) == 0 else toml_value(value)}"
+
+    def feed() -> bool:
+        made = with_overrides(config, (text,))
+        find_user(made.env.profile)
+        return take_config(made) and load_run_config("quick", (text,)).digest() != ""
+
+    return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed, limit_s=PATIENCE_S)
+

@@ -1,0 +1,270 @@
+"""Attacks on what runs write down: journals, ledgers, metrics, events. No whole record goes without a word."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick
+from tests.attack.outcomes import Case
+from tests.server.journal.test_journal import HEADER, RECORDS, tick
+from tests.support.framing import chained, pieces
+from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
+from wcsim.bridge.recording.framing import MAX_RECORD_BYTES, framed
+from wcsim.server.journal.journal import Ended, JournalRecord, JournalWriter, iter_journal, journal_digest, read_journal
+from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, read_ledger
+from wcsim.server.journal.records import header_bytes
+from wcsim.server.launch.event_log import EVENTS, RunLog, read_events
+
+TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
+LONG: tuple[JournalRecord, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
+DEEP = b'["e",' + b"[" * 50_000
+Spoil = Callable[[list[bytes], np.random.Generator], bytes]
+"""Makes another file of the pieces of a sound one."""
+
+
+def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals",)) -> Iterator[Case]:
+    """So many attacks on some of "journals", "ledgers", "metrics" and "events"."""
+    folder = work / "case"
+    sound = {area: MAKERS[area](work / f"sound-{area}") for area in areas}
+    for number in range(count):
+        rng = np.random.default_rng((seed, number))
+        area = areas[number % len(areas)]
+        spoil = pick(rng, SPOILS[area])
+        data = spoil(sound[area], rng)
+        yield Case(
+            area=area,
+            name=f"{number} {spoil.__name__}",
+            feed=lambda a=area, d=data: _feed(a, d, b"".join(sound[a]), folder),  # type: ignore[misc]
+        )
+
+
+def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
+    folder.mkdir()
+    path = folder / (EVENTS if area == "events" else "x")
+    path.write_bytes(data)
+    try:
+        return CHECKS[area](path, data, whole)
+    finally:
+        shutil.rmtree(folder)
+
+
+# --- journals ---
+
+
+def a_journal(path: Path) -> list[bytes]:
+    """The pieces of a sound one."""
+    with JournalWriter(path, HEADER) as writer:
+        for record in LONG:
+            writer.append(record)
+    return pieces(path)
+
+
+def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
+    """Reading it, and going on with it; a refusal leaves it as it was."""
+    try:
+        seen = read_journal(path)
+        digest = journal_digest(path)
+        if seen.records != LONG[: len(seen.records)] or tuple(iter_journal(path)) != seen.records:
+            return False
+        with JournalWriter.append_to(path) as writer:
+            cut = writer.cut_bytes
+            if writer.digest != digest or seen.torn != (cut > 0):
+                return False
+            writer.append(RECORDS[0])
+    except Exception:
+        if path.read_bytes() != data or len(list(path.parent.iterdir())) > 1:
+            return False
+        raise
+    kept = path.with_name("x.torn").read_bytes() if path.with_name("x.torn").exists() else bytes(cut)
+    rest = path.read_bytes()
+    begun = len(data) - cut
+    prefix = whole.startswith(data[:begun]) and data[:begun] + kept == data and rest.startswith(data[:begun])
+    return prefix and not _holds_another_record(kept, whole, begun) and read_journal(path).records[-1] == RECORDS[0]
+
+
+def _holds_another_record(kept: bytes, whole: bytes, begun: int) -> bool:
+    """Whether what was cut off holds more than one record that was damaged."""
+    return any(piece in kept for piece in _CONTENTS.setdefault(whole, _contents(whole)))
+
+
+_CONTENTS: dict[bytes, tuple[bytes, ...]] = {}
+
+
+def _contents(whole: bytes) -> tuple[bytes, ...]:
+    found, at = [], 0
+    while at < len(whole):
+        size = struct.unpack_from("<I", whole, at)[0]
+        found.append(whole[at + 8 : at + 8 + size])
+        at += 8 + size
+    return tuple(found)
+
+
+def any_damage(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    return bytes(pick(rng, ANY)(b"".join(parts), rng))
+
+
+def a_flip_near_the_end(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    data = b"".join(parts)
+    return flipped_at(data, 8 * len(data) - 1 - int(rng.integers(8 * 2000)))
+
+
+def a_flipped_length(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    number = len(parts) - 1 - int(rng.integers(min(len(parts), 220)))
+    bit = int(rng.integers(32))
+    return b"".join([*parts[:number], flipped_at(parts[number], bit), *parts[number + 1 :]])
+
+
+def lengths_and_contents(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    """Several bits of some of the last records."""
+    parts = list(parts)
+    for _ in range(int(rng.integers(2, 5))):
+        number = len(parts) - 1 - int(rng.integers(6))
+        parts[number] = flipped(parts[number], rng)
+    return b"".join(parts)
+
+
+def doubled(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    number = int(rng.integers(len(parts)))
+    place = int(rng.integers(1, len(parts) + 1))
+    return b"".join([*parts[:place], parts[number], *parts[place:]])
+
+
+def swapped(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    one, other = rng.choice(len(parts), 2, replace=False)
+    parts = list(parts)
+    parts[one], parts[other] = parts[other], parts[one]
+    return b"".join(parts)
+
+
+def left_out(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    """A record that others follow."""
+    number = int(rng.integers(1, len(parts) - 1))
+    return b"".join([*parts[:number], *parts[number + 1 :]])
+
+
+def strange_records(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    """Whole ones that say what no journal says, in the chain and out of it."""
+    payload = pick(rng, (DEEP, b"", b"[]", b"null", b'["t",0,1,"a",[0]]\n', b'["q",{}]', bomb(rng), rng.bytes(40)))
+    place = int(rng.integers(1, len(parts) + 1))
+    after = struct.unpack_from("<I", parts[place - 1], 4)[0]
+    strange = pick(rng, (framed(payload), chained([payload], after), framed(payload, after)[:-1]))
+    return b"".join([*parts[:place], strange, *(parts[place:] if rng.random() < 0.5 else [])])
+
+
+def huge_lengths(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    size = pick(rng, (0, 1, 7, 1 << 16, MAX_RECORD_BYTES, MAX_RECORD_BYTES + 1, (1 << 31) - 1, (1 << 32) - 1))
+    rest = pick(rng, (b"", rng.bytes(50), bytes(70_000), zlib.compress(bytes(1 << 20)), rng.bytes(70_000)))
+    return b"".join([*parts, struct.pack("<II", size, int(rng.integers(1 << 32))), rest])
+
+
+def another_header(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    head = header_bytes(HEADER)
+    other = pick(rng, (bomb(rng), head.replace(b"2", b"3"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
+    return b"".join([framed(other), *parts[1:]])
+
+
+# --- ledgers ---
+
+
+def a_ledger(path: Path) -> list[bytes]:
+    """The entries of a sound one, as bytes."""
+    with LedgerWriter(path) as ledger:
+        for number in range(60):
+            session, stepped = b"session number %d" % (number // 30), number % 30 > 0
+            ledger.add(LedgerEntry(session=session, epoch=0, tick=number, stepped=stepped))
+    data = path.read_bytes()
+    return [data[at : at + 32] for at in range(0, len(data), 32)]
+
+
+def check_ledger(path: Path, data: bytes, whole: bytes) -> bool:
+    """As for a journal; the last entry may be damaged, it is kept then."""
+    try:
+        seen = read_ledger(path)
+        with LedgerWriter(path) as ledger:
+            cut = ledger.cut_bytes
+            ledger.add(LedgerEntry(session=b"t" * 16, epoch=1, tick=0, stepped=False))
+    except Exception:
+        if path.read_bytes() != data or len(list(path.parent.iterdir())) > 1:
+            return False
+        raise
+    kept = path.with_name("x.torn").read_bytes() if path.with_name("x.torn").exists() else bytes(cut)
+    begun = len(data) - cut
+    right = whole.startswith(data[:begun]) and data[:begun] + kept == data and len(seen) == begun // 32
+    return right and (cut < 64 or not any(kept)) and len(read_ledger(path)) == len(seen) + 1
+
+
+# --- metrics and events ---
+
+
+def some_metrics(path: Path) -> list[bytes]:
+    """The lines of a sound file."""
+    metrics = MetricsFile(path)
+    for step in range(10, 200, 10):
+        row = {"step": step, "episode": step // 10, "kpi1": step / 7.0, "crash_reason": "a,b"}
+        metrics.add({**dict.fromkeys(COLUMNS), **row})
+    return path.read_bytes().splitlines(keepends=True)
+
+
+def check_metrics(path: Path, data: bytes, whole: bytes) -> bool:
+    """What can be read is all that is there, and is there again after it was gone on with."""
+    del whole
+    try:
+        rows = read_metrics(path)
+        last = int(rows[-1]["step"]) if rows else 0
+        MetricsFile(path, keep_to_step=last)
+    except Exception:
+        if path.read_bytes() != data:
+            return False
+        raise
+    return read_metrics(path) == rows
+
+
+def some_events(path: Path) -> list[bytes]:
+    path.mkdir()
+    log = RunLog(path)
+    for number in range(20):
+        log.add("death", who=f"c{number}", code=-9)
+    return (path / EVENTS).read_bytes().splitlines(keepends=True)
+
+
+def check_events(path: Path, data: bytes, whole: bytes) -> bool:
+    """Every line is told, and the next one is a line of its own."""
+    del whole
+    before = read_events(path.parent)
+    RunLog(path.parent).add("recovery", who="a")
+    after = read_events(path.parent)
+    torn = bool(data) and not data.endswith(b"\n")
+    return (
+        len(before) == data.count(b"\n")
+        and after[: len(before)] == before
+        and len(after) == len(before) + torn + 1
+        and after[-1]["event"] == "recovery"
+    )
+
+
+def a_bomb(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    place = int(rng.integers(len(parts) + 1))
+    return b"".join([*parts[:place], bomb(rng), b"\n", *parts[place:]])
+
+
+MAKERS: dict[str, Callable[[Path], list[bytes]]] = {
+    "journals": a_journal, "ledgers": a_ledger, "metrics": some_metrics, "events": some_events,
+}  # fmt: skip
+SPOILS: dict[str, tuple[Spoil, ...]] = {
+    "journals": (
+        any_damage, any_damage, any_damage, a_flip_near_the_end, a_flipped_length, a_flipped_length,
+        lengths_and_contents, doubled, swapped, left_out, strange_records, huge_lengths, another_header,
+    ),
+    "ledgers": (any_damage, any_damage, any_damage, lengths_and_contents, doubled, swapped, left_out),
+    "metrics": (any_damage, any_damage, doubled, swapped, a_bomb),
+    "events": (any_damage, any_damage, doubled, a_bomb),
+}  # fmt: skip
+CHECKS: dict[str, Callable[[Path, bytes, bytes], bool]] = {
+    "journals": check_journal, "ledgers": check_ledger, "metrics": check_metrics, "events": check_events,
+}  # fmt: skip

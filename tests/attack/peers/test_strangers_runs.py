@@ -1,0 +1,169 @@
+"""A run folder, a journal or a key of somebody else: what it names is not run, not followed, not trusted."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.attack.peers.peers import Attacker, a_join, refusal
+from tests.server.servers import AHEAD, Server, stand_in_order
+from wcsim.agents.clients.client import learn
+from wcsim.agents.runs import own_code
+from wcsim.cli.main import main, printable
+from wcsim.core.files import locked
+from wcsim.core.plugins import find_class
+from wcsim.errors import ConfigError, PolicyError, WcsimError
+from wcsim.server.journal.records import JournalHeader, header_bytes, header_of
+from wcsim.server.journal.replay import verify
+from wcsim.server.links.socket import open_seat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import ClientSpec, SeatRequest
+from wcsim.server.transport.keys import make_keys
+
+HEADER = JournalHeader(
+    name="x", town="helsinki", town_sha256="0", config="{}", seed=1, capacity=2, tick_s=0.1, fingerprint="f"
+)
+
+
+@pytest.mark.parametrize("name", ["run/evil:H", "/x/evil:H", "../evil:H", ".evil:H", "evil:H.x", "a b:C", "a:\x1b[31m"])
+def test_a_class_is_named_by_words_not_by_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").mkdir()
+    for file in (tmp_path / "run" / "evil.py", tmp_path / "evil.py"):
+        file.write_text("raise SystemExit('it ran')\n", encoding="utf-8")
+    with pytest.raises(PolicyError, match="is not module:Class") as caught:
+        find_class(name, "step hook")
+    assert "\x1b" not in str(caught.value)
+
+
+def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Path) -> None:
+    from wcsim.server.journal.journal import JournalWriter
+
+    with JournalWriter(tmp_path / "journal", replace(HEADER, hook="evil:H")):
+        pass
+    for hook in ("", "other:H"):
+        with pytest.raises(ConfigError, match="a hook is code"):
+            verify(tmp_path / "journal", None, 0, None, hook=hook)
+
+
+def test_own_classes_of_a_run_made_elsewhere_are_named_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
+    classes = own_code.own_classes("a:Hook", ("b:Reward",), ("patch", "c:Net"))
+    assert classes == ("a:Hook", "b:Reward", "c:Net")
+    mark = own_code.mark_of(classes)
+    own_code.require_own(tmp_path, classes, mark, ())
+    own_code.require_own(tmp_path, (), "", ())
+    with pytest.raises(PolicyError, match=r"b:Reward"):
+        own_code.require_own(tmp_path, (*classes, "d:More"), mark, ("a:Hook", "c:Net", "d:More"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "theirs"))
+    for theirs in (mark, "", "0" * 64):
+        with pytest.raises(PolicyError, match="made elsewhere"):
+            own_code.require_own(tmp_path, classes, theirs, ())
+    own_code.require_own(tmp_path, classes, mark, classes)
+
+
+def test_resume_refuses_a_folder_that_names_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], a_small_run: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text("raise SystemExit('it ran')\n", encoding="utf-8")
+    manifest = json.loads((a_small_run / "manifest.json").read_text(encoding="utf-8"))
+    for changes in ({"hook": "evil:H"}, {"rewards": ["evil:H"]}):
+        (a_small_run / "manifest.json").write_text(json.dumps({**manifest, **changes}), encoding="utf-8")
+        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+        assert "made elsewhere" in capsys.readouterr().err
+
+
+@pytest.fixture
+def a_small_run(tmp_path: Path, corner: Path) -> Path:
+    """A run folder as `wcsim train` leaves it, but for its policies."""
+    from wcsim.agents.runs.run_folder import create_run, make_manifest
+    from wcsim.cli.shared.run_config import learning
+    from wcsim.config import load_run_config
+    from wcsim.towns.scenario.town import find_town, streets_hash
+
+    config = learning(load_run_config("quick", ("learn.total_steps=30", "learn.network=patch")))
+    town = find_town(str(corner))
+    words = ("wcsim", "train", "--town", str(corner))
+    return create_run(tmp_path / "run", config, make_manifest(config, 1, town.name, streets_hash(town), (), words)).path
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["symbolic", "hard"])
+def test_a_folder_with_a_link_is_not_written_to(tmp_path: Path, hard: bool) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine", encoding="utf-8")
+    inside = tmp_path / "run" / "deep" / "events.jsonl"
+    inside.parent.mkdir(parents=True)
+    with locked(tmp_path / "run"):
+        pass
+    if hard:
+        inside.hardlink_to(precious)
+    else:
+        inside.symlink_to(precious)
+    with pytest.raises(PolicyError, match="is a link"), locked(tmp_path / "run"):
+        pass
+
+
+def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> None:
+    from tests.support.worlds import quick_config
+
+    kept = tmp_path / "small" / "checkpoints" / "step-00000100"
+    kept.mkdir(parents=True)
+    join = SeatRequest(endpoint="ipc:///nowhere/x", name="small", claim="c")
+    order = ClientSpec(
+        town="helsinki", config_json=quick_config().model_dump_json(), out=str(tmp_path / "small"), seed=1, join=join
+    )
+    with pytest.raises(PolicyError, match="holds work"):
+        learn(order, resume=True)
+    assert kept.is_dir()
+
+
+@pytest.mark.parametrize("changes", [{"capacity": 10**9}, {"capacity": 0}, {"tick_s": 1e-300}, {"seed": -1}])
+def test_a_journals_header_asks_for_no_boundless_world(changes: dict[str, float]) -> None:
+    assert header_of(header_bytes(HEADER)) == HEADER
+    with pytest.raises(WcsimError, match="expected"):
+        header_of(header_bytes(replace(HEADER, **changes)))  # type: ignore[arg-type]
+
+
+def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> None:
+    rules = Rules(capacity=2, expected=1, notice_s=60.0)
+    with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server:
+        server.status()
+        with Attacker(server.order.endpoint) as one, Attacker(server.order.endpoint) as other:
+            assert isinstance(one.say(a_join(name="one", claim=b"", seat=1))[0], m.Welcome)
+            assert refusal(other.say(a_join(name="other", claim=b"", seat=1))).error == "SeatTakenError"
+
+
+def test_a_key_that_was_taken_back_is_not_heard_through_an_old_connection(tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    make_keys(keys, ("ann", "ben"))
+    rules = Rules(capacity=2, expected=1, notice_s=60.0)
+    with Server(stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys)), tmp_path) as server:
+        network = server.status().listening
+        with open_seat(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
+            seen = honest.join()
+            assert refusal(ben.say(m.Beat(b"x" * 16, 0))).error == "StaleSessionError"
+            (keys / "clients" / "ben.public").unlink()
+            for _ in range(200):
+                answer = refusal(ben.say(m.Beat(b"x" * 16, 0))).error
+                if answer == "AccessError":
+                    break
+                seen = honest.act(seen.tick, AHEAD)
+                honest._socket.poll(20)
+            assert answer == "AccessError"
+            assert refusal(ben.say(a_join(name="carol"))).error == "AccessError"
+
+
+def test_what_a_terminal_obeys_is_not_printed() -> None:
+    assert printable("a\x1b[31mb\nc\x9b1m") == "a\\x1b[31mb\nc\\x9b1m"
+
+
+def test_a_pipe_is_no_entry_of_a_folder_to_follow(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with locked(tmp_path):
+        pass

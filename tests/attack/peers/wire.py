@@ -1,0 +1,163 @@
+"""Hostile messages, made from the message classes themselves: a field that is added later is attacked as well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import inspect
+
+from wcsim.server.protocol import messages as m
+
+Path = tuple[int, ...]  # of indices into nested arrays
+
+_INTEGERS = (-1, 0, 1, 2, 64, 1 << 31, (1 << 53) + 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1, -(1 << 63))
+_FLOATS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1.0001, -1.0001, 5e-324, 1e13, -3.0)
+_TEXTS = (
+    "", "\0", "a\nb", "\x1b[31mred", "../../x", "/etc/passwd", "recorded:/etc/passwd", "recorded:\0",
+    "recorded:/dev/zero", "\u202egnp", "a b", "ä", "x" * 65, "x" * 300, "x" * 5000, "%s%n", "[bold]",
+    "inattentive", "final",
+)  # fmt: skip
+_BYTES = (b"", b"\0" * 15, b"\0" * 17, bytes(range(16)), b"x" * 129, b"x" * 5000, b"x" * 9000)
+_BROKEN_TEXT = msgspec.Raw(b"\xa2\xff\xfe")
+_ENDLESS = (
+    msgspec.Raw(b"\xdb\xff\xff\xff\xff"),
+    msgspec.Raw(b"\xdd\x7f\xff\xff\xff"),
+    msgspec.Raw(b"\x91" * 3000 + b"\xc0"),
+)
+_OTHERS = (None, True, [], {}, [[]], {"a": 1}, ["Leave", b"\0" * 16], [None] * 65, [0] * 5000, _BROKEN_TEXT, *_ENDLESS)
+NASTY: tuple[Any, ...] = (*_INTEGERS, *_FLOATS, *_TEXTS, *_BYTES, *_OTHERS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """A kind of message as it travels: a sound one, and where its fields are."""
+
+    kind: str
+    sound: list[Any]
+    places: tuple[Path, ...]
+    request: bool
+
+
+def shapes() -> tuple[Shape, ...]:
+    """All kinds of messages."""
+    requests = {kind.__name__ for kind in m.Request.__args__} | {"PackedJoin"}
+    found = []
+    for kind in m.travelling():
+        info = inspect.type_info(kind)
+        sound = sound_value(info)
+        found.append(
+            Shape(kind=kind.__name__, sound=sound, places=tuple(_places(sound)), request=kind.__name__ in requests)
+        )
+    return tuple(found)
+
+
+def sound_value(info: inspect.Type, depth: int = 0) -> Any:
+    """A value that a field of this type takes."""
+    match info:
+        case inspect.StructType():
+            tag = [] if info.tag is None else [info.tag]
+            return [*tag, *(sound_value(field.type, depth + 1) for field in info.fields)]
+        case inspect.IntType() | inspect.FloatType():
+            return max(0, info.ge or 0)
+        case inspect.StrType():
+            return "a" * max(1, info.min_length or 0)
+        case inspect.BytesType():
+            return b"\0" * (info.min_length or 0)
+        case inspect.BoolType():
+            return False
+        case inspect.LiteralType():
+            return info.values[0]
+        case inspect.TupleType():
+            return [sound_value(item, depth + 1) for item in info.item_types]
+        case inspect.VarTupleType():
+            return [sound_value(info.item_type, depth + 1)] if depth < 6 else []
+        case inspect.UnionType():
+            inner = [item for item in info.types if not isinstance(item, inspect.NoneType)]
+            return sound_value(inner[0], depth + 1) if depth < 6 else None
+    raise AssertionError(f"no sound value is known for {info}; teach it here")
+
+
+def unbounded(info: inspect.Type, where: str, seen: frozenset[type] = frozenset()) -> Iterator[str]:
+    """The places in a type that a peer may fill without limit."""
+    match info:
+        case inspect.StructType():
+            if info.cls in seen:
+                return
+            for field in info.fields:
+                yield from unbounded(field.type, f"{where}.{field.name}", seen | {info.cls})
+        case inspect.IntType() | inspect.FloatType():
+            if info.ge is None or info.le is None:
+                yield where
+        case inspect.StrType() | inspect.BytesType():
+            if info.max_length is None:
+                yield where
+        case inspect.TupleType():
+            for item in info.item_types:
+                yield from unbounded(item, where, seen)
+        case inspect.VarTupleType():
+            if info.max_length is None:
+                yield where
+            yield from unbounded(info.item_type, where, seen)
+        case inspect.UnionType():
+            for item in info.types:
+                yield from unbounded(item, where, seen)
+        case inspect.BoolType() | inspect.LiteralType() | inspect.NoneType():
+            return
+        case _:
+            yield f"{where} ({type(info).__name__})"
+
+
+def spoilt(shape: Shape, rng: np.random.Generator) -> bytes:
+    """A message with one to three nasty fields, with one too many or too few, with flipped bits, or cut off."""
+    message = _copied(shape.sound)
+    for _ in range(int(rng.integers(1, 4))):
+        _put(message, shape.places[int(rng.integers(len(shape.places)))], NASTY[int(rng.integers(len(NASTY)))])
+    way = int(rng.integers(12))
+    if way == 0:
+        message.append(NASTY[int(rng.integers(len(NASTY)))])
+    elif way == 1:
+        message.pop()
+    data = bytearray(msgspec.msgpack.encode(message))
+    if way == 2 and data:
+        for _ in range(int(rng.integers(1, 4))):
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+    elif way == 3:
+        data = data[: int(rng.integers(len(data)))]
+    return bytes(data)
+
+
+def each_field(shape: Shape) -> Iterator[tuple[Path, Any, bytes]]:
+    """Every field of a message times every nasty value."""
+    for place in shape.places:
+        for value in NASTY:
+            message = _copied(shape.sound)
+            _put(message, place, value)
+            yield place, value, msgspec.msgpack.encode(message)
+
+
+def _places(value: list[Any], above: Path = ()) -> Iterator[Path]:
+    """Where the fields are; the tag is one of them."""
+    for index, item in enumerate(value):
+        yield (*above, index)
+        if isinstance(item, list):
+            yield from _places(item, (*above, index))
+
+
+def _copied(value: Any) -> Any:
+    return [_copied(item) for item in value] if isinstance(value, list) else value
+
+
+def _put(message: list[Any], place: Sequence[int], value: Any) -> None:
+    *above, last = place
+    for index in above:
+        inner = message[index] if index < len(message) else None
+        if not isinstance(inner, list):
+            return
+        message = inner
+    if last < len(message):
+        message[last] = _copied(value)

@@ -1,0 +1,90 @@
+"""The table of the plants: every row as expected, hardly moved by the step; a few rows of it in no time."""
+
+import dataclasses
+
+import pytest
+
+from wcsim.bench.chair.compare import changes
+from wcsim.bench.chair.row import Row, Setup, Trial, measured
+from wcsim.bench.chair.rows.table import table, trials
+from wcsim.config import ChairConfig
+from wcsim.errors import ConfigError, PhysicsError
+
+PLANTS = ("rwd", "mwd")
+QUICK = ("mass", "inertia", "turning", "stopping_6", "climb_10", "kerb_40mm_standstill", "kerb_120mm_run_up")
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_some_rows_are_as_expected(plant):
+    rows = table(plant, 240, QUICK)
+    assert len(rows) == 9
+    assert [row.name for row in rows if not row.ok] == []
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_table_asks_what_it_must(plant):
+    names = {trial.name for trial in trials(Setup(chair=ChairConfig(plant=plant), hz=240))}
+    assert {"straight_drift_10m", "stopping_10kmh", "kerb_120mm_standstill", "event_wall_6kmh"} <= names
+    assert {"tip_rear_com_50cm", "tip_lateral_com_60cm", "falls_off_30cm_at_25deg", "cross_slope_10deg"} <= names
+    assert ("tip_rear_no_antitips_com_50cm" in names) == (plant == "rwd")
+    assert ("kerb_50mm_standstill" in names) == (plant == "rwd")
+
+
+def test_a_tip_angle_is_found_where_geometry_says():
+    (row,) = table("rwd", 120, ("tip_rear_no_antitips_com_60cm",))
+    assert row.ok and row.value == pytest.approx(16.7, abs=0.2)
+
+
+def test_the_same_trial_gives_the_same_value_in_a_pool():
+    here, there = (table("rwd", 120, ("drive_wheel", "inertia_yaw"), workers) for workers in (1, 2))
+    assert here == there
+
+
+def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
+    setup = Setup(chair=ChairConfig(), hz=240)
+    words = {"name": "x", "unit": "m", "low": 1.0, "high": 2.0, "method": "", "source": ""}
+    assert [measured(Trial(**words, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)] == [
+        *(False, True, True, False),
+    ]
+    with pytest.raises(PhysicsError, match="trial x"):
+        measured(Trial(**words, measure=lambda _: float("nan")), setup)
+
+
+def test_changes_compare_values_or_where_zero_is_expected_their_bound():
+    row = Row(name="a", value=10.0, unit="", low=5.0, high=20.0, method="", source="", ok=True)
+    near = dataclasses.replace(row, name="b", value=0.001, low=0.0, high=0.05)
+    peak = dataclasses.replace(row, name="c", impact=True)
+    other = [dataclasses.replace(item, value=1.13 * item.value) for item in (row, near, peak)]
+    a, b, c = changes({120: [row, near, peak], 240: other})
+    assert (a.ok, b.ok, c.ok) == (False, True, True)
+    assert a.change == c.change == pytest.approx(0.13 / 1.13)
+    assert b.change == pytest.approx(0.00013 / 0.05)
+
+
+@pytest.mark.parametrize("hz", [0, 95, 245, 2000])
+def test_a_rate_that_does_not_divide_a_tick_is_refused(hz):
+    with pytest.raises(PhysicsError, match=str(hz)):
+        Setup(chair=ChairConfig(), hz=hz)
+
+
+def test_unknown_plants_and_rows_are_refused():
+    with pytest.raises(ConfigError, match="hover"):
+        table("hover", 240)
+    with pytest.raises(ConfigError, match="flight"):
+        table("rwd", 240, ("flight",))
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_every_row_is_as_expected(plant):
+    rows = table(plant, 240)
+    assert {row.name: (row.value, row.low, row.high) for row in rows if not row.ok} == {}
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_rows_hardly_change_with_the_step(plant):
+    rows = changes({hz: table(plant, hz) for hz in (120, 240, 480)})
+    assert {row.name: (row.values, row.change) for row in rows if not row.ok} == {}

@@ -1,0 +1,111 @@
+"""Soaks: the proof with real processes, and the arithmetic that it rests on."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.worlds import quick_config
+from wcsim.bench.soak.faults import Chaos, Fault
+from wcsim.bench.soak.soak import SoakFacts, SoakOrder, overlapping, recovery_s, rejoin_s, soak
+from wcsim.bench.soak.stub_client import StubSight
+from wcsim.cli.bench.soak import faults_of, result
+from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.specs import WorldStatus
+
+
+def sights(*entries: tuple[float, int, int]) -> list[StubSight]:
+    return [StubSight(*entry) for entry in entries]
+
+
+def test_a_tick_that_was_under_way_is_no_recovery():
+    fault = Fault(time_s=10.0, what="kill", who="a", others=("b",))
+    seen = {
+        "a": sights((9.9, 0, 50)),
+        "b": sights((9.9, 0, 50), (10.01, 0, 51), (12.5, 0, 52)),
+    }
+    assert recovery_s(fault, seen) == 2.5
+    assert rejoin_s(fault, seen) is None
+    assert recovery_s(Fault(time_s=10.0, what="kill", who="a"), seen) is None, "nobody else had a seat"
+
+
+def test_a_new_epoch_is_a_recovery_and_its_first_frame_a_rejoin():
+    fault = Fault(time_s=10.0, what="kill", who="world", others=("a", "b"))
+    seen = {"a": sights((9.9, 0, 50), (14.0, 1, 0)), "b": sights((9.9, 0, 50), (13.0, 1, 0))}
+    assert recovery_s(fault, seen) == 3.0
+    assert rejoin_s(fault, seen) is None
+    assert rejoin_s(Fault(time_s=10.0, what="kill", who="a", others=("b",)), seen) == 4.0
+    lonely = Fault(time_s=10.0, what="kill", who="a", others=("b",))
+    assert recovery_s(lonely, {"a": sights((9.0, 0, 1)), "b": []}) is None
+
+
+def test_faults_overlap_when_they_share_a_moment():
+    assert overlapping([(0.0, 3.0), (3.5, 4.0), (2.0, 2.1), (9.0, 9.0)]) == (True, False, True, False)
+    assert overlapping([(0.0, 1.0), (1.0, 2.0)]) == (False, False)
+    assert overlapping([(0.0, 5.0), (1.0, 1.0)]) == (True, True), "one without an end of its own"
+    assert overlapping([]) == ()
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 9)), max_size=12))
+def test_every_pair_that_shares_a_moment_is_found(lengths):
+    spans = [(float(begin), float(begin + length)) for begin, length in lengths]
+    each = tuple(any(a[0] < b[1] and b[0] < a[1] for b in spans[:k] + spans[k + 1 :]) for k, a in enumerate(spans))
+    assert overlapping(spans) == each
+
+
+def state(tick: int, epoch: int = 0) -> LaunchState:
+    names = ("a", "b", "c")
+    return LaunchState(
+        elapsed_s=1.0,
+        world_standing="running",
+        world_pid=1,
+        world_restarts=0,
+        world=WorldStatus(stage="collect", epoch=epoch, tick=tick, ticks=tick, members=names, master="a"),
+        clients=tuple(ClientState(name=name, seat=i, standing="running", pid=i + 2) for i, name in enumerate(names)),
+    )
+
+
+def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypatch):
+    sent, now = [], [0.0]
+    monkeypatch.setattr("wcsim.bench.soak.faults._send", lambda pid, number: sent.append((pid, number)))
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    chaos = Chaos(7, until_s=300.0)
+    for step in range(1400):
+        now[0] = 0.25 * step
+        stuck = 100.0 < now[0] < 120.0
+        chaos.act(state(tick=400 if stuck else 4 * step))
+    times = [fault.time_s for fault in chaos.faults]
+    assert len(times) > 60 and max(times) <= 300.5
+    assert sum(102.0 < t < 120.0 for t in times) <= 1
+    assert {(fault.what, fault.who == "world") for fault in chaos.faults} >= {
+        ("kill", False), ("stop", False), ("pause", False), ("kill", True)
+    }  # fmt: skip
+    assert any(fault.master for fault in chaos.faults)
+    assert all(len(fault.others) == 2 + (fault.who == "world") for fault in chaos.faults)
+    paused = sum(fault.what == "pause" or (fault.what == "stop" and fault.who != "world") for fault in chaos.faults)
+    assert sum(number == signal.SIGCONT for _, number in sent) == paused
+
+
+def soaked(corner: Path, folder: Path, seconds: float, seed: int) -> SoakFacts:
+    return soak(SoakOrder(town=str(corner), config=quick_config(), seconds=seconds, folder=folder, seed=seed))
+
+
+def test_half_a_minute_of_faults_loses_nothing(corner: Path, tmp_path: Path):
+    facts = soaked(corner, tmp_path / "run", 30.0, seed=1)
+    assert facts.outcome.code == 0, facts.outcome.message
+    assert len(facts.faults) >= 4 and facts.audit.ticks > 100
+    exact = ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered")
+    assert {key: result(facts)[key] for key in exact} == dict.fromkeys(exact, 0)
+
+
+@pytest.mark.proof
+def test_five_minutes_of_faults_lose_nothing_and_everybody_recovers_in_time(corner: Path, tmp_path: Path):
+    facts = soaked(corner, tmp_path / "run", 300.0, seed=2)
+    assert facts.outcome.code == 0, facts.outcome.message
+    assert len(facts.faults) >= 30
+    assert not faults_of(facts), result(facts)

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.bridge.recording.trace import TickRecord, TraceHeader, TraceWriter
+from wcsim.bridge.recording.trace_diff import difference
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.errors import WcsimError
+
+HEADER = TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a")
+
+
+def record(tick: int, shift: float = 0.0, actors: tuple[str, ...] = ("v:a", "p:b")) -> TickRecord:
+    rng = np.random.Generator(np.random.Philox(tick))
+    return TickRecord(
+        epoch=0,
+        tick=tick,
+        commands=rng.random((2, 2)),
+        plants=rng.random((2, 15)) + shift,
+        actor_ids=actors,
+        actors=rng.random((len(actors), 8)),
+        state_hash=f"{tick}-{shift}",
+    )
+
+
+def write(path, records, header=HEADER):
+    with TraceWriter(path, header) as writer:
+        for item in records:
+            writer.append(item)
+
+
+def test_what_was_written_is_read(tmp_path):
+    records = [record(0), record(1, actors=())]
+    write(tmp_path / "a", records)
+    header, back = read_trace(tmp_path / "a")
+    assert header == HEADER
+    for old, new in zip(records, back, strict=True):
+        assert (old.tick, old.actor_ids, old.state_hash) == (new.tick, new.actor_ids, new.state_hash)
+        assert np.array_equal(old.plants, new.plants)
+        assert np.array_equal(old.actors, new.actors)
+        assert np.array_equal(old.commands, new.commands)
+
+
+@given(cut=st.integers(min_value=1, max_value=400))
+def test_a_torn_end_loses_the_last_records_only(tmp_path_factory, cut):
+    path = tmp_path_factory.mktemp("torn") / "a"
+    write(path, [record(i) for i in range(5)])
+    data = path.read_bytes()
+    path.write_bytes(data[:-cut])
+    assert [item.tick for item in read_trace(path)[1]] == list(range(len(read_trace(path)[1])))
+    assert len(read_trace(path)[1]) < 5
+
+
+def test_something_else_is_refused(tmp_path):
+    (tmp_path / "a").write_text("hello")
+    with pytest.raises(WcsimError, match="not a trace"):
+        read_trace(tmp_path / "a")
+
+
+def test_difference_is_exact_within_a_version_and_tolerant_across(tmp_path):
+    write(tmp_path / "a", [record(1), record(2)])
+    write(tmp_path / "same", [record(1), record(2)])
+    write(tmp_path / "near", [record(1), record(2, shift=1e-5)])
+    assert difference(tmp_path / "same", tmp_path / "a") == ""
+    assert "tick 2" in difference(tmp_path / "near", tmp_path / "a")
+    other = TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="b")
+    write(tmp_path / "far", [record(1), record(2, shift=0.1)], other)
+    write(tmp_path / "near", [record(1), record(2, shift=1e-5)], other)
+    assert difference(tmp_path / "near", tmp_path / "a") == ""
+    assert "chair" in difference(tmp_path / "far", tmp_path / "a")
+    write(tmp_path / "short", [record(1)])
+    assert "ticks" in difference(tmp_path / "short", tmp_path / "a")

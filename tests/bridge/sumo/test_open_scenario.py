@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import quick_config
+from tests.towns.made import hostile
+from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
+from wcsim.bridge.world import World
+from wcsim.errors import TownError
+from wcsim.towns.scenario.overrides import settings_of
+from wcsim.towns.scenario.town import Town, find_town, open_town
+
+SETTINGS = settings_of(quick_config(), 1)
+
+
+@pytest.fixture
+def sound(corner) -> Town:
+    return find_town(str(corner))
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def test_a_scenario_that_kills_sumo_is_refused_and_not_remembered(sound, tmp_path, own_cache):
+    broken = '<flow id="f" begin="0" period="1"><route edges="nowhere"/></flow>'
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "", "", broken))
+    said = r"a\.rou\.xml: SUMO cannot run this scenario.*nowhere"
+    for _ in range(2):
+        with ExitStack() as held, pytest.raises(TownError, match=said):
+            open_scenario(town, SETTINGS, RunPlace(), held)
+    assert not list(own_cache.rglob("scenario-*"))
+
+
+def test_a_model_that_sumo_does_not_have_is_refused_by_name(sound, tmp_path):
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "<default.carfollowmodel value='fly'/>"))
+    with ExitStack() as held, pytest.raises(TownError, match=r"a\.sumocfg: SUMO cannot run this scenario.*'fly'"):
+        open_scenario(town, SETTINGS, RunPlace(), held)
+
+
+def test_without_a_run_folder_nothing_is_left(sound, tmp_path):
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "<summary value='s.xml'/>"))
+    before = {path.name for path in (tmp_path / "theirs").iterdir()}
+    with World(town, quick_config(), (), 1) as world:
+        world.tick(())
+        folder = world.scenario.sumocfg.parent
+        assert (folder / "s.xml").is_file()
+    assert not folder.exists()
+    assert {path.name for path in (tmp_path / "theirs").iterdir()} == before
+
+
+def test_a_second_sitting_of_a_run_keeps_the_first_ones_outputs(sound, tmp_path):
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "<summary value='s.xml'/>"))
+    for _ in range(2):
+        with World(town, quick_config(), (), 1, RunPlace(folder=tmp_path / "run")) as world:
+            world.tick(())
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["sumo", "sumo-2"]
+    assert all((tmp_path / "run" / name / "s.xml").stat().st_size > 300 for name in ("sumo", "sumo-2"))
+
+
+def test_the_authors_end_does_not_end_the_run_and_his_begin_begins_it(sound, tmp_path):
+    edge = hostile.lane_of(sound).rpartition("_")[0]
+    flow = f'<flow id="f" begin="100" number="4"><route edges="{edge}"/></flow>'
+    town = open_town(hostile.scenario(sound, tmp_path / "t", "<begin value='100'/><end value='0:01:48'/>", "", flow))
+    with ExitStack() as held:
+        scenario = open_scenario(town, SETTINGS, RunPlace(), held)
+        options = SumoOptions(sumocfg=scenario.sumocfg, origin_m=(0, 0), step_s=0.1, seed=1)
+        session = held.enter_context(SumoSession(options))
+        seen = set()
+        for _ in range(150):
+            session.step()
+            seen |= {actor.id for actor in session.actors(np.zeros((1, 2)), 1e9)}
+        assert session.time_s() == pytest.approx(115.0)
+        assert seen == {f"v:f.{k}" for k in range(4)}  # spread over the 8 s up to the author's end
+    assert scenario.begin_s == 100.0
+    assert not world_in_this_process()
+
+
+def test_the_authors_time_to_teleport_holds_unless_the_run_sets_it(sound, tmp_path):
+    import libsumo
+
+    town = open_town(hostile.scenario(sound, tmp_path / "t", "<time-to-teleport value='77'/><scale value='2'/>"))
+    for overrides, wanted in (((), "77"), (("world.jam_teleport_s=12", "world.demand_scale=1.5"), "12.0")):
+        with World(town, quick_config(*overrides), (), 1):
+            assert libsumo.simulation.getOption("time-to-teleport") == wanted
+            assert float(libsumo.simulation.getOption("scale")) == (3.0 if overrides else 2.0)
+
+
+def test_a_scenario_that_kills_the_next_one_is_refused(sound, tmp_path):
+    """SUMO 1.28 keeps devices that send from one simulation to the next, and dies of them."""
+    options = "<device.btsender.probability value='1'/>"
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", options))
+    with ExitStack() as held, pytest.raises(TownError, match=r"a\.sumocfg: SUMO dies when .* anew .*btsender"):
+        open_scenario(town, SETTINGS, RunPlace(), held)
+
+
+@pytest.mark.parametrize(
+    ("more", "vehicles", "culprit"),
+    [
+        ('<busStop id="b" lane="nowhere_0"/>', "", r"a\.add\.xml"),
+        ("", '<trip id="t" depart="0" from="nowhere" to="nowhere"/>', r"a\.rou\.xml"),
+    ],
+)
+def test_the_file_that_is_wrong_is_named(sound, tmp_path, more, vehicles, culprit):
+    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "", more, vehicles))
+    with ExitStack() as held, pytest.raises(TownError, match=rf"{culprit}: SUMO cannot run .*nowhere.*sumo -c"):
+        open_scenario(town, SETTINGS, RunPlace(), held)

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import quick_config
+from tests.towns.made import hostile
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.bridge.town_run import TRACE, RecordOrder, check_mirrored, record_town
+from wcsim.bridge.world import World
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.scenario.town import find_town
+from wcsim.types import ActorKind, ActorState
+
+
+def actor(name: str, x_m: float, piece: int = 0) -> ActorState:
+    return ActorState(
+        id=name,
+        kind=ActorKind.CAR,
+        p_W_m=np.array([x_m, 0.0, 0.0]),
+        yaw_rad=0.0,
+        pitch_rad=0.0,
+        v_W_mps=np.zeros(3),
+        size_lwh_m=(4.0, 1.8, 1.5),
+        piece=piece,
+    )
+
+
+def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
+    chairs, near, border, far = np.zeros((1, 2)), actor("v:near", 10.0), actor("v:border", 49.0), actor("v:far", 80.0)
+    everyone = (near, border, far)
+    check_mirrored((near,), everyone, chairs, 50.0)
+    check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
+    with pytest.raises(SumoError, match=r"not there: v:ghost; there but not shown: nobody"):
+        check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
+    with pytest.raises(SumoError, match=r"not there: nobody; there but not shown: v:near"):
+        check_mirrored((), everyone, chairs, 50.0)
+    check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
+
+
+def test_a_recorded_town_holds_everybody_and_the_chairs(corner, tmp_path):
+    order = RecordOrder(seconds=6.0, seed=3, chairs=2, folder=tmp_path, outputs=("fcd",))
+    opened = []
+    facts = record_town(find_town(str(corner)), quick_config(), order, opened.append)
+    header, records = read_trace(tmp_path / TRACE)
+    assert (header.seats, len(records), facts.ticks) == (2, 60, 60)
+    assert records[-1].plants.shape == (2, 15)
+    assert records[-1].time_s == pytest.approx(6.0) == facts.end_s
+    assert {name for record in records for name in record.actor_ids} == {b.id for r in records for b in r.bodies}
+    assert facts.vehicles + facts.persons == len({name for record in records for name in record.actor_ids})
+    assert facts.mirrored >= 1 and facts.episodes >= 2
+    assert opened[0].outputs[0] == tmp_path / "sumo" / "fcd.xml"
+    again = record_town(find_town(str(corner)), quick_config(), replace(order, folder=tmp_path / "b"), opened.append)
+    assert again == facts
+    assert (tmp_path / TRACE).read_bytes() == (tmp_path / "b" / TRACE).read_bytes()
+
+
+def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(corner, tmp_path, monkeypatch):
+    town, config = find_town(str(corner)), quick_config()
+    with World(town, config, (), 3) as world:
+        plain = [(world.tick(()).state_hash, [a.id for a in world.everyone()], world.mishaps()) for _ in range(40)]
+    for name in ("wcsim.bridge.town_run.load_street", "wcsim.bridge.world.load_street", "wcsim.bridge.town_run.World"):
+        monkeypatch.setattr(name, lambda *words: pytest.fail("a street was built for nobody"))
+    stages = []
+    order = RecordOrder(seconds=4.0, seed=3, chairs=0, folder=tmp_path)
+    facts = record_town(town, config, order, lambda scenario: None, stage=stages.append)
+    header, records = read_trace(tmp_path / TRACE)
+    assert [(r.state_hash, list(r.actor_ids)) for r in records] == [(hashed, names) for hashed, names, _ in plain]
+    assert (header.seats, facts.episodes, facts.crashed) == (0, 0, ()) and facts.vehicles > 0
+    assert facts.collisions == sum(mishaps[1] for _, _, mishaps in plain)
+    assert len(stages) == 2 and "files" in stages[0]
+
+
+def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_path, monkeypatch):
+    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs", more='<include href="gone.add.xml"/>')
+    for name in ("wcsim.bridge.town_run.validate_net", "wcsim.bridge.traffic.validate_net"):
+        monkeypatch.setattr(name, lambda *words, **more: pytest.fail("the net was opened first"))
+    monkeypatch.setattr("wcsim.bridge.world.validate_net", lambda *words, **more: pytest.fail("the net was opened"))
+    for chairs in (0, 1):
+        order = RecordOrder(seconds=1.0, seed=3, chairs=chairs, folder=tmp_path)
+        with pytest.raises(TownError, match=r"not there.*gone\.add\.xml"):
+            record_town(find_town(str(sumocfg)), quick_config(), order, lambda scenario: None)
+
+
+def test_a_crash_is_kept_with_its_reason_second_and_place(corner, tmp_path, monkeypatch):
+    config = quick_config("reward.accel_window_mps2=[0.001, 0.002]", "imu.saturation_mps2=10")
+    order = RecordOrder(seconds=3.0, seed=3, chairs=1, folder=tmp_path)
+    town = find_town(str(corner))
+    facts = record_town(town, config, order, lambda scenario: None)
+    assert facts.crashes == len(facts.crashed) >= 1
+    first = facts.crashed[0]
+    assert (first.seat, first.reason) == (0, "acceleration") and facts.begin_s < first.time_s <= facts.end_s
+    _, records = read_trace(tmp_path / TRACE)
+    record = next(record for record in records if record.time_s == first.time_s)
+    assert np.hypot(*(record.plants[0, :2] + town.file.origin_m - first.at_m)) < 0.01

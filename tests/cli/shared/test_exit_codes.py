@@ -1,0 +1,90 @@
+"""Exit codes tell done, stopped, refused and failed apart."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from wcsim import errors
+from wcsim.cli import main as cli
+from wcsim.cli.shared.exit_codes import Exit, NothingKept, exit_of
+
+CODES = {
+    errors.InterruptedRunError: Exit.STOPPED,
+    errors.DiskFullError: Exit.FAILED,
+    errors.ServerGoneError: Exit.FAILED,
+    errors.PhysicsError: Exit.FAILED,
+    errors.ConfigError: Exit.REFUSED,
+    errors.PolicyError: Exit.REFUSED,
+    errors.JournalError: Exit.REFUSED,
+    errors.WorldFullError: Exit.REFUSED,
+}
+
+
+@pytest.mark.parametrize("kind", CODES, ids=lambda kind: kind.__name__)
+def test_every_error_has_a_code(kind):
+    assert exit_of(kind("x")) == CODES[kind]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (NothingKept("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
+        (KeyboardInterrupt(), Exit.INTERRUPTED, "interrupted"),
+        (OSError(errno.ENOSPC, "No space left on device"), Exit.FAILED, "make room"),
+        (OSError(errno.EMFILE, "Too many open files"), Exit.FAILED, "ulimit -n 1024"),
+        (errors.DiskFullError("x: no room"), Exit.FAILED, "no room"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_ends_a_command_is_told_in_a_line(monkeypatch, capsys, error, code, told):
+    def fails(words):
+        raise error
+
+    monkeypatch.setitem(sys.modules, "wcsim.cli.doctor", types.SimpleNamespace(run=fails))
+    assert cli.main(["doctor"]) == code
+    err = capsys.readouterr().err
+    assert (err.count("\n"), told in err) == (1, True), err
+
+
+def test_other_errors_of_the_system_stay_what_they_are(monkeypatch):
+    def fails(words):
+        raise PermissionError(errno.EPERM, "no")
+
+    monkeypatch.setitem(sys.modules, "wcsim.cli.doctor", types.SimpleNamespace(run=fails))
+    with pytest.raises(PermissionError):
+        cli.main(["doctor"])
+
+
+STORM = """
+import sys, types, time
+from wcsim.cli import main as cli
+from wcsim.errors import InterruptedRunError
+from wcsim.server.launch.stop_signals import StopSignals
+def run(words):
+    with StopSignals() as signals:
+        print("ready", flush=True)
+        while signals.count < 3:
+            time.sleep(0.01)
+        raise InterruptedRunError("stopped")
+sys.modules["wcsim.cli.doctor"] = types.SimpleNamespace(run=run)
+sys.argv = ["wcsim", "doctor"]
+raise SystemExit(cli.main())
+"""
+
+
+def test_the_code_of_a_stopped_run_survives_a_storm_of_signals():
+    for _ in range(3):
+        command = [sys.executable, "-c", STORM]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3])
+        assert child.stdout.readline() == "ready\n"
+        while child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        child.communicate(timeout=10)
+        assert child.returncode == Exit.STOPPED

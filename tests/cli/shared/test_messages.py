@@ -1,0 +1,157 @@
+"""What somebody reads who typed something wrong: what it is, what came, what was expected, what to do."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import QUICK, files_in
+from tests.cli.test_bad_input import refused
+from wcsim.bridge.recording.framing import whole_records
+
+ROOT = Path(__file__).parents[3]
+HEAVY = ("torch", "libsumo", "pybullet")
+SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
+
+EARLY = {
+    "train --network huge": "unknown network 'huge'",
+    "train --network smal": "did you mean 'small'?",
+    "train --network nowhere:Net": "network module 'nowhere' was not found",
+    "train --reward nowhere:Term": "reward term module 'nowhere' was not found",
+    "train --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "train --town atlantis": "unknown town 'atlantis'",
+    "train --town monaco": "monaco is a test town",
+    "train --set learn.speed=3": "unknown key 'learn.speed'",
+    "train --set env.profile=saint": "unknown user profile 'saint'",
+    "train --steps 0": "--steps 0: expected 1 or more",
+    "train --steps 10x": "--steps",
+    "train --out file/run": "is not a folder that can be written",
+    "train --out nothing --resume": "nothing is not a run",
+    "test folow": "did you mean 'follow'?",
+    "test runs/none": "runs/none is not a run",
+    "test follow:early": "unknown stage 'early'",
+    "test --episodes 0": "--episodes 0",
+    "test --profile saint": "unknown user profile 'saint'",
+    "test --town atlantis": "unknown town 'atlantis'",
+    "test --town helsinki": "helsinki is a training town",
+    "test --network nowhere:Net": "network module 'nowhere' was not found",
+    "test --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
+    "join ipc://there --network huge": "unknown network 'huge'",
+}
+CHILD = f"""
+import contextlib, io, json, sys
+from wcsim.cli.main import main
+for words in json.loads(sys.argv[1]):
+    told = io.StringIO()
+    with contextlib.redirect_stderr(told):
+        code = main(words)
+    print(json.dumps([int(code), told.getvalue(), [name for name in {HEAVY} if name in sys.modules]]))
+"""
+
+
+def test_what_is_mistyped_is_refused_before_torch_and_the_simulators_are_loaded(tmp_path):
+    """One child types all of them, one after the other, so that the first that loads something is seen."""
+    (tmp_path / "file").write_text("a file, not a folder")
+    words = json.dumps([line.split() for line in EARLY])
+    command = [sys.executable, "-c", CHILD, words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(answers) == len(EARLY)
+    for line, (code, told, loaded) in zip(EARLY, answers, strict=True):
+        assert (line, code, loaded) == (line, 2, [])
+        assert EARLY[line] in told, (line, told)
+    assert files_in(tmp_path) == {"file"}
+
+
+def test_a_number_that_is_none_is_named_in_words(wcsim, folder):
+    for words, told in (
+        ("train --steps 10x", "--steps: got '10x', expected a whole number"),
+        ("train --seed 1.5", "--seed: got '1.5', expected a whole number"),
+        ("train --lease soon", "--lease: got 'soon', expected a number"),
+        ("serve --max-think x", "--max-think: got 'x', expected a number"),
+    ):
+        result = wcsim(*words.split())
+        assert result.code == 2
+        assert told in " ".join(result.err.replace("│", " ").split())
+        assert "{None}" not in result.err and "instantiated" not in result.err and "literal" not in result.err
+
+
+@pytest.mark.parametrize("words", ["town run {}", "town check {}", "train --town {}", "test --town {}", "snapshot {}"])
+def test_a_scenario_that_is_not_there_is_said_to_be_missing(wcsim, folder, words):
+    told = wcsim(*words.format("run.sumocfg").split())
+    refused(told, "run.sumocfg: there is no such file", str(folder), "helsinki")
+    assert "unknown town" not in told.err
+    refused(wcsim(*words.format("some/folder").split()), "some/folder: there is no such folder", "with a .sumocfg")
+
+
+def test_a_misspelt_town_is_answered_with_the_nearest(wcsim, folder):
+    refused(wcsim("town", "check", "helsinky"), "unknown town 'helsinky'", "did you mean 'helsinki'?")
+    assert "did you mean" not in wcsim("town", "check", "atlantis").err
+
+
+def test_an_item_that_a_list_has_not_is_named_with_those_it_has(wcsim, folder):
+    given = "train --set cameras.3.hfov_deg=90"
+    refused(wcsim(*given.split()), "cameras.3: there is no such item, the list cameras has 1", "expected cameras.0;")
+    refused(wcsim("train", "--set", "cameras.hfov_deg=90"), "cameras.hfov_deg: there is no such item", "[[cameras]]")
+    refused(wcsim("train", "--set", "imu.p_BI_m.3=1"), "imu.p_BI_m: expected a list", "as imu.p_BI_m=[...]")
+
+
+def test_a_baseline_that_is_misspelt_is_answered_with_the_nearest(wcsim, folder):
+    refused(wcsim("test", "folow"), "folow is not a run: there is no such folder", "follow, random, zero, stop, dwa")
+    assert wcsim("test", "folow").err.rstrip().endswith("did you mean 'follow'?")
+    assert "did you mean" not in wcsim("test", "runs/a").err
+
+
+def first_record(trace: bytes) -> int:
+    """How long the first record of a trace is."""
+    return next(whole_records(io.BytesIO(trace))).end
+
+
+def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):
+    assert wcsim("town", "run", corner, "--seconds", "1", "--chairs", "0", "--out", "run").code == 0
+    whole = Path("run/trace").read_bytes()
+    for length, told in ((20, "or was cut off within its first record"), (first_record(whole) + 9, "no whole tick")):
+        Path("run/trace").write_bytes(whole[:length])
+        refused(wcsim("replay", "run", "--fcd", "x.xml"), "run/trace: ", told, "copy it again, or record it again")
+    Path("run/trace").write_bytes(whole)
+    refused(wcsim("replay", "run", "--fcd", "x.xml", "--epoch", "3"), "no tick of epoch 3", "--epoch with one of: 0")
+    assert not Path("x.xml").exists()
+
+
+def test_a_missing_run_is_named_before_the_options_that_it_lacks(wcsim, folder):
+    told = wcsim("replay", "nofolder")
+    refused(told, "nofolder: is not there", "run folder")
+    assert "--fcd" not in told.err
+
+
+def test_a_run_with_an_own_network_is_tested_by_the_command_that_training_prints(wcsim, folder, corner):
+    shutil.copy(ROOT / "examples" / "own_network.py", "own_network.py")
+    words = ("--network", "own_network:OwnNet", "--out", "runs/my own", "--town", corner)
+    trained = wcsim("train", *words, *SMALL)
+    assert trained.code == 0
+    hint = trained.out.rstrip().rpartition("test it: ")[2]
+    assert hint == "wcsim test 'runs/my own' --network own_network:OwnNet --town monaco"
+    typed = shlex.split(hint)[1:-1]
+    assert wcsim(*typed, corner, "--allow-train-town", "--episodes", "1", "--max-steps", "3").code == 0
+    unnamed = [word for word in typed if word not in ("--network", "own_network:OwnNet")]
+    told = wcsim(*unnamed, corner, "--allow-train-town")
+    refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it: --network own_network:OwnNet")
+    assert "network=own" not in told.err
+
+
+def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
+    trained = wcsim("train", "--out", "run", "--town", corner, *SMALL)
+    assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
+
+
+def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):
+    refused(wcsim("train", "--town", corner, "--set", "env.observation=table3", *QUICK), "compact")
+    assert files_in(folder) == set()

@@ -1,0 +1,120 @@
+"""What is said without being asked for: once, in a line, and where it is read."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.cli.conftest import QUICK, files_in
+from wcsim.cli import serve
+from wcsim.server.transport.keys import make_keys
+
+SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
+BUILDING = "building the street of pedestrian-crossing"
+LOOP = """
+import sys, gymnasium, wcsim
+small = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
+env = gymnasium.make(wcsim.ENV_ID, town=sys.argv[1], overrides=small)
+print("made", file=sys.stderr)
+env.reset(seed=1)
+env.close()
+"""
+
+
+def test_a_street_that_is_built_is_announced_to_the_user_of_an_environment_once(tmp_path, corner):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    for number in range(2):
+        command = [sys.executable, "-c", LOOP, str(corner)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path)
+        told = [line for line in done.stderr.splitlines() if line.startswith(("made", "building"))]
+        assert [line.split(",")[0] for line in told] == (["made", BUILDING] if number == 0 else ["made"])
+    assert list((tmp_path / "wcsim").glob("street-*.npz"))
+
+
+def test_a_street_that_is_built_is_announced_by_the_commands_once(tmp_path, corner):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    words = ("test", "follow", "--town", str(corner), "--episodes", "1", "--max-steps", "2", *QUICK)
+    command = [sys.executable, "-m", "wcsim", *words]
+    first, second = (
+        subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path).stderr
+        for _ in range(2)
+    )
+    assert (first.count(BUILDING), second.count("building")) == (1, 0)
+    assert str(tmp_path / "cache") in first
+
+
+def test_what_is_overridden_is_one_line_and_a_table_when_it_is_asked_for(wcsim, corner):
+    words = ("test", "follow", "--town", corner, "--episodes", "1", "--max-steps", "2", *QUICK)
+    short, long = wcsim(*words), wcsim(*words, "--verbose")
+    line = " ".join(short.out[: short.out.index("following")].split())
+    assert "of SUMO's options are not as in pedestrian-crossing's scenario (" in line
+    assert "seed" in line and "xml-validation" in line and "--verbose says why" in line
+    assert "what this run overrides of pedestrian-crossing's scenario" in long.out
+    assert "one seed for all that chance" in long.out and "one seed for all" not in short.out
+
+
+def test_a_scenario_of_longer_steps_is_told_what_that_does_without_being_asked(wcsim, corner, tmp_path):
+    for file in corner.iterdir():
+        if file.is_file():
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    (config,) = tmp_path.glob("*.sumocfg")
+    text = config.read_text(encoding="utf-8")
+    config.write_text(re.sub(r"<step-length [^>]*>", '<step-length value="1"/>', text), encoding="utf-8")
+    told = wcsim("town", "run", config, "--seconds", "1", "--chairs", "0", "--out", "run")
+    assert told.code == 0
+    line = " ".join(told.out[told.out.index("step-length is") :].split())
+    assert line.startswith("step-length is 0.1: one tick is one step of SUMO") and "faster" in line[:200]
+
+
+def test_progress_of_a_short_run_is_said_once_for_each_tenth(wcsim, corner):
+    told = wcsim("town", "run", corner, "--seconds", "2", "--chairs", "0", "--out", "run")
+    shown = re.findall(r"^([\d.]+) of 2 s$", told.err, flags=re.MULTILINE)
+    assert shown == ["0.2", "0.4", "0.6", "0.8", "1", "1.2", "1.4", "1.6", "1.8", "2"]
+
+
+def test_on_a_terminal_the_bar_and_what_is_said_beside_it_have_lines_of_their_own(folder, corner):
+    ours, theirs = pty.openpty()
+    words = ("train", "--town", str(corner), "--out", "run", *SMALL)
+    environment = {**os.environ, "COLUMNS": "200", "TERM": "xterm"}
+    child = subprocess.Popen(
+        [sys.executable, "-m", "wcsim", *words], stdin=theirs, stdout=theirs, stderr=theirs, env=environment
+    )
+    os.close(theirs)
+    seen = b""
+    try:
+        while part := os.read(ours, 4096):
+            seen += part
+    except OSError:  # the child has closed its end
+        pass
+    os.close(ours)
+    assert child.wait(timeout=60) == 0, seen
+    (line,) = [line for line in seen.decode().split("\n") if "of SUMO's options" in line]
+    before = line[: line.index("of SUMO's options")].rpartition("\x1b[2K")[2]
+    assert re.fullmatch(r"(\x1b\[[\d;?]*[a-zA-Z]|\r)*\d+ ", before), line
+    assert "run folder: run" in seen.decode()
+
+
+def test_an_address_that_listens_everywhere_is_told_by_the_name_of_the_machine(tmp_path, monkeypatch):
+    keys = tmp_path / "keys"
+    make_keys(keys, ("ben", "ann"))
+    monkeypatch.setattr(serve.socket, "gethostname", lambda: "lab3")
+    options = serve.Options(listen="tcp://0.0.0.0:5599", keys=keys)
+    lines = serve.how_to_join("ipc:///dev/shm/w", "tcp://0.0.0.0:5599", options).splitlines()
+    assert lines[1:] == [
+        f"over the network: wcsim join tcp://lab3:5599 --keys {keys} --name {name} --network small --steps 1000"
+        for name in ("ann", "ben")
+    ]
+    here = serve.how_to_join("ipc:///dev/shm/w", "tcp://127.0.0.1:5", serve.Options(listen="tcp://127.0.0.1:5"))
+    assert "wcsim join tcp://127.0.0.1:5 --network small" in here
+
+
+def test_a_folder_that_is_made_for_a_result_is_named(wcsim, folder, corner):
+    words = ("snapshot", corner, "--seconds", "0", "--width", "64", "--out")
+    assert wcsim(*words, "a/b/x.png").err == "note: made the folder a\n"
+    assert wcsim(*words, "a/y.png").err == wcsim(*words, "z.png").err == ""
+    assert files_in(folder) == {"a", "a/b", "a/b/x.png", "a/y.png", "z.png"}
+    assert wcsim("scene", "list").err == "" and not Path("new").exists()

@@ -1,0 +1,51 @@
+"""The cures that a check prints, typed as they stand."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+from tests.cli.conftest import QUICK, Run
+from tests.support.typed import printed, typed
+from tests.towns.made.unpaved import BEGIN_S, write_unpaved
+from wcsim.towns.scenario.town import find_town
+
+
+def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, folder: Path) -> None:
+    theirs = write_unpaved(folder / "my town")
+    checked = wcsim("town", "check", theirs)
+    assert checked.code == 1
+    words = shlex.split(printed(checked.out, "no walking areas"))
+    refused = wcsim("town", "run", theirs, "--seconds", "1", *QUICK)
+    assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
+    assert words[:3] == ["wcsim", "town", "pave"]
+    paved = wcsim(*words[1:], "--json", "paved.json")
+    assert paved.code == 0, paved.err
+    assert "24 streets have a pavement now" in paved.out and "1 signal programs" in paved.out
+    told = json.loads(Path("paved.json").read_text())
+    assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
+    ours = find_town(told["paved"]["sumocfg"])
+    (fault,) = told["faults"]
+    code, said = typed(printed(fault, "nobody walks"), folder)
+    assert code == 0, said
+    text = (ours.folder / "walkers.rou.xml").read_text()
+    departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
+    assert len(departs_s) > 100 and min(departs_s) >= BEGIN_S and max(departs_s) <= BEGIN_S + 600.0
+    cfg = ours.sumocfg.read_text()
+    ours.sumocfg.write_text(cfg.replace('"u.rou.xml"', '"u.rou.xml,walkers.rou.xml"'))
+    assert wcsim("town", "check", ours.sumocfg).code == 0
+    ran = wcsim("town", "run", ours.sumocfg, "--seconds", "5", "--out", "run", *QUICK)
+    assert ran.code == 0, ran.err
+
+
+def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:
+    theirs = write_unpaved(folder / "theirs")
+    (folder / "full").mkdir()
+    (folder / "full" / "x").write_text("x")
+    said = wcsim("town", "pave", theirs, "--out", "full")
+    assert said.code == 2 and "full is there already" in said.err
+    assert wcsim("town", "pave", theirs).code == 2
+    assert wcsim("town", "pave", theirs, "--out", "ours", "--max-speed", "5").code == 2
+    assert not (folder / "ours").exists()

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.towns.made import hostile
+from wcsim.bridge.town_run import CrashFact
+from wcsim.cli.main import main
+from wcsim.cli.town.run import crash_lines
+from wcsim.towns.scenario.town import find_town
+
+QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24"]
+
+
+def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
+    out, told = tmp_path / "run", tmp_path / "told.json"
+    words = ["town", "run", str(corner), "--seconds", "3", "--seed", "3", "--out", str(out), "--json", str(told)]
+    assert main([*words, "--outputs", "fcd,tripinfo", "--verbose", *QUICK]) == 0
+    shown = capsys.readouterr()
+    assert "vehicles in the street" in shown.out and "what this run overrides" in shown.out
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["status"] == "done" and manifest["seed"] == 3
+    assert manifest["command"][:3] == ["wcsim", "town", "run"]
+    rows = {row["option"]: row for row in manifest["overrides"]}
+    assert rows["seed"]["wcsim"] == str(manifest["sumo_seed"])
+    assert set(manifest["outputs"]) == {"sumo/fcd.xml", "sumo/tripinfo.xml"}
+    assert all((out / name).is_file() for name in (*manifest["outputs"], "trace"))
+    result = json.loads(told.read_text())
+    assert result["ticks"] == 30 and result["episodes"] >= 1
+    assert main(["replay", str(out), "--fcd", str(tmp_path / "replay.xml")]) == 0
+    assert 'id="wheelchair.0"' in (tmp_path / "replay.xml").read_text()
+    assert "30 time steps" in capsys.readouterr().out
+    assert main(words) == 2
+    assert "exists and is not empty" in capsys.readouterr().err
+
+
+def test_traffic_alone_begins_where_the_scenario_begins(corner, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["town", "run", str(corner), "--seconds", "2", "--chairs", "0", "--out", str(out)]) == 0
+    assert json.loads((out / "manifest.json").read_text())["facts"]["end_s"] == pytest.approx(2.0)
+    assert "mirrored near a wheelchair" not in capsys.readouterr().out
+
+
+def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):
+    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs")
+    net = sumocfg.with_name("a.net.xml")
+    edges = (
+        '<edge id="e1" from="a" to="b" numLanes="1" speed="13"/><edge id="e2" from="b" to="c" numLanes="1" speed="13"/>'
+    )
+    nodes = '<node id="a" x="0" y="0"/><node id="b" x="90" y="0"/><node id="c" x="180" y="9"/>'
+    (tmp_path / "p.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (tmp_path / "p.edg.xml").write_text(f"<edges>{edges}</edges>")
+    from wcsim.towns.sumo.tools import run_tool
+
+    assert run_tool("netconvert", ["-n", "p.nod.xml", "-e", "p.edg.xml", "-o", str(net)], tmp_path).returncode == 0
+    route = '<vehicle id="v" depart="0"><route edges="e1 e2"/></vehicle>'
+    sumocfg.with_name("a.rou.xml").write_text(f"<routes>{route}</routes>")
+    words = ["town", "run", str(sumocfg), "--seconds", "2"]
+    assert main([*words, "--chairs", "0", "--out", str(tmp_path / "none")]) == 0
+    assert "randomTrips.py" in capsys.readouterr().out  # nobody walks, and how to change that
+    assert main([*words, "--chairs", "1", "--out", str(tmp_path / "one"), *QUICK]) == 2
+    said = capsys.readouterr().err
+    assert "no pavement" in said and f"wcsim town pave {sumocfg}" in said and "--chairs 0" in said
+    assert not (tmp_path / "one").exists()
+
+
+def test_a_hook_of_the_users_own_is_loaded_from_the_command_line_only(corner, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (
+        "class Stop:\n    def __init__(self, libsumo): pass\n    def before_step(self, time_s): raise ValueError('x')\n"
+    )
+    (tmp_path / "stops_at_once.py").write_text(text)
+    words = ["town", "run", str(corner), "--seconds", "1", "--chairs", "0", "--hook", "stops_at_once:Stop"]
+    assert main([*words, "--out", "run"]) == 2
+    assert "step hook 'stops_at_once:Stop' failed in before_step: ValueError: x" in capsys.readouterr().err
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "interrupted"
+    toml = corner / "town.toml"
+    before = toml.read_text()
+    try:
+        toml.write_text(before + '\nhook = "stops_at_once:Stop"\n')
+        assert main(["town", "run", str(corner), "--chairs", "0", "--out", "other"]) == 2
+        assert "unknown key 'hook'" in capsys.readouterr().err
+    finally:
+        toml.write_text(before)
+
+
+def test_somebodys_scenario_is_imported_as_it_is(corner, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs")
+    main(["town", "import", "--sumocfg", str(sumocfg), "--name", "mine", "--split", "test"])
+    assert "scenarios/sumo/mine" in capsys.readouterr().out
+    town = find_town("mine")
+    assert (town.split, town.sumocfg.read_bytes()) == ("test", sumocfg.read_bytes())
+    assert main(["town", "import", "--sumocfg", str(sumocfg), "--osm", "x.osm", "--name", "y"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--seconds", "0"], "--seconds 0"),
+        (["--chairs", "-1"], "--chairs -1"),
+        (["--outputs", "fdc"], "no such output"),
+        (["--hook", "nothing"], "not module:Class"),
+    ],
+)
+def test_mistakes_are_said_and_leave_nothing(corner, tmp_path, capsys, words, says):
+    out = tmp_path / "run"
+    assert main(["town", "run", str(corner), "--chairs", "0", "--out", str(out), *words]) == 2
+    assert says in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_folder_without_a_trace_cannot_be_replayed(tmp_path, capsys):
+    assert main(["replay", str(tmp_path), "--fcd", str(tmp_path / "x.xml")]) == 2
+    assert "has no trace" in capsys.readouterr().err
+
+
+def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner, tmp_path, capsys):
+    summary = "<summary value='s.xml'/><lateral-resolution value='0.4'/>"
+    town = find_town(str(corner))
+    sumocfg = tmp_path / "theirs.sumocfg"
+    for file in (town.net, *town.routes):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    parts = "".join(
+        f"<{name} value='{','.join(file.name for file in files)}'/>"
+        for name, files in (("n", [town.net]), ("r", town.routes))
+    )
+    sumocfg.write_text(f"<c>{parts}{summary}</c>", encoding="utf-8")
+    out = tmp_path / "run"
+    small = ["--set", "learn.total_steps=60", "--set", "learn.phase1_steps=30", *QUICK]
+    assert main(["train", "--town", str(sumocfg), "--out", str(out), *small]) == 0
+    told = capsys.readouterr().out
+    assert "what this run overrides" not in told and "summary-output" in told and "--verbose" in told
+    rows = {row["option"]: row for row in json.loads((out / "manifest.json").read_text())["overrides"]}
+    assert rows["summary-output"]["wcsim"] == "sumo/s.xml" and (out / "sumo" / "s.xml").stat().st_size > 1000
+    from wcsim.agents.runs.run_folder import open_run
+
+    assert open_run(out).manifest.overrides[0].option in rows
+    assert not (tmp_path / "s.xml").exists()
+
+
+def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
+    crashed = tuple(CrashFact(seat=1, reason="tilt", time_s=2.5, at_m=(10.0, float(k))) for k in range(7))
+    lines = crash_lines(crashed)
+    assert lines[0] == "crash of wheelchair 1: tilt, at 2.5 s, at x 10.0 y 0.0 in the net"
+    assert len(lines) == 6 and lines[-1] == "and 2 more crashes; all of them are in the manifest"
+    assert crash_lines(()) == [] and len(crash_lines(crashed[:5])) == 5
+    jolts = ["--set", "reward.accel_window_mps2=[0.001, 0.002]", "--set", "imu.saturation_mps2=10"]
+    words = ["town", "run", str(corner), "--seconds", "2", "--out", str(tmp_path / "run"), *QUICK, *jolts]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "crash of wheelchair 0: acceleration, at " in told.out
+    assert "building the street of" in told.err and "warming its traffic up for 0 s" in told.err

@@ -1,0 +1,281 @@
+"""Several networks in one world, a world by hand, and a client by hand."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import QUICK, files_in
+from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.agents.networks.names import NETWORK_NAMES
+from wcsim.agents.networks.registry import NETWORKS
+from wcsim.agents.runs.run_folder import open_run
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.run_config import learning, steps_note, with_steps
+from wcsim.cli.training.clients import Group, client_names, resolved
+from wcsim.config import RunConfig
+from wcsim.errors import ConfigError, PolicyError
+from wcsim.server.journal.journal import EpochBegun, iter_journal
+from wcsim.server.launch.event_log import read_events
+
+SMALL = (
+    *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
+    *("--set", "learn.batch_size=4", "--set", "learn.learning_starts=8", "--set", "learn.episode_steps=15"),
+)
+COMMAND = (sys.executable, "-m", "wcsim")
+
+
+def start(folder, *words):
+    return subprocess.Popen(
+        [*COMMAND, *(str(word) for word in words)],
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def waited(what, within_s=120.0):
+    """What `what()` gives, once it gives something."""
+    deadline_s = time.monotonic() + within_s
+    while not (found := what()):
+        assert time.monotonic() < deadline_s, what
+        time.sleep(0.02)
+    return found
+
+
+def places(child):
+    """What the worlds of a command have left in memory."""
+    return [path.name for path in Path("/dev", "shm").glob(f"wcsim-*-{child.pid}-*")]
+
+
+# --- options ---
+
+BAD = {
+    "train --clients ,": ("--clients ','", "joined by commas"),
+    "train --clients fig6,a/b": ("'a/b'", "module:Class"),
+    "train --clients fig6,nonesuch": ("unknown network 'nonesuch'", "gru"),
+    "train --clients fig6 --network gru": ("--network and --clients",),
+    "train --clients fig6 --lease 0": ("--lease 0.0",),
+    "train --clients fig6 --steps 0": ("--steps 0", "1 or more"),
+    "train --steps 0": ("--steps 0", "1 or more"),
+    "train --clients fig6 --config-for gru=x.toml": ("--config-for", "fig6"),
+    "train --clients fig6 --config-for fig6=none.toml": ("none.toml", "cannot be read"),
+    "train --clients fig6 --set env.profile=ataxic": ("ataxic", "held out"),
+    "train --clients fig6 --town atlantis": ("'atlantis'",),
+    "train --clients fig6 --town monaco": ("test town", "--allow-test-town"),
+    "train --clients fig6 --resume --out none": ("none is not a run",),
+    "serve --seats 0": ("--seats 0", "1 to 64"),
+    "serve --seats 2 --expected 3": ("--expected 3", "1 to 2"),
+    "serve --listen tcp://192.0.2.1:5555": ("192.0.2.1", "--keys"),
+    "serve --listen udp://x": ("tcp://HOST:PORT",),
+    "serve --keys k": ("--listen",),
+    "serve --make-keys a": ("--keys FOLDER",),
+    "serve --listen tcp://127.0.0.1:0 --keys k --make-keys a/b": ("'a/b'",),
+    "serve --town atlantis": ("'atlantis'",),
+    "serve --run .": ("not empty", "journal"),
+    "join nowhere": ("'nowhere'", "tcp://HOST:PORT"),
+    "join ipc:///tmp/x --steps 0": ("--steps 0",),
+    "join ipc:///tmp/x --seat -1": ("--seat -1",),
+    "join ipc:///tmp/x --set env.profile=ataxic": ("held out",),
+    "join ipc:///tmp/x --wait 0": ("--wait 0.0",),
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_mistakes_are_told_in_two_lines_at_most(wcsim, folder, words):
+    (folder / "file").write_text("mine")
+    told = wcsim(*words.split())
+    assert (told.code, told.out) == (2, ""), told
+    assert 1 <= len(told.err.strip().splitlines()) <= 2
+    for text in BAD[words]:
+        assert text in told.err, told.err
+    assert files_in(folder) <= {"file", "k"}
+
+
+def test_names_of_clients():
+    assert client_names(("fig6", "fig6", "fig6")) == ("fig6", "fig6-2", "fig6-3")
+    assert client_names(("a.b:world", "a.b:logs")) == ("world-2", "logs-2")
+    assert client_names(("deep.file:Net", "file:Net", "small")) == ("Net", "Net-2", "small")
+
+
+def test_names_of_networks_are_known_without_torch():
+    assert tuple(sorted(NETWORKS)) == NETWORK_NAMES
+
+
+def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
+    learn = RunConfig().learn
+    assert with_steps(RunConfig(), None) == RunConfig()
+    assert with_steps(RunConfig(), 2 * learn.phase1_steps).learn.phase1_steps == learn.phase1_steps
+    for steps in (1, 60, 2 * learn.phase1_steps - 1):
+        short = with_steps(RunConfig(), steps).learn
+        assert short.total_steps == steps
+        assert short.phase1_steps == round(steps * learn.phase1_steps / learn.total_steps)
+        assert short.learning_starts <= max(steps / 2, 1)
+        assert f"{steps} steps: {short.phase1_steps} in" in steps_note(with_steps(RunConfig(), steps), steps)
+    assert steps_note(RunConfig(), None) == ""
+
+
+def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text("[learn]\ngamma = 0.5\n[env]\nwindow = 2\n")
+    group = Group(networks="small,gru", preset="quick", steps=100, config_for=(f"gru={own}",))
+    small, gru = resolved(group)
+    assert [(c.name, c.seat) for c in (small, gru)] == [("small", 0), ("gru", 1)]
+    assert [c.config.learn.network for c in (small, gru)] == ["small", "gru"]
+    assert (small.config.learn.gamma, gru.config.learn.gamma, gru.config.env.window) == (0.97, 0.5, 2)
+    assert small.config == learning(small.config)
+    own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
+    with pytest.raises(ConfigError, match="small and gru ask for different worlds"):
+        resolved(group)
+
+
+# --- whole runs ---
+
+
+def test_two_networks_learn_in_one_world(tmp_path, corner):
+    words = ("train", "--town", corner, "--clients", "small,gru", "--steps", 20, "--out", "run", "--json", "x.json")
+    child = start(tmp_path, *words, *SMALL)
+    out, err = child.communicate(timeout=200)
+    assert child.returncode == 0, err
+    result = json.loads((tmp_path / "x.json").read_text())
+    assert [(c["name"], c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [
+        ("small", 20, 0, 0),
+        ("gru", 20, 0, 0),
+    ]
+    assert (result["ticks"], result["status"]) == (20, "done")
+    assert result["journal_hash"] in out
+    assert result["ticks_per_s"] >= 0.0
+    run = open_clients_folder(tmp_path / "run")
+    assert (run.manifest.status, run.manifest.seed, run.clients) == ("done", 0, ("small", "gru"))
+    for name in run.clients:
+        own = open_run(tmp_path / "run" / name)
+        assert (own.manifest.status, own.config.learn.network) == ("done", name)
+        assert own.policy("final").is_dir()
+        times = json.loads((own.path / "times.json").read_text())
+        assert times["learning_s"] > 0.0
+        assert times["simulation_s"] > 0.0
+        assert sum(v for k, v in times.items() if k not in ("step", "elapsed_s")) == pytest.approx(times["elapsed_s"])
+    with pytest.raises(PolicyError, match="several clients; name one of them"):
+        open_run(tmp_path / "run")
+    assert places(child) == []
+
+
+def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
+    child = start(tmp_path, "train", "--town", corner, "--clients", "small,nowhere:Net", "--out", "run", *SMALL)
+    out, err = child.communicate(timeout=120)
+    assert (child.returncode, out) == (2, "")
+    assert err.strip().splitlines()[-1].startswith("wcsim: network module 'nowhere' was not found")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
+    camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
+    (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
+    child = start(tmp_path, "train", "--town", corner, "--clients", "small", "--config", "many.toml", "--out", "run")
+    _, err = child.communicate(timeout=90)
+    assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.proof
+def test_equal_seeds_give_equal_worlds(tmp_path, corner):
+    hashes = []
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        words = ("train", "--town", corner, "--clients", "stack,gru", "--steps", 60, "--seed", seed, "--out", name)
+        child = start(tmp_path, *words, "--json", f"{name}.json", *SMALL)
+        _, err = child.communicate(timeout=280)
+        assert child.returncode == 0, err
+        hashes.append(json.loads((tmp_path / f"{name}.json").read_text())["journal_hash"])
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("recovery", ["new_epoch", "replay"])
+def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
+    words = ("train", "--town", corner, "--clients", "stack,gru", "--steps", 120, "--out", "run", "--json", "x.json")
+    child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20", "--recovery", recovery)
+    run = tmp_path / "run"
+
+    def pid_of(who):
+        return [e["pid"] for e in read_events(run) if e["event"] in ("start", "restart") and e["who"] == who][-1]
+
+    waited(lambda: list(run.glob("gru/checkpoints/step-00000020/state.json")))
+    os.kill(pid_of("gru"), signal.SIGKILL)
+    waited(lambda: any(e["event"] == "recovery" for e in read_events(run)))
+    os.kill(pid_of("world"), signal.SIGKILL)
+    _, err = child.communicate(timeout=280)
+    assert child.returncode == 0, err
+    result = json.loads((tmp_path / "x.json").read_text())
+    assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
+    assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["gru", "world"]
+    assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["gru", "world"]
+    epochs = [record.epoch for record in iter_journal(run / "journal") if isinstance(record, EpochBegun)]
+    assert epochs == ([0, 1] if recovery == "new_epoch" else [0])
+
+
+@pytest.mark.proof
+def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
+    words = ("train", "--town", corner, "--clients", "small,gru", "--steps", 200, "--out", "run", *SMALL)
+    child = start(tmp_path, *words)
+    waited(lambda: places(child))
+    waited(lambda: (tmp_path / "run" / "gru" / "metrics.csv").is_file())
+    waited(lambda: len((tmp_path / "run" / "gru" / "metrics.csv").read_text().splitlines()) > 1)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=200)
+    assert child.returncode == Exit.STOPPED, err
+    assert "--resume" in err
+    assert places(child) == []
+    assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
+    for name in ("small", "gru"):
+        assert open_run(tmp_path / "run" / name).manifest.status == "interrupted"
+    child = start(tmp_path, *words, "--resume", "--seed", 1)
+    _, err = child.communicate(timeout=200)
+    assert (child.returncode, "another seed" in err) == (2, True), err
+    with (tmp_path / "run" / "journal").open("ab") as file:
+        file.write(b"torn")
+    child = start(tmp_path, "train", "--out", "run", "--resume", "--json", "x.json")
+    _, err = child.communicate(timeout=280)
+    assert child.returncode == 0, err
+    result = json.loads((tmp_path / "x.json").read_text())
+    assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
+    assert "the last 4 bytes were no whole record" in err
+    assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
+    child = start(tmp_path, *words, "--resume", "--json", "again.json")
+    child.communicate(timeout=120)
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert (child.returncode, again) == (0, {**result, "ticks_per_s": 0.0})
+
+
+@pytest.mark.proof
+def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
+    words = ("--listen", "tcp://127.0.0.1:*", "--keys", "keys", "--make-keys", "ann", "--run", "world")
+    server = start(tmp_path, "serve", "--town", corner, "--seats", 2, *words, *QUICK)
+    told = []
+    while not any(line.startswith("over the network") for line in told):
+        told.append(server.stdout.readline())
+        assert told[-1], server.stderr.read()
+    addresses = [word for line in told for word in line.split() if word.startswith(("ipc://", "tcp://"))]
+    assert [address[:6] for address in addresses] == ["ipc://", "tcp://"]
+    for number, address in enumerate(addresses):
+        keys = ("--keys", "keys") if address.startswith("tcp") else ()
+        learn = ("--steps", 12, "--set", "learn.batch_size=4", "--set", "learn.learning_starts=4")
+        client = start(tmp_path, "join", address, "--network", "small", "--out", f"j{number}", *learn, *keys)
+        _, err = client.communicate(timeout=120)
+        assert client.returncode == 0, err
+        assert open_run(tmp_path / f"j{number}").config.cameras[0].width_px == 32
+    server.send_signal(signal.SIGINT)
+    _, err = server.communicate(timeout=120)
+    assert server.returncode == 0, err
+    assert (tmp_path / "world" / "journal").is_file()
+    client = start(tmp_path, "join", addresses[0], "--network", "small", "--wait", 1)
+    _, err = client.communicate(timeout=120)
+    assert (client.returncode, "nobody answered" in err) == (2, True), err

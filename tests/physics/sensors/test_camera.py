@@ -1,0 +1,182 @@
+"""The camera rig: where cameras look, when they shoot, and whose buffers they use."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.physics.renderer.render_oracle import actor
+from tests.support.samples import USUAL_OUTLINE, strip_street
+from wcsim.config import CameraConfig
+from wcsim.errors import ConfigError
+from wcsim.physics.renderer.base import new_images
+from wcsim.physics.renderer.instances import ChairPose, instances_of, rotation_quaternion
+from wcsim.physics.sensors.camera import (
+    CameraRig,
+    FreeCamera,
+    SeatBuffers,
+    camera_matrix,
+    focal_px,
+    look_at,
+    mount,
+    pinhole,
+    pose_matrix,
+)
+from wcsim.types import ActorKind, ClassId, PlantState
+
+SMALL = CameraConfig(name="front", width_px=80, height_px=60)
+
+
+def plant(x=0.0, y=5.5, z=0.12, yaw=0.0, pitch=0.0, roll=0.0):
+    return PlantState(
+        p_WB_m=np.array([x, y, z]),
+        q_WB=np.array(rotation_quaternion(yaw, pitch, roll)),
+        v_B_mps=np.zeros(3),
+        w_B_radps=np.zeros(3),
+        wheel_radps=np.zeros(2),
+        roll_rad=roll,
+        pitch_rad=pitch,
+        yaw_rad=yaw,
+    )
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return strip_street().mesh
+
+
+def seen(T_CW, p_W):
+    """Right, down and ahead of a point, seen from a camera."""
+    return T_CW[:, :3] @ np.asarray(p_W, float) + T_CW[:, 3]
+
+
+def test_the_default_camera_sits_at_knee_height_and_looks_down():
+    T_CW = camera_matrix(np.eye(3, 4), mount(CameraConfig()))
+    assert seen(T_CW, (0.35, 0.0, 1.0)) == pytest.approx([0, 0, 0], abs=1e-12)
+    down = math.radians(15)
+    ahead = (0.35 + 5 * math.cos(down), 0.0, 1.0 - 5 * math.sin(down))
+    assert seen(T_CW, ahead) == pytest.approx([0, 0, 5])
+    assert seen(T_CW, (3.0, -1.0, 0.5))[0] > 0  # what is on the right of the chair is on the right
+    assert seen(T_CW, (3.0, 0.0, 0.0))[1] > seen(T_CW, (3.0, 0.0, 1.0))[1]  # y points down
+
+
+def test_a_camera_turns_with_its_yaw_and_with_its_chair():
+    left = camera_matrix(np.eye(3, 4), mount(CameraConfig(yaw_deg=90.0, pitch_deg=0.0)))
+    assert seen(left, (0.35, 4.0, 1.0)) == pytest.approx([0, 0, 4])
+    turned = pose_matrix(np.array([1.0, 2.0, 0.0]), np.array(rotation_quaternion(math.pi / 2, 0.0, 0.0)))
+    ahead = camera_matrix(turned, mount(CameraConfig(pitch_deg=0.0)))
+    assert seen(ahead, (1.0, 2.35 + 3.0, 1.0)) == pytest.approx([0, 0, 3])
+
+
+def test_focal_length_gives_the_field_of_view():
+    camera = pinhole(CameraConfig(width_px=320, hfov_deg=87.0))
+    assert math.degrees(2 * math.atan(160 / camera.focal_px)) == pytest.approx(87.0)
+    assert focal_px(100, math.pi / 2) == pytest.approx(50.0)
+
+
+def test_the_camera_is_fixed_to_the_chair_in_pitch_and_roll(mesh):
+    with CameraRig(mesh, (SMALL,), seats=1) as rig:
+        level = rig.shoot(0, 0, plant(), (), ())[0].depth_m.copy()
+        nose_up = rig.shoot(0, 1, plant(pitch=math.radians(10)), (), ())[0].depth_m.copy()
+        rolled = rig.shoot(0, 2, plant(roll=math.radians(10)), (), ())[0].depth_m
+        assert nose_up[59, 40] > level[59, 40]  # looks less steeply at the ground
+        # Rolled to the right, the right half looks at nearer ground.
+        assert rolled[59, 79] < level[59, 79] and rolled[59, 0] > level[59, 0]
+
+
+def test_a_slower_camera_repeats_its_image_and_reset_wakes_it(mesh):
+    slow = CameraConfig(name="slow", width_px=40, height_px=30, every_ticks=3)
+    with CameraRig(mesh, (SMALL, slow), seats=1) as rig:
+        taken = [rig.shoot(0, tick, plant(x=tick), (), ()) for tick in range(7)]
+        assert [frames[0].taken_tick for frames in taken] == list(range(7))
+        assert [frames[1].taken_tick for frames in taken] == [0, 0, 0, 3, 3, 3, 6]
+        assert taken[4][1] is taken[3][1]
+        rig.reset(0)
+        assert rig.shoot(0, 7, plant(), (), ())[1].taken_tick == 7
+
+
+def test_frames_outlive_two_more_shots_of_their_camera(mesh):
+    with CameraRig(mesh, (SMALL,), seats=2) as rig:
+        first = rig.shoot(0, 0, plant(), (), ())[0]
+        kept = first.depth_m.copy()
+        rig.shoot(0, 1, plant(x=50.0, yaw=0.5), (), ())
+        rig.shoot(0, 2, plant(x=50.0, yaw=0.7), (), ())
+        rig.shoot(1, 2, plant(x=50.0, yaw=1.0), (), ())
+        assert np.array_equal(first.depth_m, kept)
+        rig.shoot(0, 3, plant(x=50.0, yaw=0.5), (), ())
+        assert not np.array_equal(first.depth_m, kept)
+
+
+def test_images_go_into_given_buffers_also_when_they_are_repeated(mesh):
+    slow = CameraConfig(width_px=40, height_px=30, every_ticks=2, rgb=True)
+    with CameraRig(mesh, (slow,), seats=1) as rig:
+        a, b = new_images(40, 30, True), new_images(40, 30, True)
+        first = rig.shoot(0, 0, plant(), (), (), SeatBuffers(images=(a,)))[0]
+        again = rig.shoot(0, 1, plant(), (), (), SeatBuffers(images=(b,)))[0]
+        assert np.may_share_memory(first.depth_m, a.depth_m) and np.may_share_memory(again.depth_m, b.depth_m)
+        assert again.taken_tick == 0
+        for name in ("depth_m", "class_id", "rgb"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+        assert np.may_share_memory(again.rgb, b.rgb)
+        with pytest.raises(ConfigError, match="new_images"):
+            rig.shoot(0, 2, plant(), (), (), SeatBuffers(images=(new_images(41, 30, True),)))
+
+
+def test_colours_are_taken_only_when_asked_for(mesh):
+    coloured = CameraConfig(name="colour", width_px=40, height_px=30, rgb=True)
+    with CameraRig(mesh, (SMALL, coloured), seats=1) as rig:
+        plain, colour = rig.shoot(0, 0, plant(), (), ())
+        assert plain.rgb is None
+        assert colour.rgb is not None and colour.rgb.shape == (30, 40, 3) and colour.rgb.std() > 5
+
+
+def test_a_chair_sees_the_others_but_not_itself(mesh):
+    def chair(seat, x):
+        q_WB = np.array([0.0, 0.0, 0.0, 1.0])
+        return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
+
+    with CameraRig(mesh, (SMALL,), seats=2) as rig:
+        me = rig.shoot(0, 0, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
+        both = rig.shoot(0, 1, plant(), (), [chair(0, 0.0), chair(1, 3.0)])[0].class_id
+        assert not np.isin(me, (ClassId.PERSON, ClassId.DYNAMIC)).any()
+        assert (both == ClassId.PERSON).any() and (both == ClassId.DYNAMIC).any()
+
+
+def test_new_actors_are_seen_at_once_and_a_changed_list_too(mesh):
+    with CameraRig(mesh, (SMALL,), seats=1) as rig:
+        cars = [actor(ActorKind.CAR, 6.0, 5.5, 0.12)]
+        assert (rig.shoot(0, 0, plant(), tuple(cars), ())[0].class_id == ClassId.CAR).any()
+        assert not (rig.shoot(0, 1, plant(), (), ())[0].class_id == ClassId.CAR).any()
+        moving = []
+        rig.shoot(0, 2, plant(), moving, ())
+        moving.append(cars[0])
+        assert (rig.shoot(0, 3, plant(), moving, ())[0].class_id == ClassId.CAR).any()
+
+
+def test_two_rigs_draw_the_same_bytes(mesh):
+    cars = (actor(ActorKind.CAR, 6.0, 2.0, 0.0, 0.4), actor(ActorKind.PEDESTRIAN, 5.0, 5.0, 0.12, 2.0))
+    camera = SMALL.model_copy(update={"rgb": True})
+    with CameraRig(mesh, (camera,), seats=1) as one, CameraRig(mesh, (camera,), seats=1) as two:
+        a, b = one.shoot(0, 0, plant(), cars, ())[0], two.shoot(0, 0, plant(), cars, ())[0]
+        assert a.depth_m.tobytes() == b.depth_m.tobytes()
+        assert a.class_id.tobytes() == b.class_id.tobytes() and a.rgb.tobytes() == b.rgb.tobytes()
+
+
+def test_the_reference_back_end_is_one_word_in_the_configuration(mesh):
+    tiny = SMALL.model_copy(update={"renderer": "pybullet", "name": "tiny"})
+    with CameraRig(mesh, (SMALL, tiny), seats=1) as rig:
+        mine, other = rig.shoot(0, 0, plant(), (actor(ActorKind.CAR, 6.0, 5.5, 0.12),), ())
+        assert (mine.class_id == other.class_id).mean() > 0.95  # sample points differ by half a pixel
+
+
+def test_a_rig_needs_cameras_and_seats(mesh):
+    with pytest.raises(ConfigError, match="at least one"):
+        CameraRig(mesh, (), seats=1)
+    with pytest.raises(ConfigError, match="at least one"):
+        CameraRig(mesh, (SMALL,), seats=0)
+
+
+def test_a_free_camera_has_its_target_in_the_middle(mesh):
+    camera = FreeCamera(mesh, pinhole(CameraConfig(width_px=81, height_px=61)))
+    images = camera.look(look_at((0, 0, 1.5), (8, 3, 0.5)), instances_of([actor(ActorKind.OTHER, 8, 3)]))
+    assert images.class_id[30, 40] == ClassId.DYNAMIC and images.rgb is not None

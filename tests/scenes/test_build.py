@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wcsim.errors import ConfigError, SumoError, TownError
+from wcsim.scenes.build import build_scene, find_scene, list_scenes
+from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.town import content_hash
+from wcsim.towns.street import build_street
+from wcsim.types import ClassId
+
+
+def test_shipped_scenes_are_found_and_build(tmp_path: Path) -> None:
+    names = [folder.name for folder in list_scenes()]
+    assert {"kerb-drop", "pedestrian-crossing"} <= set(names)
+    for name in names:
+        town, scene = build_scene(find_scene(name), tmp_path / name)
+        assert (town.split, town.file.origin_m, town.name) == ("scene", (0, 0), scene.name)
+        validate_net(town.net)
+
+
+def test_building_twice_gives_the_same_town(tmp_path: Path) -> None:
+    towns = [build_scene(find_scene("kerb-drop"), tmp_path / part)[0] for part in ("a", "b")]
+    assert content_hash(towns[0]) == content_hash(towns[1])
+    assert towns[0].net.read_bytes() == towns[1].net.read_bytes()
+
+
+def test_seats_of_scenes_start_on_pavement(tmp_path: Path) -> None:
+    for folder in list_scenes():
+        town, scene = build_scene(folder, tmp_path / folder.name)
+        grid = street_of(build_street(town)).grid
+        for seat in scene.seats:
+            assert grid.class_at(np.array(seat.start_m)) in (ClassId.SIDEWALK, ClassId.CROSSWALK), folder.name
+
+
+def test_faults_in_scenes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(TownError, match=r"unknown scene 'moon'.*kerb-drop"):
+        find_scene("moon")
+    scene = tmp_path / "scene"
+    shutil.copytree(find_scene("kerb-drop"), scene)
+    (scene / "more.edg.xml").write_text("<edges/>", encoding="utf-8")
+    with pytest.raises(TownError, match=r"2 files \*\.edg\.xml"):
+        build_scene(scene, tmp_path / "work")
+    (scene / "more.edg.xml").unlink()
+    (scene / "street.nod.xml").write_text("<nodes/>", encoding="utf-8")
+    with pytest.raises(SumoError, match="scene kerb-drop"):
+        build_scene(scene, tmp_path / "work")
+    (scene / "scene.toml").write_text("name = 3", encoding="utf-8")
+    with pytest.raises(ConfigError, match="name"):
+        build_scene(scene, tmp_path / "work")

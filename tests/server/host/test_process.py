@@ -1,0 +1,236 @@
+"""A world process that is killed, stopped, starved or asked to end, and clients that are."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import stat
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in_order, stub_client, together
+from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
+from wcsim.server.host.process import main
+from wcsim.server.journal.journal import JOURNAL, Ended, EpochBegun, Ticked, read_journal
+from wcsim.server.journal.ledger import audit, read_ledger
+from wcsim.server.journal.replay import verify
+from wcsim.server.launch.states import WorldExit
+from wcsim.server.links.socket import open_seat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import to_line
+from wcsim.server.transport.keys import make_keys
+
+BOTH = Rules(capacity=2, expected=2, gather_s=60.0, lease_s=10.0 * WAIT_S, notice_s=0.2)
+
+
+def two_seats(server, folder):
+    return [server.seat(name, seat=number, ledger=f"{folder}/{name}") for number, name in enumerate("ab")]
+
+
+def audited(folder):
+    records = read_journal(folder / "run" / JOURNAL).records
+    return records, audit(records, [(0, read_ledger(folder / "a")), (1, read_ledger(folder / "b"))])
+
+
+def drive_through(link, ticks=30):
+    """So many ticks, with the restarts of the world among them counted."""
+    seen, restarts = link.join(), 0
+    for _ in range(ticks):
+        try:
+            seen = link.act(seen.tick, AHEAD)
+        except WorldRestartedError:
+            seen, restarts = link.join(), restarts + 1
+    return restarts
+
+
+@pytest.mark.parametrize(("recovery", "restarts"), [("new_epoch", 1), ("replay", 0)])
+def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path, recovery, restarts):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery=recovery)
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        server.status()
+        assert [seen.tick for seen in driven(links, 20)] == [20, 20]
+        server.kill()
+        server.start()
+        assert together(links, drive_through) == [restarts, restarts]
+        seen = links[0].join()
+        assert (links[0].epoch, seen.tick) == ((1, 29) if restarts else (0, 50))
+        held.close()
+        server.process.terminate()
+        assert server.wait() == 0
+    records, found = audited(tmp_path)
+    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+    assert sum(isinstance(record, EpochBegun) for record in records) == 1 + restarts
+    assert isinstance(records[-1], Ended)
+
+
+@pytest.mark.proof
+def test_a_real_world_is_made_again_to_the_bit(tmp_path, corner):
+    order = stand_in_order(
+        tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", stand_in="", town=str(corner)
+    )
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        server.status()
+        driven(links, 15)
+        server.kill()
+        server.start()
+        assert together(links, drive_through) == [0, 0]
+        held.close()
+        server.process.terminate()
+        assert server.wait() == 0
+    _, found = audited(tmp_path)
+    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+    verified = verify(tmp_path / "run" / JOURNAL, None, 0, None)
+    assert (verified.ticks, verified.mismatches) == (45, 0)
+
+
+def test_a_world_that_was_stopped_gives_nobody_up(tmp_path):
+    order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        driven(links, 3)
+        server.process.send_signal(signal.SIGSTOP)
+        time.sleep(6.0)
+        server.process.send_signal(signal.SIGCONT)
+        assert [seen.tick for seen in driven(links, 3)] == [6, 6]
+
+
+def test_a_client_that_hangs_is_given_up_and_the_other_goes_on(tmp_path):
+    order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        joined(links)
+        assert links[1].act(0, AHEAD).tick == 1
+        with pytest.raises(LinkError, match="no sign of progress"):
+            links[0].act(0, AHEAD)
+
+
+@pytest.mark.parametrize("victim", ["a", "b"])
+def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim):
+    order = stand_in_order(tmp_path, rules=BOTH)
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        server.status()
+        clients = {
+            seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in two_seats(server, tmp_path)
+        }
+        running = server.status(lambda s: s.ticks > 10)
+        assert running.members == ("a", "b")
+        clients[victim].kill()
+        alone = server.status(lambda s: len(s.members) == 1 and s.tick > running.tick)  # long before the lease ends
+        (survivor,) = alone.members
+        assert survivor != victim
+        assert server.status(lambda s: s.tick > alone.tick).master == survivor
+
+
+def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
+    with Server(order, tmp_path) as server, open_seat(server.seat("a")) as a:
+        driven([a], 5)
+        assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o700
+        assert stat.S_IMODE((tmp_path / "s" / "world").stat().st_mode) == 0o600
+        server.process.terminate()
+        with pytest.raises(LinkError, match="asked to end"):
+            for tick in range(5, 1000):
+                a.act(tick, AHEAD)
+        assert server.wait() == 0
+        assert server.errors() == ""
+    last = read_journal(tmp_path / "run" / JOURNAL).records[-1]
+    assert last == Ended(reason="asked to end")
+
+
+def test_ctrl_c_is_for_whoever_started_it_and_without_that_one_it_ends(tmp_path):
+    with Server(stand_in_order(tmp_path), tmp_path) as server:
+        server.status()
+        server.process.send_signal(signal.SIGINT)
+        assert server.status().stage == "empty"
+        server.let_go()
+        assert server.wait() == 0
+
+
+def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
+    def little_room():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, 1 << 16))
+
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
+    with Server(order, tmp_path, little_room) as server, open_seat(server.seat("a")) as a:
+        a.join()
+        with pytest.raises(DiskFullError, match="make room"):
+            for tick in range(2000):
+                a.act(tick, AHEAD)
+        assert server.wait() == WorldExit.DISK_FULL
+        assert "DiskFullError" in server.errors()
+    journal = read_journal(tmp_path / "run" / JOURNAL)
+    assert not journal.torn
+    assert sum(isinstance(record, Ticked) for record in journal.records) > 100
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"listen": "tcp://0.0.0.0:0"}, "ConfigError: tcp://0.0.0.0:0 can be reached from other machines"),
+        ({"stand_in": "", "town": "atlantis"}, "TownError: unknown town 'atlantis'"),
+    ],
+)
+def test_an_order_that_cannot_be_used_is_said_in_a_line(tmp_path, changes, words):
+    with Server(stand_in_order(tmp_path, **changes), tmp_path) as server:
+        assert server.wait() == 2
+        told = server.errors()
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_a_journal_of_another_world_is_not_gone_on_with(tmp_path):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
+    with Server(order, tmp_path) as server:
+        server.status()
+    with Server(replace(order, seed=order.seed + 1), tmp_path) as server:
+        assert server.wait() == 2
+        assert "its seed is '3', not '4'" in server.errors()
+
+
+def test_what_is_no_order_is_refused(tmp_path, capfd):
+    assert main([]) == 2
+    assert main([str(tmp_path / "missing")]) == 2
+    assert "expected a ServerOrder" in capfd.readouterr().err
+
+
+def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
+    keys, others = tmp_path / "keys", tmp_path / "others"
+    make_keys(keys, ("far",))
+    make_keys(others, ("far",))
+    stranger, mistaken = tmp_path / "stranger", tmp_path / "mistaken"
+    for folder, server_of, client_of in ((stranger, keys, others), (mistaken, others, keys)):
+        make_keys(folder, ("far",))
+        (folder / "server.public").write_bytes((server_of / "server.public").read_bytes())
+        (folder / "clients" / "far.secret").write_bytes((client_of / "clients" / "far.secret").read_bytes())
+    order = stand_in_order(tmp_path, listen="tcp://127.0.0.1:*", keys=str(keys), rules=BOTH)
+    with Server(order, tmp_path) as server:
+        far = server.seat("far", endpoint=server.status().listening)
+        for folder, told in ((stranger, "does not know the public key"), (mistaken, "is not its own")):
+            with open_seat(replace(far, keys=str(folder))) as link, pytest.raises(AccessError, match=told) as refused:
+                link.join()
+            assert f"{folder}" in str(refused.value) and "code" not in str(refused.value)
+        with open_seat(far) as link, pytest.raises(AccessError, match="with keys only; expected --keys"):
+            link.join()  # no keys at all
+        with open_seat(replace(far, keys=str(keys))) as far_link, open_seat(server.seat("near")) as near:
+            frames = driven([far_link, near], 5)
+            assert [seen.tick for seen in frames] == [5, 5]
+            pictures = [seen.sensors.cameras[0].depth_m for seen in frames]
+            assert [picture[0, 0] for picture in pictures] == [5.0, 5.0]
+            assert pictures[0].base is not None
+
+
+def test_the_server_tells_its_clients_what_world_it_is(tmp_path):
+    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+        told: list[m.Welcome] = []
+        a._welcomed = lambda welcome, then=a._welcomed: (told.append(welcome), then(welcome))
+        a.join()
+    assert (told[0].town, told[0].config_json) == ("nowhere", server.order.config_json)
+    assert Path(told[0].ring).name == "seat-0"
+    assert to_line(server.order)

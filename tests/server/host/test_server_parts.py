@@ -1,0 +1,147 @@
+"""The small parts of a server process: its clock, its accounts of peers, its lifelines."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from tests.server.servers import stand_in_order
+from wcsim.errors import ConfigError
+from wcsim.server.host.recovery import REGATHER_S, kept_members, open_server
+from wcsim.server.journal.journal import JOURNAL, JournalWriter, read_header
+from wcsim.server.journal.records import Admitted, Dismissed, EpochBegun, Respawned, Ticked
+from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
+from wcsim.server.launch.lifeline import Lifelines
+from wcsim.server.protocol.events import Rules
+from wcsim.server.transport.rate_limit import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits
+from wcsim.server.transport.sockets import ServerSockets
+from wcsim.types import SeatSpec
+
+
+def nobody():
+    return frozenset()
+
+
+def test_the_clock_leaps_over_time_in_which_the_server_was_stopped_but_not_over_steps():
+    clock = AwakeClock(100.0)
+    assert clock.look(100.2) == pytest.approx(0.2)
+    assert clock.look(4000.0) == pytest.approx(0.2 + LEAP_S)
+    assert clock.look(4030.0, 29.9) == pytest.approx(0.3 + LEAP_S + 29.9)
+    assert clock.look(4030.0, 50.0) == pytest.approx(0.3 + LEAP_S + 79.9)  # never backwards
+
+
+def test_a_peer_that_sends_too_fast_is_told_and_at_last_ignored():
+    peers = PeerLimits()
+    heard = [peers.hears(b"x", 0.0, nobody) for _ in range(int(BURST) + MOST_FAULTS + 5)]
+    assert heard.count(True) == BURST
+    assert heard.count(False) == MOST_FAULTS
+    assert heard[-1] is None
+    assert peers.hears(b"y", 0.0, nobody)
+
+
+def test_a_patient_peer_is_always_heard():
+    peers = PeerLimits()
+    assert all(peers.hears(b"x", 0.001 * tick, nobody) for tick in range(20_000))
+
+
+def test_strangers_make_room_and_members_do_not():
+    peers = PeerLimits()
+    for number in range(MAX_PEERS):
+        assert peers.hears(b"%d" % number, float(number), nobody)
+    members = frozenset(b"%d" % number for number in range(MAX_PEERS) if number != 7)
+    assert peers.hears(b"new", MAX_PEERS, lambda: members)
+    assert peers.hears(b"other", MAX_PEERS, lambda: members | {b"new"}) is None
+
+
+def test_a_crowd_of_strangers_that_talks_on_and_on_keeps_nobody_out():
+    peers = PeerLimits()
+    for second in range(5):
+        for number in range(MAX_PEERS):
+            peers.hears(b"%d" % number, float(second), nobody)
+    assert peers.hears(b"client", 4.5, nobody)
+    assert peers.hears(b"stranger", 5.0, lambda: {b"client"})
+    assert peers.hears(b"client", 5.5, lambda: {b"client"})
+
+
+def test_the_end_of_a_process_and_of_the_reader_is_news():
+    reader, writer = os.pipe()
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    with Lifelines(writer) as lifelines:
+        assert lifelines.watch(child.pid, b"one")
+        assert lifelines.watch(child.pid, b"two")
+        assert lifelines.watch(os.getpid(), b"mine")
+        assert not lifelines.watch((1 << 22) + 1, b"never there")
+        assert lifelines.news() == ([], False)
+        lifelines.keep([b"one", b"mine"])
+        child.communicate(b"\n")
+        assert lifelines.news() == ([b"one"], False)
+        assert lifelines.news() == ([], False)
+        os.close(reader)
+        assert lifelines.news() == ([], True)
+    os.close(writer)
+
+
+def test_who_is_in_after_the_records_of_a_journal():
+    spec = SeatSpec()
+
+    def came(seat, tick, name):
+        return Admitted(epoch=0, tick=tick, seat=seat, spec=spec, name=name)
+
+    records = [
+        EpochBegun(epoch=0, seed=1, fresh=True),
+        came(1, 0, "b"),
+        came(0, 0, "a"),
+        Respawned(epoch=0, tick=0, seat=1),
+        Respawned(epoch=0, tick=0, seat=1),
+    ]
+    assert [(kept.seat, kept.name, kept.life) for kept in kept_members(records)] == [(0, "a", 0), (1, "b", 2)]
+    records += [Ticked(epoch=0, tick=1, commands=(), state_hash=""), Dismissed(epoch=0, tick=1, seat=0)]
+    assert [(kept.seat, kept.life) for kept in kept_members(records)] == [(1, 0)]
+    assert [kept.seat for kept in kept_members([*records, EpochBegun(epoch=1, seed=2)])] == [1]
+    assert kept_members([*records, EpochBegun(epoch=1, seed=2, fresh=True)]) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"endpoint": "ipc://relative"}, "absolute path"),
+        ({"endpoint": "ipc:///" + "x" * 120}, "107 bytes"),
+        ({"listen": "tcp://0.0.0.0:0"}, "can be reached from other machines"),
+        ({"listen": "udp://1"}, "HOST:PORT"),
+        ({"listen": "tcp://127.0.0.1:0", "keys": "/nowhere"}, "no NAME.public"),
+    ],
+)
+def test_doors_that_cannot_be_opened(tmp_path, changes, words):
+    order = stand_in_order(tmp_path, **changes)
+    with pytest.raises(ConfigError, match=words):
+        ServerSockets(order.endpoint, order.listen, order.keys)
+
+
+def test_a_folder_that_others_can_enter_is_no_place_for_a_socket(tmp_path):
+    (tmp_path / "s").mkdir(mode=0o755)
+    with pytest.raises(ConfigError, match="others can enter"):
+        ServerSockets(f"ipc://{tmp_path}/s/world")
+
+
+def test_a_stand_in_that_is_not_there(tmp_path):
+    with pytest.raises(ConfigError, match="module:Class"):
+        open_server(stand_in_order(tmp_path, stand_in="no:Such"))
+
+
+def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_does(tmp_path):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "new"), rules=Rules(capacity=2, expected=2, gather_s=20.0))
+    first = open_server(order).journal
+    assert first is not None
+    first.close()
+    (tmp_path / "died").mkdir()
+    JournalWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
+    again = replace(order, run=str(tmp_path / "died"))
+    for epoch, gather_s in ((0, 20.0), (1, REGATHER_S)):
+        opened = open_server(again)
+        assert (opened.core.cycle.epoch, opened.core.cycle.rules.gather_s) == (epoch, gather_s)
+        assert opened.journal is not None
+        opened.journal.close()

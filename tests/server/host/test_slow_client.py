@@ -1,0 +1,72 @@
+"""Six clients in processes of their own, one of which thinks ten times longer than the others."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tests.support.worlds import quick_config
+from wcsim.bench.soak.stub_client import read_sights
+from wcsim.server.journal.journal import JOURNAL, iter_journal
+from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import ClientPlan, LaunchState
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import SeatRequest, WorldSpec, to_line
+from wcsim.server.transport.world_folder import endpoint_in, workplace
+from wcsim.types import SeatSpec
+from wcsim.view.live_table import line_of
+
+STEPS, SLOW = 60, 4
+THINK_MS = 5.0
+
+
+def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
+    name = f"c{seat}"
+    join = SeatRequest(
+        endpoint=endpoint_in(place),
+        name=name,
+        claim=name,
+        spec=SeatSpec(),
+        seat=seat,
+        ledger=str(folder / f"{name}.ledger"),
+    )
+    file = place / f"{name}.json"
+    file.write_bytes(to_line(join))
+    think_ms = 10.0 * THINK_MS if seat == SLOW else THINK_MS
+    argv = (sys.executable, "-m", "wcsim.bench.soak.stub_client", str(file), "--steps", str(STEPS))
+    argv += ("--think-ms", str(think_ms), "--sights", str(folder / f"{name}.sights"))
+    return ClientPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name, folder=folder)
+
+
+def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
+    states: list[LaunchState] = []
+    with workplace() as place:
+        order = WorldSpec(
+            town="",
+            config_json=quick_config().model_dump_json(),
+            seed=1,
+            rules=Rules(capacity=6, expected=6),
+            endpoint=endpoint_in(place),
+            ring=str(place / "ring"),
+            run=str(tmp_path),
+            stand_in="wcsim.server.links.fake_world:StandInWorld",
+        )
+        plans = [plan(place, tmp_path, seat) for seat in range(6)]
+        outcome = Launcher(order, plans, tmp_path, place, show=states.append).run()
+    assert outcome.code == 0, outcome.message
+    ledgers = [(seat, read_ledger(tmp_path / f"c{seat}.ledger")) for seat in range(6)]
+    for _, entries in ledgers:
+        facts = ledger_facts(entries)
+        assert (facts.first_tick, facts.last_tick, facts.ticks) == (0, STEPS, STEPS)
+        assert (facts.missing, facts.doubled) == (0, 0)
+    told = audit(iter_journal(tmp_path / JOURNAL), ledgers)
+    assert (told.ticks, told.lost, told.doubled, told.phantom) == (STEPS, 0, 0, 0)
+    for seat in range(6):
+        times_s = [sight.time_s for sight in read_sights(tmp_path / f"c{seat}.sights")]
+        assert (times_s[-1] - times_s[0]) / STEPS >= 1e-3 * 10.0 * THINK_MS
+    last = [state for state in states if state.world is not None and len(state.world.members) == 6][-1]
+    assert last.world is not None and last.world.ticks > STEPS // 2
+    held = {item.name: item.seconds for item in last.world.held}
+    assert max(held, key=lambda name: held[name]) == f"c{SLOW}" and held[f"c{SLOW}"] > 0.5 * sum(held.values())
+    assert f"waits mostly for c{SLOW}" in line_of(last)

@@ -1,0 +1,313 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.framing import chained, last_crc
+from wcsim.bridge.recording.framing import framed
+from wcsim.errors import ConfigError, DiskFullError, WcsimError
+from wcsim.server.journal.diff import journal_difference
+from wcsim.server.journal.journal import (
+    Admitted,
+    Dismissed,
+    Ended,
+    EpochBegun,
+    JournalHeader,
+    JournalRecord,
+    JournalWriter,
+    Respawned,
+    Ticked,
+    iter_journal,
+    journal_digest,
+    read_header,
+    read_journal,
+)
+from wcsim.server.journal.records import header_bytes, record_of
+from wcsim.types import Command, Joystick, SeatSpec, StartSpec
+
+HEADER = JournalHeader(
+    name="run",
+    town="/somewhere/corner",
+    town_sha256="ab" * 32,
+    config='{"world": {"tick_s": 0.1}}',
+    seed=7,
+    capacity=3,
+    tick_s=0.1,
+    fingerprint="numpy-1",
+)
+START = StartSpec(p_W_m=(1.5, -0.1), yaw_rad=0.1 + 0.2, goal_W_m=(1e-300, 3.0))
+
+
+def tick(number: int, seats: tuple[int, ...] = (0, 1, 2), epoch: int = 0) -> Ticked:
+    sticks = np.random.Generator(np.random.Philox(number)).uniform(-1.0, 1.0, (len(seats), 2)).tolist()
+    commands = tuple(
+        Command(seat=seat, tick=number - 1, joystick=Joystick(x, y)) for seat, (x, y) in zip(seats, sticks, strict=True)
+    )
+    return Ticked(epoch=epoch, tick=number, commands=commands, state_hash=f"{number * 0x9E3779B97F4A7C15:016x}"[-16:])
+
+
+FIRST = header_bytes(HEADER).replace(b'"version":2', b'"version":1')  # of a journal that is not chained
+RECORDS: tuple[JournalRecord, ...] = (
+    EpochBegun(epoch=0, seed=11),
+    Admitted(epoch=0, tick=0, seat=1, spec=SeatSpec(max_steps=9, truth=True, start=START), name="zoë \n"),
+    tick(1, (1,)),
+    Respawned(epoch=0, tick=1, seat=1),
+    tick(2, (1,)),
+    Dismissed(epoch=0, tick=2, seat=1, reason="left"),
+    tick(3, ()),
+    EpochBegun(epoch=1, seed=12, fresh=True),
+    Ended(reason="done"),
+)
+
+
+def write(path: Path, records=RECORDS, header=HEADER) -> str:
+    with JournalWriter(path, header) as writer:
+        for record in records:
+            writer.append(record)
+        return writer.digest
+
+
+def test_what_was_written_is_read(tmp_path):
+    write(tmp_path / "j")
+    journal = read_journal(tmp_path / "j")
+    assert (journal.header, journal.records, journal.torn) == (HEADER, RECORDS, False)
+    assert read_header(tmp_path / "j") == HEADER
+    assert tuple(iter_journal(tmp_path / "j")) == RECORDS
+
+
+def test_commands_come_back_to_the_last_bit(tmp_path):
+    sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
+    commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))
+    write(tmp_path / "j", [Ticked(epoch=0, tick=5, commands=commands, state_hash="ff")])
+    (got,) = read_journal(tmp_path / "j").records
+    assert isinstance(got, Ticked)
+    assert [(c.seat, c.tick) for c in got.commands] == [(0, 4), (1, 4), (2, 4)]
+    assert [(c.joystick.x.hex(), c.joystick.y.hex()) for c in got.commands] == [(x.hex(), y.hex()) for x, y in sticks]
+
+
+def test_a_tick_of_three_seats_is_small(tmp_path):
+    write(tmp_path / "none", ())
+    write(tmp_path / "many", [tick(n) for n in range(9000, 9100)])
+    assert ((tmp_path / "many").stat().st_size - (tmp_path / "none").stat().st_size) / 100 <= 150
+
+
+def test_the_digest_is_that_of_what_happened_and_of_nothing_else(tmp_path):
+    digest = write(tmp_path / "a")
+    elsewhere = replace(HEADER, name="other", town="/elsewhere", fingerprint="numpy-2")
+    assert write(tmp_path / "b", header=elsewhere) == digest == journal_digest(tmp_path / "a")
+    renamed = {1: replace(RECORDS[1], name="4711"), 5: replace(RECORDS[5], reason="silent for 1.2 s")}
+    assert write(tmp_path / "c", [renamed.get(number, record) for number, record in enumerate(RECORDS)]) == digest
+    assert journal_difference(tmp_path / "a", tmp_path / "b") == ""
+    assert journal_difference(tmp_path / "a", tmp_path / "c") == ""
+    others = [
+        write(tmp_path / "shorter", RECORDS[:-1]),
+        write(tmp_path / "swapped", (*RECORDS[:-2], *RECORDS[:-3:-1])),
+        write(tmp_path / "hash", [replace(r, state_hash="0") if isinstance(r, Ticked) else r for r in RECORDS]),
+        *(
+            write(tmp_path / name, header=replace(HEADER, **{name: value}))
+            for name, value in {"seed": 8, "config": "{}", "town_sha256": "", "capacity": 4, "hook": "a:B"}.items()
+        ),
+    ]
+    assert len({digest, *others}) == 1 + len(others)
+
+
+def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
+    path, whole = tmp_path / "j", tmp_path / "whole"
+    digest = write(whole)
+    for cut in (1, 7, 20):
+        path.write_bytes(whole.read_bytes()[:-cut])
+        assert read_journal(path).torn
+        assert read_journal(path).records == RECORDS[:-1]
+        with JournalWriter.append_to(path) as writer:
+            writer.append(RECORDS[-1])
+            assert writer.digest == digest
+        assert path.read_bytes() == whole.read_bytes()
+    path.write_bytes(whole.read_bytes() + bytes(3 * 4096))  # pages that a machine had no time to write
+    JournalWriter.append_to(path).close()
+    assert path.read_bytes() == whole.read_bytes()
+
+
+def test_a_journal_is_never_written_over(tmp_path):
+    write(tmp_path / "j")
+    before = (tmp_path / "j").read_bytes()
+    with pytest.raises(ConfigError, match="exists"):
+        JournalWriter(tmp_path / "j", HEADER)
+    with pytest.raises(ConfigError, match="No such file"):
+        JournalWriter(tmp_path / "none" / "j", HEADER)
+    assert (tmp_path / "j").read_bytes() == before
+
+
+def test_a_closed_journal_says_so(tmp_path):
+    writer = JournalWriter(tmp_path / "j", HEADER)
+    writer.close()
+    writer.close()
+    with pytest.raises(WcsimError, match="closed"):
+        writer.append(RECORDS[0])
+
+
+def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
+    with JournalWriter(tmp_path / "j", HEADER) as writer:
+        reading = iter_journal(tmp_path / "j")
+        for count, record in enumerate(RECORDS, start=1):
+            writer.append(record)
+            assert next(reading) == record
+            assert len(read_journal(tmp_path / "j").records) == count
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", bytes(64), framed(b"{}"), framed(b"[1]"), framed(b"\xff"), None])
+def test_something_else_is_refused(tmp_path, data):
+    if data is not None:
+        (tmp_path / "j").write_bytes(data)
+    for read in (read_header, read_journal, journal_digest, JournalWriter.append_to):
+        with pytest.raises(WcsimError, match=r"j: .*(not a journal|cannot be read)"):
+            read(tmp_path / "j")
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"[]",
+        b'["q",{}]',
+        b'["e",{"epoch":1}]',
+        b'["e",{"epoch":"1","seed":2}]',
+        b'["a",{"epoch":0,"tick":0,"seat":0,"spec":{"max_steps":"many"}}]',
+        b'["t",0,1,"ab",[0]]\n1234',
+        b'["t",0,1,"ab",0]\n',
+        b"[" * 100_000,
+        b'["z",{"reason":"\xff"}]',
+    ],
+)
+def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
+    write(tmp_path / "j", RECORDS[:2])
+    last = last_crc(tmp_path / "j")
+    with (tmp_path / "j").open("ab") as file:
+        file.write(chained([payload], last))
+    with pytest.raises(WcsimError, match=r"j: after \d+ bytes"):
+        read_journal(tmp_path / "j")
+
+
+@given(data=st.binary(max_size=200))
+def test_no_payload_raises_anything_else(data):
+    for payload in (data, b'["t",' + data, b'["a",' + data):
+        try:
+            record_of(payload)
+        except WcsimError:
+            continue
+
+
+@given(cut=st.integers(min_value=0, max_value=2000), flips=st.lists(st.integers(min_value=0, max_value=16000)))
+def test_damage_leaves_a_prefix_or_an_error_of_ours(tmp_path_factory, cut, flips):
+    path = tmp_path_factory.mktemp("damaged") / "j"
+    write(path)
+    data = bytearray(path.read_bytes())
+    for bit in flips:
+        data[bit // 8 % len(data)] ^= 1 << bit % 8
+    path.write_bytes(bytes(data[: max(0, len(data) - cut)]))
+    try:
+        journal = read_journal(path)
+    except WcsimError:
+        return
+    assert journal.records == RECORDS[: len(journal.records)]
+    assert journal.torn or journal.records == RECORDS or cut
+
+
+FILL = """
+import resource, sys
+from pathlib import Path
+from tests.server.journal.test_journal import HEADER, tick
+from wcsim.errors import DiskFullError
+from wcsim.server.journal.journal import JournalWriter, journal_digest, read_journal
+path = Path(sys.argv[1])
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+with JournalWriter(path, HEADER) as writer:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 1000, hard))
+    written = 0
+    try:
+        while written < 100:
+            writer.append(tick(written + 1))
+            written += 1
+    except DiskFullError as error:
+        print(error)
+    journal = read_journal(path)
+    assert (len(journal.records), journal.torn) == (written, False), journal
+    assert 5 < written < 20
+    assert writer.digest == journal_digest(path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    writer.append(tick(written + 1))
+assert len(read_journal(path).records) == written + 1
+assert writer.digest == journal_digest(path)
+"""
+
+
+def test_a_full_disk_leaves_whole_records_and_can_be_gone_on_with(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", FILL, str(tmp_path / "j")],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[3],
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "could not be written (File too large)" in done.stdout
+
+
+def test_a_journal_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
+    def fails(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fdatasync", fails)
+    with pytest.raises(DiskFullError, match="No space left"):
+        JournalWriter(tmp_path / "j", HEADER)
+    assert not (tmp_path / "j").exists()
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tests.server.journal.test_journal import HEADER, tick
+from wcsim.server.journal.journal import JournalWriter
+writer = JournalWriter(Path(sys.argv[1]), HEADER)
+for number in range(1, 200):
+    writer.append(tick(number))
+    os.write(1, b"%d\\n" % number)
+    if number == 123:
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path / "j")],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[3],
+        check=False,
+    )
+    assert done.returncode == -9, done.stderr
+    acknowledged = int(done.stdout.split()[-1])
+    assert acknowledged == 123
+    assert read_journal(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
+
+
+def test_a_journal_has_one_writer_at_a_time(tmp_path):
+    with JournalWriter(tmp_path / "j", HEADER) as writer:
+        writer.append(RECORDS[0])
+        with pytest.raises(ConfigError, match="another process is writing this journal"):
+            JournalWriter.append_to(tmp_path / "j")
+        writer.append(RECORDS[1])
+    with JournalWriter.append_to(tmp_path / "j") as writer:
+        writer.append(RECORDS[2])
+    assert read_journal(tmp_path / "j").records == RECORDS[:3]
+
+
+def test_a_journal_is_read_without_its_ticks(tmp_path):
+    write(tmp_path / "j")
+    assert list(iter_journal(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.support.journals import JournaledWorld, eventful_run, nudged, rewritten
+from wcsim.bridge.recording.fcd import write_fcd
+from wcsim.bridge.recording.trace import TraceHeader, TraceWriter
+from wcsim.bridge.recording.trace_diff import first_difference
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
+from wcsim.server.journal.diff import journal_difference
+from wcsim.server.journal.journal import (
+    Admitted,
+    Dismissed,
+    Ended,
+    EpochBegun,
+    JournalWriter,
+    Ticked,
+    journal_digest,
+    read_header,
+    read_journal,
+)
+from wcsim.server.journal.replay import rebuild_world, recompute, recompute_fcd, verify
+
+
+@pytest.fixture(scope="module")
+def run(corner, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("journaled")
+    facts = eventful_run(corner, folder)
+    assert facts["episodes"] >= 2  # that ended within a tick
+    assert facts["digest"] == journal_digest(folder / "journal")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def records(run):
+    return read_journal(run / "journal").records
+
+
+def place_of(records, epoch: int, tick: int) -> int:
+    return next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (epoch, tick))
+
+
+def test_a_whole_run_is_made_again_state_by_state(run, records):
+    steps = list(recompute(run / "journal"))
+    assert [step.record for step in steps] == list(records)
+    assert not any(step.differs for step in steps)
+    assert sum(isinstance(step.record, Ticked) for step in steps) == 150
+    assert not world_in_this_process()
+
+
+def test_equal_runs_have_equal_journals_and_digests(run, corner, tmp_path):
+    eventful_run(corner, tmp_path / "again")
+    assert journal_digest(tmp_path / "again" / "journal") == journal_digest(run / "journal")
+    assert journal_difference(run / "journal", tmp_path / "again" / "journal") == ""
+
+
+def test_a_part_is_compared_from_the_beginning_of_its_epoch(run):
+    done: list[int] = []
+    result = verify(run / "journal", 1, 31, 40, done.append)
+    assert (result.ticks, result.mismatches, result.first, done) == (10, 0, None, list(range(1, 11)))
+    assert [s.record.epoch for s in recompute(run / "journal", 1, until_tick=3)] == [1] * 4
+
+
+def test_one_bit_of_a_command_is_found_at_its_tick(run, records, tmp_path):
+    at = place_of(records, 1, 12)
+    other = rewritten(run / "journal", tmp_path / "journal", {at: nudged(records[at])})
+    result = verify(other, 1, 0, None)
+    assert result.first is not None
+    assert (result.first.tick, result.ticks) == (12, 60)
+    assert 1 <= result.mismatches <= 49
+    assert verify(other, 1, 0, 11).mismatches == 0
+    told = journal_difference(run / "journal", other)
+    assert told.startswith("Ticked (epoch 1, tick 12): seat 0 is commanded (")
+    with pytest.raises(ReplayMismatchError, match=r"epoch 1, tick 12: got state \w+, expected \w+"):
+        rebuild_world(other)
+    with pytest.raises(ReplayMismatchError):
+        recompute_fcd(other, tmp_path / "x.xml", 1)
+    assert not world_in_this_process()
+
+
+def test_the_world_after_the_last_record_goes_on_as_the_first_one_would_have(corner, tmp_path):
+    (tmp_path / "run").mkdir()
+    with JournaledWorld(corner, tmp_path / "run") as it:
+        it.admit(0)
+        it.tick(5)
+        it.rebuild(8)
+        it.admit(2)
+        it.tick(12)
+        it.dismiss(0)
+        data = (tmp_path / "run" / "journal").read_bytes()
+        it.admit(1)
+        it.tick(10)
+        expected = it.now
+    (tmp_path / "journal").write_bytes(data)
+    world, last = rebuild_world(tmp_path / "journal")
+    with world:
+        assert [type(record) for record in last] == [EpochBegun, Admitted, *[Ticked] * 12, Dismissed]
+        assert (world.epoch, world.snapshot.tick, [seat.index for seat in world.seats]) == (1, 12, [2])
+        world.admit(1, last[1].spec)
+        for record in read_journal(tmp_path / "run" / "journal").records[-10:]:
+            assert world.tick(record.commands).state_hash == record.state_hash
+        assert world.snapshot.state_hash == expected.state_hash
+
+
+def test_a_new_world_after_a_crash_has_free_seats(corner, tmp_path):
+    (tmp_path / "run").mkdir()
+    with JournaledWorld(corner, tmp_path / "run") as it:
+        it.admit(1)
+        it.tick(3)
+        it.world.rebuild(9)
+        it.world.dismiss(1)
+        it.writer.append(EpochBegun(epoch=1, seed=9, fresh=True))
+        it.admit(2)
+        it.tick(3)
+        it.writer.append(Ended(reason="done"))
+    assert verify(tmp_path / "run" / "journal", 1, 0, None).mismatches == 0
+    assert verify(tmp_path / "run" / "journal", None, 0, None).ticks == 6
+
+
+def test_a_run_is_the_same_floating_car_data_from_trace_and_journal(run, tmp_path):
+    assert write_fcd(run / "beside.trace", tmp_path / "trace.xml") == 90
+    assert recompute_fcd(run / "journal", tmp_path / "journal.xml") == 90
+    assert (tmp_path / "trace.xml").read_bytes() == (tmp_path / "journal.xml").read_bytes()
+    text = (tmp_path / "journal.xml").read_text()
+    steps = text.split("<timestep")[1:]
+    assert [name for name in ("wheelchair.0", "wheelchair.1") if name in steps[10]] == ["wheelchair.1"]
+    with pytest.raises(WcsimError, match=r"no epoch 7; expected one of \[0, 1\]"):
+        recompute_fcd(run / "journal", tmp_path / "x.xml", 7)
+
+
+def test_records_that_do_not_follow_from_each_other_are_refused(run, records, tmp_path):
+    at = place_of(records, 0, 30)
+    for change, told in (
+        (replace(records[at], tick=31), "tick 31 follows epoch 0, tick 29; expected the next tick"),
+        (Dismissed(epoch=0, tick=29, seat=2), "seat 2 is free"),
+        (Admitted(epoch=0, tick=28, seat=2, spec=records[1 + 5].spec), "expected this one"),
+    ):
+        broken = rewritten(run / "journal", tmp_path / "journal", {at: change})
+        with pytest.raises(WcsimError, match=told):
+            list(recompute(broken, 0))
+        assert not world_in_this_process()
+
+
+def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
+    header = read_header(run / "journal")
+    for change, kind, told in (
+        ({"town": "atlantis"}, TownError, "atlantis"),
+        ({"town_sha256": "0"}, TownError, "other streets"),
+        ({"config": "{"}, ConfigError, "no JSON object"),
+        ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
+    ):
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        JournalWriter(path, replace(header, **change)).close()
+        for again in (rebuild_world, lambda path: list(recompute(path))):
+            with pytest.raises(kind, match=told):
+                again(path)
+    JournalWriter(tmp_path / "empty", header).close()
+    with pytest.raises(WcsimError, match="no epoch"):
+        rebuild_world(tmp_path / "empty")
+    with pytest.raises(WcsimError, match="no epoch: it was cut off"):
+        list(recompute(tmp_path / "empty"))
+
+
+def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp_path):
+    header = read_header(run / "journal")
+
+    def against(change=None, kept=records, head=header) -> str:
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        with JournalWriter(path, head) as writer:
+            for number, record in enumerate(kept):
+                writer.append((change or {}).get(number, record))
+        return journal_difference(run / "journal", path)
+
+    last = len(records) - 1
+    assert against() == ""
+    assert against(head=replace(header, name="other", fingerprint="x")) == ""
+    assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
+    assert "ends after Ticked (epoch 1, tick 59), the other one goes on with Ticked (epoch 1, tick 60)" in against(
+        kept=records[:-1]
+    )
+    assert against({last: replace(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")
+    one = place_of(records, 1, 60)
+    assert "commands for seats [0, 1, 2] and [1, 2]" in against(
+        {one: replace(records[one], commands=records[one].commands[1:])}
+    )
+    assert against({1: Ended()}) == "Ticked (epoch 0, tick 1) against Ended"
+    assert against({6: replace(records[6], name="x")}) == ""
+    told = against({6: replace(records[6], spec=replace(records[6].spec, truth=True))})
+    assert told.startswith("Admitted (epoch 0, tick 5, seat 1): spec is SeatSpec(profile='competent'")
+
+
+def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
+    header, ticks = read_trace(run / "beside.trace")
+
+    def against(kept=ticks, head: TraceHeader = header) -> str:
+        with TraceWriter(tmp_path / "other", head) as writer:
+            for tick in kept:
+                writer.append(tick)
+        return first_difference(run / "beside.trace", tmp_path / "other")
+
+    def changed(**fields) -> list:
+        return [*ticks[:40], replace(ticks[40], **fields), *ticks[41:]]
+
+    assert against() == ""
+    assert against(head=replace(header, fingerprint="x", name="y")) == ""
+    assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
+    assert "ends after 89 ticks, the other one after 90" in against(kept=ticks[:-1])
+    assert against(changed(state_hash="0")).startswith("epoch 0, tick 41: state ")
+    assert against(changed(commands=ticks[40].commands + 0.5)).startswith("epoch 0, tick 41: seat 0 is commanded (")
+    assert against(changed(plants=ticks[40].plants + 0.5)).endswith("tick 41: seat 0 is 0.5 m away from the other one")
+    body, *others = ticks[40].bodies
+    ids = ("v:x", *ticks[40].actor_ids[1:])
+    told = against(changed(actor_ids=ids, bodies=(replace(body, id="v:x"), *others)))
+    assert told == f"epoch 0, tick 41: actors {sorted([body.id, 'v:x'])} are in one trace only"
+    assert against(changed(epoch=1)) == "epoch 0, tick 41: the other one has epoch 1, tick 41"

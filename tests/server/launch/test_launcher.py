@@ -1,0 +1,319 @@
+"""Processes that die, hang and are ended: a launcher with stand-ins for world and clients."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from wcsim.server.launch.backoff import RestartRules
+from wcsim.server.launch.client_process import MOST_LEFT_ALONE
+from wcsim.server.launch.event_log import read_events
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import ClientPlan, LaunchRules
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import WorldSpec
+from wcsim.server.transport.world_folder import endpoint_in, workplace
+
+STUB = (sys.executable, "-I", "-S", str(Path(__file__).parents[1] / "launch_stubs.py"))
+QUICK = LaunchRules(
+    world_lease_s=3.0,
+    loading_lease_s=60.0,
+    client_lease_s=3.0,
+    joining_s=60.0,
+    saving_s=60.0,
+    leaving_s=0.1,
+    ending_s=60.0,
+    client=RestartRules(first_s=0.01, longest_s=0.05),
+    world=RestartRules(first_s=0.01, longest_s=0.05),
+)
+
+
+def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False):
+    """A launcher of stubs; `clients` maps names to their words."""
+    place = folder / "place"
+    place.mkdir(parents=True, mode=0o700)
+    order = WorldSpec(
+        town="",
+        config_json="{}",
+        seed=0,
+        rules=Rules(capacity=4),
+        endpoint=endpoint_in(place),
+        ring=str(place / "ring"),
+        name=" ".join(clients if members is None else members),
+        run=str(folder),
+        hook=world,
+    )
+    plans = [
+        ClientPlan(
+            name=name,
+            seat=seat,
+            argv=(*STUB, "client", str(folder / name), *words.split()),
+            log=folder / "logs" / f"{name}.log",
+            folder=folder / name,
+            order=b"{}" if orders else b"",
+            order_file=place / f"{name}.json" if orders else None,
+        )
+        for seat, (name, words) in enumerate(clients.items())
+    ]
+    return Launcher(order, plans, folder, place, rules, show, (*STUB, "world"))
+
+
+def counted(folder, event):
+    """Who had such an event, in their order."""
+    return [line["who"] for line in read_events(folder) if line["event"] == event]
+
+
+def standings(outcome):
+    return {client.name: client.standing for client in outcome.clients}
+
+
+def test_all_start_and_end_in_order(tmp_path):
+    states = []
+    outcome = launcher(tmp_path, {"a": "steps=30", "b": "steps=60"}, show=states.append).run()
+    assert (outcome.code, outcome.message, outcome.stopped) == (0, "", False)
+    assert standings(outcome) == {"a": "done", "b": "done"}
+    assert [client.status.step for client in outcome.clients] == [30, 60]
+    assert (tmp_path / "ended").exists()
+    assert [(e["event"], e["who"]) for e in read_events(tmp_path)[:3]] == [
+        ("start", "world"), ("start", "a"), ("start", "b"),
+    ]  # fmt: skip
+    assert counted(tmp_path, "done") == ["a", "b"]
+    assert read_events(tmp_path)[-1]["event"] == "end"
+    assert all(state.world is None or state.world.tick >= 0 for state in states)
+    assert states[-1].stopping
+    assert list((tmp_path / "place").iterdir()) == []
+
+
+def test_a_client_that_is_killed_goes_on_where_it_was(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=60 die=20x1", "b": "steps=60"}).run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "death") == counted(tmp_path, "restart") == counted(tmp_path, "recovery") == ["a"]
+    death = next(e for e in read_events(tmp_path) if e["event"] == "death")
+    assert "SIGKILL" in death["reason"]
+    back = next(e for e in read_events(tmp_path) if e["event"] == "recovery")
+    assert back["after_s"] > 0.0
+    assert back["step"] >= 19
+    assert [(client.restarts, client.status.step) for client in outcome.clients] == [(1, 60), (0, 60)]
+
+
+def test_clients_that_lost_their_world_or_seat_are_started_again(tmp_path):
+    outcome = launcher(tmp_path, {f"exit{code}": f"steps=40 exit{code}=20x1" for code in (1, 3, 4, 5)}).run()
+    assert outcome.code == 0
+    assert sorted(counted(tmp_path, "restart")) == ["exit1", "exit3", "exit4", "exit5"]
+
+
+def test_a_client_that_dies_in_vain_is_given_up_and_the_others_go_on(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=60 die=10 forgets", "b": "steps=200"}).run()
+    assert outcome.code == 1
+    assert standings(outcome) == {"a": "given up", "b": "done"}
+    assert "client a was given up" in outcome.message
+    assert str(tmp_path / "logs" / "a.log") in outcome.message
+    assert counted(tmp_path, "death") == ["a"] * 5
+
+
+def test_a_client_that_dies_often_but_comes_on_is_not_given_up(tmp_path):
+    words = " ".join(f"die={step}x{life}" for life, step in enumerate(range(5, 35, 5), start=1))
+    outcome = launcher(tmp_path, {"a": f"steps=40 {words}"}).run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "death") == ["a"] * 6
+
+
+def test_a_mistake_of_the_user_ends_the_run_with_its_message(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=100000", "b": "exit2=3 patient"}).run()
+    assert (outcome.code, outcome.message) == (2, "a fault of kind 2")
+    assert standings(outcome) == {"a": "stopped", "b": "given up"}
+    assert (tmp_path / "a" / "saved").exists()
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_world_that_dies_is_started_again(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=150"}, world="die=30x1").run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "death") == counted(tmp_path, "restart") == counted(tmp_path, "recovery") == ["world"]
+
+
+def test_a_world_that_hangs_is_ended_and_started_again(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=1500"}, world="hang=30x1").run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["world"]
+
+
+def test_a_world_that_dies_at_the_same_tick_again_and_again_is_given_up(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=30").run()
+    assert outcome.code == 1
+    assert "died 5 times at tick" in outcome.message
+    assert counted(tmp_path, "death") == ["world"] * 5
+    assert standings(outcome) == {"a": "stopped"}
+
+
+@pytest.mark.parametrize("words", ["exit2=40", "exit3=0"])
+def test_what_a_world_says_of_its_order_is_not_tried_again(tmp_path, words):
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, world=words).run()
+    assert (outcome.code, outcome.message) == (2, f"a fault of kind {words[4]}")
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_client_that_lost_its_seat_and_hangs_is_ended(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=30 hang=10x1"}, world="evict=9").run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["a"]
+
+
+def test_a_client_that_never_takes_its_seat_is_ended(tmp_path):
+    rules = replace(QUICK, joining_s=0.5, client_lease_s=0.3)
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, members=[], rules=rules).run()
+    assert outcome.code == 1
+    assert set(counted(tmp_path, "hang")) == {"a"}
+
+
+def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
+    rules = replace(QUICK, saving_s=2.0)
+    outcome = launcher(tmp_path, {"a": "steps=100000 hang=5 deaf", "b": "exit2=20 patient"}, rules=rules).run()
+    assert outcome.code == 2
+    assert standings(outcome)["a"] == "stopped"
+    stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")
+    assert stopped["code"] == -signal.SIGKILL
+
+
+def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):
+    outcome = launcher(tmp_path, {"a": "exit6=5 steps=99", "b": "steps=80"}).run()
+    assert outcome.code == 1
+    assert standings(outcome) == {"a": "given up", "b": "done"}
+    assert "no room" in outcome.message and "a fault of kind 6" in outcome.message
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_world_without_room_has_failed_and_was_not_refused(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="exit4=40").run()
+    assert (outcome.code, standings(outcome)) == (1, {"a": "stopped"})
+    assert "--resume" in outcome.message
+    assert counted(tmp_path, "restart") == []
+
+
+def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up(tmp_path):
+    """As one whose pictures do not fit; the world waits for it for ever."""
+    outcome = launcher(tmp_path, {"a": "steps=99 exit4=1", "b": "steps=400"}, world="idle").run()
+    assert standings(outcome)["a"] == "given up"
+    deaths = counted(tmp_path, "death")
+    assert set(deaths) == {"a"}
+    assert 5 <= len(deaths) < 5 + MOST_LEFT_ALONE  # those before the world is there are forgiven
+
+
+def test_orders_are_there_again_when_somebody_removed_them(tmp_path):
+    def rob(state):
+        if state.clients[0].status and state.clients[0].status.step > 5 and not (tmp_path / "robbed").exists():
+            (tmp_path / "robbed").touch()
+            shutil.rmtree(tmp_path / "place")
+
+    it = launcher(tmp_path, {"a": "steps=300 die=30x1"}, show=rob, orders=True)
+    outcome = it.run()
+    assert outcome.code == 0, outcome.message
+    assert counted(tmp_path, "place lost") == ["world"]
+    assert counted(tmp_path, "restart").count("world") == 1
+
+
+# --- signals, in a process of its own ---
+
+RUNNER = """
+import json, sys
+from pathlib import Path
+from tests.server.launch.test_launcher import launcher
+folder = Path(sys.argv[1])
+def show(state):
+    pids = [state.world_pid, *(client.pid for client in state.clients)]
+    beside = folder / "pids.tmp"
+    steps = [client.status.step if client.status else 0 for client in state.clients]
+    beside.write_text(json.dumps({"pids": pids, "steps": steps}))
+    beside.rename(folder / "pids")
+outcome = launcher(folder, {"a": sys.argv[2], "b": "steps=100000"}, show=show).run()
+print(outcome.code, outcome.stopped, outcome.message)
+"""
+
+
+def begun(folder, words="steps=100000"):
+    """A launcher in a process of its own whose clients all work, and the processes that it started."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", RUNNER, str(folder), words],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[3],
+    )
+    deadline = time.monotonic() + 120.0
+    while True:
+        assert time.monotonic() < deadline, "the launcher's clients did not begin"
+        seen = json.loads((folder / "pids").read_text()) if (folder / "pids").is_file() else {"pids": [0], "steps": [0]}
+        if all(seen["pids"]) and all(seen["steps"]):
+            return child, seen["pids"]
+        time.sleep(0.02)
+
+
+def gone(pids, within_s):
+    """Whether all of these processes have ended."""
+    deadline = time.monotonic() + within_s
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_everything_in_order(tmp_path, number):
+    child, pids = begun(tmp_path)
+    child.send_signal(number)
+    out, _ = child.communicate(timeout=120)
+    assert out.split() == ["0", "True", "stopped"]
+    assert gone(pids, 0.0)
+    for name in ("a", "b"):
+        assert (tmp_path / name / "saved").exists()
+    assert (tmp_path / "ended").exists()
+    assert [e["event"] for e in read_events(tmp_path)][-4:] == ["stop", "stopped", "stopped", "end"]
+
+
+def test_a_second_signal_ends_everything_at_once(tmp_path):
+    child, pids = begun(tmp_path, "steps=100000 hang=5 deaf")
+    child.send_signal(signal.SIGTERM)
+    time.sleep(0.3)
+    child.send_signal(signal.SIGTERM)
+    child.communicate(timeout=120)
+    assert gone(pids, 0.0)
+
+
+def test_nothing_outlives_a_launcher_that_is_killed(tmp_path):
+    child, pids = begun(tmp_path)
+    child.kill()
+    child.communicate(timeout=120)
+    assert gone(pids, 60.0)
+    assert (tmp_path / "a" / "saved").exists()
+
+
+OWNER = """
+import time
+from wcsim.server.transport.world_folder import workplace
+with workplace() as place:
+    print(place, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_place_of_a_killed_launcher_is_removed_by_the_next_one(tmp_path):
+    child = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True)
+    left = Path(child.stdout.readline().strip())
+    assert left.is_dir()
+    assert left.stat().st_mode & 0o077 == 0
+    with workplace():
+        assert left.is_dir()  # its owner lives
+    child.kill()
+    child.communicate()
+    with workplace() as mine:
+        assert not left.exists()
+        assert mine.is_dir()
+    assert not mine.exists()

@@ -1,0 +1,221 @@
+"""One contract for every link: the same order gives the same frames, whichever way they came."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tests.server.servers import AHEAD, QUICK, Server, driven, stand_in_order
+from tests.support.worlds import quick_config
+from wcsim.errors import (
+    ConfigMismatchError,
+    LinkClosedError,
+    ProtocolError,
+    SeatTakenError,
+    ServerGoneError,
+    TownError,
+    VersionMismatchError,
+    WorldFullError,
+)
+from wcsim.server.links.base import SeatLink, WorldOrder
+from wcsim.server.links.child_world import ProcessLink
+from wcsim.server.links.local import LocalLink
+from wcsim.server.links.socket import open_seat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import SeatRequest, WorldSpec
+from wcsim.server.transport.keys import make_keys
+from wcsim.types import SeatSpec
+
+SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=True)
+TICKS = 40
+
+
+def order(corner, seed=SEED) -> WorldOrder:
+    return WorldOrder(town=str(corner), config=CONFIG, seat=SPEC, seed=seed)
+
+
+def ledger(link, ticks=TICKS):
+    """Every frame as bytes, because images are views that later frames overwrite."""
+    frame = link.join()
+    frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
+    for _ in range(ticks):
+        frame = link.act(frame.tick, AHEAD)
+        frames.append(m.encode(m.Frame(0, frame.tick, 0, frame)))
+    return frames
+
+
+@pytest.fixture(scope="module")
+def reference(corner):
+    with LocalLink(order(corner)) as link:
+        return ledger(link)
+
+
+@dataclass
+class Opened:
+    """A link, and every frame it gave from a new world."""
+
+    link: SeatLink
+    frames: list[bytes]
+
+
+@contextmanager
+def over_tcp(corner, folder, keys: str) -> Iterator[SeatLink]:
+    """A seat for a client on another machine."""
+    world = WorldSpec(
+        town=str(corner),
+        config_json=CONFIG.model_dump_json(),
+        seed=SEED,
+        rules=Rules(capacity=1),
+        endpoint=f"ipc://{folder}/s/world",
+        ring=str(folder / "ring"),
+        listen="tcp://127.0.0.1:*",
+        keys=keys,
+    )
+    with Server(world, folder) as server:
+        address = server.status().listening
+        with open_seat(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
+            yield link
+
+
+@pytest.fixture(scope="module", params=["local", "process", "tcp", "tcp+curve"])
+def opened(request, corner, reference, tmp_path_factory):
+    del reference  # its world has to be closed before another one is opened
+    with ExitStack() as held:
+        if request.param == "local":
+            link = held.enter_context(LocalLink(order(corner)))
+        elif request.param == "process":
+            link = held.enter_context(ProcessLink(order(corner)))
+        else:
+            folder, keys = tmp_path_factory.mktemp("far"), ""
+            if request.param == "tcp+curve":
+                keys = str(folder / "keys")
+                make_keys(folder / "keys", ("far",))
+            link = held.enter_context(over_tcp(corner, folder, keys))
+        yield Opened(link, ledger(link))
+
+
+def test_frames_are_the_same_to_the_bit(opened, reference):
+    assert opened.frames == reference
+
+
+def test_join_respawn_and_rebuild(opened, reference):
+    first = opened.link.rebuild(SEED)
+    assert first.tick == 0
+    start = m.decode_reply(reference[0])
+    assert isinstance(start, m.Frame)
+    assert np.array_equal(first.plant.p_WB_m, start.client.plant.p_WB_m)
+    opened.link.act(0, AHEAD)
+    assert opened.link.join().tick == 1
+    again = opened.link.respawn()
+    assert (again.tick, again.events.episode, again.events.step) == (1, 1, 0)
+    assert opened.link.act(1, AHEAD).tick == 2
+
+
+def test_an_action_for_another_tick_is_refused_and_the_link_lives_on(opened):
+    here = opened.link.join().tick
+    with pytest.raises(ProtocolError, match=f"tick {here}"):
+        opened.link.act(here + 5, AHEAD)
+    assert opened.link.act(here, AHEAD).tick == here + 1
+
+
+def test_pictures_cannot_be_written_to(opened):
+    camera = opened.link.join().sensors.cameras[0]
+    assert camera.depth_m.shape == (24, 32)
+    assert not camera.depth_m.flags.writeable
+    assert not camera.class_id.flags.writeable
+
+
+def test_a_link_knows_its_seat_and_where_its_time_went(opened):
+    before = opened.link.waits
+    opened.link.act(opened.link.join().tick, AHEAD)
+    after = opened.link.waits
+    assert (opened.link.seat, opened.link.master) == (0, True)
+    assert after.steps == before.steps + 1
+    assert after.link_s > before.link_s
+    assert after.simulation_s > before.simulation_s
+
+
+@pytest.mark.parametrize("make", [LocalLink, ProcessLink])
+def test_an_unknown_town_is_the_same_error(make, capfd):
+    with pytest.raises(TownError, match="atlantis"):
+        make(WorldOrder(town="atlantis", config=CONFIG, seat=SPEC, seed=0))
+    assert capfd.readouterr().err == ""
+
+
+def test_a_world_that_dies_is_noticed_and_a_closed_link_says_so(corner):
+    with ProcessLink(order(corner)) as link:
+        link.join()
+        os.kill(link._child.process.pid, signal.SIGKILL)
+        with pytest.raises(LinkClosedError, match="ended"):
+            link.act(0, AHEAD)
+    link.close()
+    with pytest.raises(LinkClosedError, match="closed"):
+        link.act(0, AHEAD)
+
+
+# --- several clients of one process ---
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory):
+    """A server with three seats and a stand-in for a world."""
+    folder = tmp_path_factory.mktemp("hall")
+    with Server(stand_in_order(folder, 3, rules=Rules(capacity=3, config="abc", notice_s=0.2)), folder) as server:
+        server.status()
+        yield server
+
+
+def arrived(link):
+    """Ask for a seat, and wait until the server says whom it waits for: messages of two sockets may overtake."""
+    link.ask_join()
+    while not link.core.late:
+        link._pump()
+
+
+def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(hall):
+    with open_seat(hall.seat("a")) as a:
+        with open_seat(hall.seat("b")) as b:
+            here = b.join().tick
+            arrived(a)  # who comes later gets in after the next tick
+            assert b.act(here, AHEAD).tick == a.receive().tick == here + 1
+            assert [frame.tick for frame in driven([a, b], 30)] == [here + 31] * 2
+            assert (a.master, b.master) == (False, True)
+        assert driven([a], 10)[0].tick == here + 41
+        assert a.master
+
+
+def test_who_does_not_fit_hears_why(hall):
+    with open_seat(hall.seat("a", seat=1)) as a:
+        a.join()
+        with open_seat(hall.seat("b", seat=1)) as b, pytest.raises(SeatTakenError, match="seat 1 is a's"):
+            b.join()
+        with open_seat(hall.seat("c", seat=7)) as c, pytest.raises(SeatTakenError, match="0 to 2"):
+            c.join()
+        with open_seat(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
+            d.join()
+        with open_seat(hall.seat("e", config="abc")) as e, open_seat(hall.seat("f")) as f:
+            arrived(e)
+            arrived(f)
+            with open_seat(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
+                g.join()
+
+
+def test_another_version_is_named(hall, monkeypatch):
+    monkeypatch.setattr(m, "PROTOCOL", 99)
+    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server 6"):
+        a.join()
+
+
+def test_nobody_there_is_said_in_time(tmp_path):
+    order = SeatRequest(
+        endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="a", patience=replace(QUICK, reconnect_s=0.5)
+    )
+    with open_seat(order) as a, pytest.raises(ServerGoneError, match="is it running"):
+        a.join()

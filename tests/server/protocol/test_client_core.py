@@ -1,0 +1,269 @@
+"""The client core: what its driver gets, when it asks again, when it gives up."""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+
+import pytest
+
+from wcsim.errors import BadActionError, ProtocolError, WcsimError
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import (
+    Ask,
+    ClientCore,
+    ClientPhase,
+    Failed,
+    FrameSeen,
+    Outcome,
+    Patience,
+    Say,
+    Welcomed,
+)
+from wcsim.types import Joystick, SeatSpec
+
+AHEAD = Joystick(0.0, 1.0)
+
+
+def client(seat: int = m.ANY_SEAT) -> ClientCore:
+    numbers = count(1)
+    patience = Patience(resend_s=2.0, reconnect_s=90.0, tick_s=300.0)
+    ask = Ask(claim=b"mine", name="me", spec=SeatSpec(), seat=seat)
+    return ClientCore(ask, patience, lambda: bytes([next(numbers)]) * m.SESSION_BYTES)
+
+
+def frame(tick: int, epoch: int = 0, life: int = 0) -> m.Frame:
+    return m.Frame(epoch, tick, life, None)
+
+
+def seen(tick: int, epoch: int = 0, stepped: bool = False) -> FrameSeen:
+    return FrameSeen(epoch, tick, None, -1, stepped)
+
+
+def welcome(core: ClientCore, epoch: int = 0, tick: int = 0, term: int = 0, resumed: bool = False) -> m.Welcome:
+    return m.Welcome(core.session, epoch, tick, 0, term, resumed)
+
+
+def thinking(tick: int = 0, term: int = 0) -> ClientCore:
+    core = client()
+    core.join(0.0)
+    core.handle(welcome(core, tick=tick, term=term), 0.0)
+    core.handle(frame(tick), 0.0)
+    assert core.phase is ClientPhase.THINK
+    return core
+
+
+def waiting(tick: int = 0, term: int = 0) -> ClientCore:
+    core = thinking(tick, term)
+    core.act(tick, AHEAD, 0.0)
+    return core
+
+
+def failure(core: ClientCore, name: str) -> m.Failure:
+    return m.Failure(name, "told so", core.session)
+
+
+def said(outcomes: list[Outcome]) -> list[m.Request]:
+    return [outcome.message for outcome in outcomes if isinstance(outcome, Say)]
+
+
+def error_in(outcomes: list[Outcome]) -> WcsimError:
+    (error,) = [outcome.error for outcome in outcomes if isinstance(outcome, Failed)]
+    return error
+
+
+def test_a_tick_in_short() -> None:
+    core = client()
+    (join,) = said(core.join(0.0))
+    assert isinstance(join, m.Join) and join.resume is None
+    assert [type(x) for x in core.handle(welcome(core, term=1), 0.1)] == [Welcomed]
+    assert core.handle(frame(0), 0.2) == [seen(0)]
+    assert said(core.act(0, AHEAD, 0.3)) == [m.Act(core.session, 0, 0, 0, 0.0, 1.0)]
+    assert said(core.handle(m.BarrierFull(0, 0, 1), 0.4)) == [m.Tick(core.session, 0, 0, 1)]
+    assert core.handle(m.TickDone(0, 1), 0.5) == []
+    assert core.phase is ClientPhase.WAIT_SENSORS
+    assert core.handle(frame(1), 0.6) == [seen(1, stepped=True)]
+
+
+@pytest.mark.parametrize("call", ["act", "respawn", "rebuild"])
+def test_calls_out_of_turn_are_refused(call: str) -> None:
+    core = waiting()
+    with pytest.raises(ProtocolError, match="wait tick"):
+        {"act": lambda: core.act(0, AHEAD, 1.0), "respawn": lambda: core.respawn(1.0)}.get(
+            call, lambda: core.rebuild(1, 1.0)
+        )()
+
+
+def test_an_action_for_another_tick_names_both() -> None:
+    with pytest.raises(ProtocolError, match=r"tick 5.*tick 3"):
+        thinking(tick=3).act(5, AHEAD, 0.0)
+
+
+@pytest.mark.parametrize("x", [1.5, math.nan])
+def test_bad_action_is_refused_before_it_is_sent(x: float) -> None:
+    core = thinking()
+    with pytest.raises(BadActionError, match=str(x)):
+        core.act(0, Joystick(x, 0.0), 0.0)
+    assert core.phase is ClientPhase.THINK
+
+
+@pytest.mark.parametrize("lost", [(), ("done",)])
+def test_what_was_lost_is_asked_for_again(lost: tuple[str, ...]) -> None:
+    core = waiting()
+    if lost:  # only the word of the tick is lost: its frame is no lost step
+        assert core.handle(frame(1), 0.5) == []
+    assert core.clock(1.0) == []
+    assert said(core.clock(3.0)) == [m.Act(core.session, 0, 0, 0, 0.0, 1.0)]
+    assert core.clock(4.0) == []
+    core.handle(m.TickDone(0, 1), 5.0)
+    core.handle(m.TickDone(0, 1), 5.0)
+    assert core.handle(frame(1), 5.0) == [seen(1, stepped=True)]
+    assert core.handle(frame(1), 5.0) == []
+
+
+def test_a_lost_first_frame_is_asked_for_by_joining_again_and_cuts_nothing() -> None:
+    core = client()
+    core.join(0.0)
+    core.handle(welcome(core), 0.0)
+    (join,) = said(core.clock(3.0))
+    assert isinstance(join, m.Join) and join.session == core.session and join.resume is None
+    core.handle(welcome(core), 3.0)
+    assert core.handle(frame(0), 3.0) == [seen(0)]
+
+
+def test_a_step_that_is_left_out_or_comes_uncalled_ends_the_client() -> None:
+    for core, message in ((waiting(), frame(2)), (waiting(), m.TickDone(0, 2)), (thinking(), m.TickDone(0, 1))):
+        error = error_in(core.handle(message, 1.0))
+        assert isinstance(error, ProtocolError) and "lost or doubled" in str(error)
+        assert core.phase is ClientPhase.GONE
+
+
+def test_another_server_is_joined_anew_and_the_action_said_again() -> None:
+    core = waiting(tick=4)
+    old = core.session
+    (join,) = said(core.handle(failure(core, "StaleSessionError"), 1.0))
+    assert isinstance(join, m.Join) and join.resume == (0, 4) and join.session != old
+    outcomes = core.handle(welcome(core, tick=4, resumed=True), 1.0)
+    assert said(outcomes) == [m.Act(core.session, 0, 4, 0, 0.0, 1.0)]
+    core.handle(m.TickDone(0, 5), 2.0)
+    assert core.handle(frame(5), 2.0) == [seen(5, stepped=True)]
+
+
+def test_a_join_that_was_lost_before_a_beat_is_said_again() -> None:
+    core = client()
+    (join,) = said(core.join(0.0))
+    assert said(core.handle(failure(core, "StaleSessionError"), 1.0)) == [join]
+    assert core.phase is ClientPhase.JOINING
+
+
+def test_world_restarted_by_another_server() -> None:
+    core = waiting(tick=4)
+    core.handle(failure(core, "StaleSessionError"), 1.0)
+    core.handle(welcome(core, epoch=1), 1.0)
+    shown, failed = core.handle(frame(0, epoch=1), 1.0)
+    assert shown == seen(0, epoch=1)
+    assert type(failed.error).__name__ == "WorldRestartedError" and "epoch 1" in str(failed.error)
+
+
+def test_world_restarted_by_somebody_else_but_not_by_oneself() -> None:
+    core = waiting(tick=4)
+    core.handle(m.Restarted(1, "with seed 3"), 1.0)
+    error = error_in(core.handle(frame(0, epoch=1), 1.0))
+    assert type(error).__name__ == "WorldRestartedError" and "seed 3" in str(error)
+    core = thinking(tick=4)
+    core.rebuild(3, 1.0)
+    core.handle(m.Restarted(1, "with seed 3"), 1.0)
+    assert core.handle(frame(0, epoch=1), 1.0) == [seen(0, epoch=1)]
+
+
+def test_who_has_seen_no_frame_is_not_told_of_a_restart() -> None:
+    core = client()
+    core.join(0.0)
+    core.handle(welcome(core), 0.0)
+    core.handle(m.Restarted(1, "with seed 3"), 1.0)
+    assert core.handle(frame(0, epoch=1), 1.0) == [seen(0, epoch=1)]
+
+
+def test_tick_timeout_names_the_late_ones() -> None:
+    core = waiting()
+    for second in range(1, 300, 50):
+        core.handle(m.Waiting(0, 0, ("slow one", "other")), float(second))
+    core.handle(m.Waiting(0, 0, ("slow one",)), 300.0)
+    error = error_in(core.clock(301.0))
+    assert type(error).__name__ == "TickTimeoutError"
+    assert "301 s" in str(error) and "slow one" in str(error) and "other" not in str(error)
+
+
+def test_server_gone_after_silence_or_its_own_word() -> None:
+    error = error_in(waiting().clock(91.0))
+    assert type(error).__name__ == "ServerGoneError" and "91 s" in str(error)
+    core = thinking()
+    error = error_in(core.handle(m.Bye(core.session, "maintenance"), 1.0))
+    assert type(error).__name__ == "ServerGoneError" and "maintenance" in str(error)
+
+
+def test_evicted_and_in_again() -> None:
+    core = waiting(tick=4)
+    assert type(error_in(core.handle(failure(core, "EvictedError"), 1.0))).__name__ == "EvictedError"
+    assert core.phase is ClientPhase.OFF
+    (join,) = said(core.join(2.0))
+    assert isinstance(join, m.Join) and (join.seat, join.resume) == (0, None)
+    core.handle(welcome(core, tick=9), 2.0)
+    assert core.handle(frame(9), 2.0) == [seen(9)]
+
+
+@pytest.mark.parametrize("name", ["SeatTakenError", "WorldFullError", "VersionMismatchError", "ConfigMismatchError"])
+def test_a_refused_join(name: str) -> None:
+    core = client(seat=1)
+    core.join(0.0)
+    error = error_in(core.handle(failure(core, name), 0.0))
+    assert type(error).__name__ == name and str(error) == "told so"
+    assert core.phase is ClientPhase.OFF
+
+
+def test_who_wanted_any_seat_takes_another_one_when_its_own_is_gone() -> None:
+    core = waiting(tick=4)
+    core.handle(failure(core, "StaleSessionError"), 1.0)
+    (join,) = said(core.handle(failure(core, "SeatTakenError"), 1.0))
+    assert isinstance(join, m.Join) and join.seat == m.ANY_SEAT
+
+
+def test_a_master_no_more_is_no_error_of_its_driver() -> None:
+    core = waiting(term=1)
+    assert core.master
+    for name in ("StaleTermError", "NotMasterError"):
+        core.term = 1
+        assert core.handle(failure(core, name), 0.0) == []
+        assert not core.master
+    core.handle(m.Promote(3), 0.0)
+    assert core.handle(m.BarrierFull(0, 0, 2), 0.0) == []
+    assert said(core.handle(m.BarrierFull(0, 0, 3), 0.0)) == [m.Tick(core.session, 0, 0, 3)]
+    assert core.handle(failure(core, "BarrierNotFullError"), 0.0) == []
+    assert core.master
+
+
+def test_a_refused_rebuild_leaves_the_driver_where_it_was() -> None:
+    core = thinking(tick=2)
+    core.rebuild(3, 0.0)
+    assert type(error_in(core.handle(failure(core, "NotMasterError"), 0.0))).__name__ == "NotMasterError"
+    assert said(core.act(2, AHEAD, 0.0)) == [m.Act(core.session, 0, 2, 0, 0.0, 1.0)]
+
+
+def test_a_late_double_of_an_old_request_does_not_fail_the_one_of_now() -> None:
+    core = waiting(tick=6)
+    assert core.handle(failure(core, "StaleTickError"), 0.0) == []
+    assert core.phase is ClientPhase.WAIT_TICK
+
+
+def test_words_for_another_session_are_nobodys() -> None:
+    core = waiting()
+    assert core.handle(m.Failure("EvictedError", "", b"somebody else's.."), 0.0) == []
+    assert core.handle(m.Bye(b"somebody else's.."), 0.0) == []
+    assert core.phase is ClientPhase.WAIT_TICK
+
+
+def test_a_copy_goes_its_own_way() -> None:
+    core = thinking()
+    twin = core.copied()
+    twin.act(0, AHEAD, 0.0)
+    assert (core.phase, twin.phase) == (ClientPhase.THINK, ClientPhase.WAIT_TICK)

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wcsim.errors import LinkClosedError, OverloadedError, ProtocolError, TownError, WcsimError
+from wcsim.server.protocol import messages as m
+from wcsim.types import Contact, Drawn, SeatSpec, StartSpec
+
+SESSION = bytes(range(16))
+REQUESTS = [
+    m.Join(
+        protocol=m.PROTOCOL,
+        schema="s",
+        config="c",
+        session=SESSION,
+        claim=b"mine",
+        seat=m.ANY_SEAT,
+        name="a-client",
+        spec=SeatSpec(truth_visible=True, start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
+        pid=7,
+        resume=(1, 2),
+    ),
+    m.Act(SESSION, 0, 3, 0, 0.25, -1.0),
+    m.Tick(SESSION, 0, 3, 1),
+    m.Respawn(SESSION, 0, 3, 0),
+    m.Rebuild(SESSION, 0, 9),
+    m.Beat(SESSION, 5),
+    m.Leave(SESSION),
+]
+REPLIES = [
+    m.Welcome(SESSION, 0, 3, 1, 1, False, "/ring/seat-1", "{}", "monaco"),
+    m.BarrierFull(0, 3, 1),
+    m.Promote(2),
+    m.Demoted(2),
+    m.TickDone(0, 3, 0.01),
+    m.Frame(0, 3, 0, None),
+    m.Restarted(1, "why"),
+    m.Waiting(0, 3, ("a", "b")),
+    m.Failure("TownError", "no", SESSION),
+    m.Bye(SESSION, "done"),
+]
+
+
+@pytest.mark.parametrize("request_", REQUESTS, ids=lambda r: type(r).__name__)
+def test_requests_survive_the_wire(request_):
+    assert m.decode_request(m.encode(request_)) == request_
+
+
+@pytest.mark.parametrize("reply", REPLIES, ids=lambda r: type(r).__name__)
+def test_replies_survive_the_wire(reply):
+    assert m.decode_reply(m.encode(reply)) == reply
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\x00", b"hello", m.encode(m.Leave(b"")), b"\x92\xa3Act\x01", m.encode(REQUESTS[1]) + b"\x00"],
+)
+def test_anything_else_is_a_protocol_error(data):
+    with pytest.raises(ProtocolError):
+        m.decode_request(data)
+
+
+def test_a_message_beyond_the_limit_is_not_even_read():
+    with pytest.raises(OverloadedError, match=str(m.MAX_REQUEST_BYTES + 1)):
+        m.decode_request(bytes(m.MAX_REQUEST_BYTES + 1))
+
+
+def test_an_error_arrives_under_its_own_name():
+    arrived = m.error_of(m.failure_of(TownError("no such town")))
+    assert type(arrived) is TownError
+    assert str(arrived) == "no such town"
+    assert type(m.error_of(m.Failure(error="SystemExit", message="not one of ours"))) is WcsimError
+    assert type(m.error_of(m.Failure(error="LinkClosedError", message="x"))) is LinkClosedError
+
+
+def test_two_programs_of_one_version_have_one_schema():
+    code = "from wcsim.server import messages; print(messages.schema_hash())"
+    other = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert other.stdout.strip() == m.schema_hash()
+
+
+@pytest.fixture(scope="module")
+def ended(corner):
+    """A frame with everything: the last of an episode, with the truth, contacts and the next one's first frame."""
+    from tests.support.worlds import follow, open_world
+
+    with open_world(corner, "cameras.0.rgb=true", spec=SeatSpec(truth_visible=True, max_steps=3)) as world:
+        for _ in range(3):
+            client = follow(world).clients[0]
+    drawn = Drawn(light=0.5, camera_shift_m=((0.0, 1.0, 2.0),), action_delay_ticks=2, plant=(("a.b", 1.5),))
+    touch = Contact(kind="car", part="body", impulse_Ns=3.5, cause="other", actor_id="x")
+    assert client.first is not None
+    return replace(client, drawn=drawn, contacts=(touch,))
+
+
+def test_a_snapshot_survives_the_wire(ended):
+    reply = m.decode_reply(m.encode(m.Frame(0, 3, 0, ended)))
+    assert isinstance(reply, m.Frame)
+    assert reply.client == ended
+    camera = reply.client.sensors.cameras[0]
+    assert (camera.class_id.dtype, camera.depth_m.dtype, camera.rgb.shape) == (np.uint8, np.float32, (24, 32, 3))
+    assert reply.client.truth.safe_actions.dtype == np.bool_
+    assert reply.client.truth.visible is not None and reply.client.truth.visible.safe_actions.shape == (81,)
+
+
+@pytest.mark.parametrize("spoilt", [np.full(3, -1.0), np.full(3, np.nan), np.zeros(1025)])
+def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
+    visible = replace(ended.truth.visible, first_s=spoilt)
+    frame = m.encode(m.Frame(0, 3, 0, replace(ended, truth=replace(ended.truth, visible=visible))))
+    with pytest.raises(ProtocolError):
+        m.decode_reply(frame)
+
+
+@pytest.mark.parametrize("flag", ["arrived", "gave_up", "on_carriageway", "crossed", "entered_red"])
+def test_every_event_arrives_as_itself(ended, flag):
+    quiet = dict.fromkeys(("arrived", "gave_up", "on_carriageway", "crossed", "entered_red"), False)
+    client = replace(ended, events=replace(ended.events, **{**quiet, flag: True}))
+    assert m.decode_reply(m.encode(m.Frame(0, 3, 0, client))).client.events == client.events
+
+
+def test_numbers_arrive_to_the_bit(ended):
+    odd = np.array([1 / 3, -0.0, 5e-324])
+    client = replace(ended, plant=replace(ended.plant, p_WB_m=odd))
+    reply = m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
+    assert reply.client.plant.p_WB_m.tobytes() == odd.tobytes()
+
+
+def test_pictures_in_shared_memory_do_not_travel(ended):
+    inside, outside = m.encode(m.Frame(0, 3, 0, ended, -1)), m.encode(m.Frame(0, 3, 0, ended, 1))
+    assert len(inside) > 24 * 32 * 8
+    assert len(outside) < 4000
+    reply = m.decode_reply(outside)
+    assert reply.slot == 1
+    assert reply.client.sensors.cameras[0].depth_m.size == 0
+    assert reply.client.plant == ended.plant
+
+
+def test_frames_whose_parts_do_not_fit_are_refused(ended):
+    whole = m.encode(m.Frame(0, 3, 0, ended))
+    numbers = ended.plant.p_WB_m.tobytes()
+    at = whole.index(numbers)
+    assert whole[at - 3 : at] == b"\xc5\x01\x00"  # 256 bytes follow
+    with pytest.raises(ProtocolError):
+        m.decode_reply(whole[: at - 3] + b"\xc5\x00\xff" + whole[at + 1 :])
+    depth = ended.sensors.cameras[0].depth_m.tobytes()
+    at = whole.index(depth)
+    with pytest.raises(ProtocolError):
+        m.decode_reply(whole[: at - 3] + b"\xc5\x0b\xff" + whole[at + 1 :])

@@ -1,0 +1,380 @@
+"""The server core: what each wrong request is answered, and that nothing a peer sends can break it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from tests.server.desk import Desk, failure, join_of, only, session_of
+from tests.server.model.shadow import Shadow
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.events import (
+    Admit,
+    BarrierState,
+    Clock,
+    Dismiss,
+    Effect,
+    Event,
+    Lost,
+    RebuildWorld,
+    Received,
+    RespawnSeats,
+    Rules,
+    Send,
+    SendFrame,
+    Step,
+    Stepped,
+    Stop,
+)
+from wcsim.server.protocol.server_core import ServerCore
+from wcsim.types import SeatSpec
+
+
+def test_a_tick_in_short() -> None:
+    desk = Desk()
+    desk.act(0)
+    full = only(desk.act(1, x=-1.0), m.BarrierFull, peer=0)
+    step = only(desk.ask(0, full.tick, full.term), Step)
+    assert [(c.seat, c.tick, c.joystick.x) for c in step.commands] == [(0, 0, 0.5), (1, 0, -1.0)]
+    effects = desk.feed(Stepped(1))
+    assert [e.message for e in effects if isinstance(e, Send)] == [m.TickDone(0, 1)] * 2
+    assert [(e.seat, e.tick) for e in effects if isinstance(e, SendFrame)] == [(0, 1), (1, 1)]
+
+
+def test_stale_tick() -> None:
+    desk = Desk(members=1)
+    for tick in range(3):
+        desk.step(tick)
+    error, text = failure(desk.act(0, tick=1))
+    assert error == "StaleTickError"
+    assert "tick 1" in text and "tick 3" in text
+
+
+def test_future_tick() -> None:
+    error, text = failure(Desk().act(0, tick=9))
+    assert error == "FutureTickError"
+    assert "(0, 9, 0)" in text and "(0, 0, 0)" in text
+    desk = Desk(members=1)
+    desk.act(0)
+    assert failure(desk.ask(0, tick=4))[0] == "FutureTickError"
+
+
+@pytest.mark.parametrize(("x", "y"), [(1.01, 0.0), (math.nan, 0.0), (0.0, -math.inf)])
+def test_bad_action(x: float, y: float) -> None:
+    error, text = failure(Desk().act(0, x=x, y=y))
+    assert error == "BadActionError"
+    assert str(x) in text and "-1 to 1" in text
+
+
+def test_a_second_action_that_differs_is_bad_and_the_first_one_counts() -> None:
+    desk = Desk(members=1)
+    desk.act(0, x=0.5)
+    assert failure(desk.act(0, x=0.25))[0] == "BadActionError"
+    assert desk.act(0, x=0.5) == []
+    assert only(desk.ask(0), Step).commands[0].joystick.x == 0.5
+
+
+def test_barrier_not_full_names_the_late() -> None:
+    desk = Desk()
+    desk.act(0)
+    error, text = failure(desk.ask(0))
+    assert error == "BarrierNotFullError"
+    assert "c1" in text and "c0" not in text
+
+
+def test_not_master() -> None:
+    desk = Desk()
+    error, text = failure(desk.ask(1))
+    assert error == "NotMasterError"
+    assert "seat 1" in text and "term 1" in text
+    assert failure(desk.say(1, m.Rebuild(session_of(1), 0, 3)))[0] == "NotMasterError"
+
+
+def test_a_new_world_needs_a_seed_that_there_is() -> None:
+    desk = Desk(members=1)
+    error, text = failure(desk.say(0, m.Rebuild(session_of(0), 0, -5)))
+    assert error == "ProtocolError"
+    assert "-5" in text
+    assert only(desk.say(0, m.Rebuild(session_of(0), 0, 5)), RebuildWorld).seed == 5
+
+
+def test_stale_term() -> None:
+    desk = Desk(tick_lease_s=10.0)
+    desk.act(0)
+    desk.act(1)
+    effects = desk.wait(11.0)
+    assert only(effects, m.Demoted, peer=0).term == 1
+    assert only(effects, m.Promote, peer=1).term == 2
+    error, text = failure(desk.ask(0, term=1))
+    assert error == "StaleTermError"
+    assert "term 1" in text and "term 2" in text
+    assert only(desk.ask(1, term=2), Step).tick == 0
+
+
+def test_stale_session() -> None:
+    desk = Desk(members=1)
+    error, text = failure(desk.say(1, m.Act(session_of(9), 0, 0, 0, 0.0, 0.0)))
+    assert error == "StaleSessionError"
+    assert "epoch 0" in text and "join again" in text
+
+
+def test_evicted_by_its_lease_and_fenced_afterwards() -> None:
+    desk = Desk(lease_s=100.0)
+    desk.act(0)
+    error, text = failure(desk.wait(101.0))
+    assert error == "EvictedError"
+    assert "101 s" in text
+    assert failure(desk.act(1))[0] == "EvictedError"
+    assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
+    desk.say(1, join_of(1, session=session_of(7)))
+    assert only(desk.step(0), m.Welcome, peer=1).session == session_of(7)
+
+
+def test_progress_keeps_a_slow_client_and_a_beat_without_does_not() -> None:
+    desk = Desk(members=1, lease_s=100.0)
+    for progress in (1, 2, 3):
+        desk.say(0, m.Beat(session_of(0), progress))
+        assert desk.wait(90.0) == []
+    desk.say(0, m.Beat(session_of(0), 3))
+    assert failure(desk.wait(90.0))[0] == "EvictedError"
+
+
+def test_seat_taken() -> None:
+    desk = Desk()
+    error, text = failure(desk.say(5, join_of(5, seat=1)))
+    assert error == "SeatTakenError"
+    assert "seat 1" in text and "c1" in text
+    error, text = failure(desk.say(5, join_of(5, seat=1 << 62)))
+    assert error == "SeatTakenError"
+    assert str(1 << 62) in text and "0 to 1" in text
+
+
+def test_world_full() -> None:
+    error, text = failure(Desk().say(5, join_of(5, seat=m.ANY_SEAT)))
+    assert error == "WorldFullError"
+    assert "2 seats" in text
+
+
+def test_version_mismatch() -> None:
+    error, text = failure(Desk(members=0).say(0, join_of(0, protocol=99, schema="beef")))
+    assert error == "VersionMismatchError"
+    assert all(part in text for part in ("99", "beef", str(m.PROTOCOL), m.schema_hash()))
+
+
+def test_config_mismatch() -> None:
+    error, text = failure(Desk(members=0).say(0, join_of(0, config="mine")))
+    assert error == "ConfigMismatchError"
+    assert "mine" in text and "cfg" in text
+
+
+def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
+    desk = Desk()
+    effects = desk.say(7, join_of(7, claim=bytes([1]), seat=m.ANY_SEAT))
+    assert failure(effects)[0] == "EvictedError"
+    effects = desk.step(0)
+    assert only(effects, Dismiss).seat == 1
+    assert only(effects, Admit).seat == 1
+    assert only(effects, m.Welcome, peer=7).resumed is False
+
+
+def test_who_waits_is_found_at_its_new_address() -> None:
+    desk = Desk(members=1)
+    assert desk.say(1, join_of(1)) == []
+    assert desk.say(8, join_of(1)) == []
+    assert only(desk.step(0), m.Welcome, peer=8).session == session_of(1)
+
+
+def test_an_older_life_that_waits_hears_that_it_is_over() -> None:
+    desk = Desk(members=1)
+    desk.say(1, join_of(1))
+    assert failure(desk.say(1, join_of(1, session=session_of(7))))[0] == "EvictedError"
+    assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
+
+
+def kept(seat: int, claim: bytes = b"") -> Kept:
+    return Kept(seat=seat, name=f"c{seat}", spec=SeatSpec(), life=0, claim=claim)
+
+
+def test_a_seat_waits_for_its_client_after_a_recovery_on_any_clock() -> None:
+    desk = Desk(members=0, tick=4, kept=(kept(0), kept(1)), rejoin_s=30.0)
+    assert [e for e in desk.wait(0.0) if not isinstance(e, Send)] == []
+    assert len(desk.core.cycle.roll.members) == 2
+    desk.wait(29.0)
+    assert len(desk.core.cycle.roll.members) == 2
+    desk.wait(2.0)
+    assert desk.core.cycle.roll.members == []
+
+
+def test_a_seat_goes_on_for_who_saw_its_last_frame_and_knows_its_claim() -> None:
+    desk = Desk(members=0, tick=4, kept=(kept(0, claim=bytes([0])),))
+    assert failure(desk.say(1, join_of(1, seat=0, resume=(0, 4))))[0] == "SeatTakenError"
+    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
+    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
+
+
+def test_the_beats_of_a_new_life_count_anew() -> None:
+    desk = Desk(members=1, lease_s=100.0)
+    desk.say(0, m.Beat(session_of(0), 50))
+    claim = desk.core.cycle.roll.members[0].claim
+    joined = desk.say(0, join_of(0, session=session_of(9), claim=claim, resume=(0, 0)))
+    assert only(joined, m.Welcome).resumed is True
+    for progress in (1, 2):
+        desk.say(0, m.Beat(session_of(9), progress))
+        assert desk.wait(90.0) == []
+
+
+def test_a_sole_master_that_hangs_before_its_tick_does_not_hold_the_next_one_up() -> None:
+    desk = Desk(members=1, tick_lease_s=10.0, lease_s=100.0)
+    desk.act(0)
+    desk.say(1, join_of(1))
+    assert not any(isinstance(e, Admit) for e in desk.wait(50.0))
+    effects = desk.wait(51.0)
+    assert failure(effects)[0] == "EvictedError"
+    assert only(effects, Admit).seat == 1
+    assert only(effects, m.Welcome, peer=1).term == 2
+
+
+def test_the_right_to_tick_reaches_who_lives_past_two_that_hang() -> None:
+    desk = Desk(members=3, capacity=3, tick_lease_s=10.0, lease_s=100.0)
+    for who in range(3):
+        desk.act(who)
+    masters = set()
+    for _ in range(13):
+        desk.wait(11.0)
+        masters.add(desk.core.cycle.master[0])
+        if desk.core.cycle.master == session_of(2):
+            break
+    assert masters == {0, 1, 2}
+    assert only(desk.ask(2, term=desk.core.cycle.term), Step).tick == 0
+
+
+def test_a_lost_session_that_nobody_knows_is_refused_when_it_joins_late() -> None:
+    desk = Desk(members=1)
+    desk.feed(Lost(session_of(1)))
+    assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
+
+
+def test_the_end() -> None:
+    desk = Desk()
+    assert [e.message for e in desk.feed(Stop("enough")) if isinstance(e, Send)] == [
+        m.Bye(session_of(0), "enough"),
+        m.Bye(session_of(1), "enough"),
+    ]
+    assert desk.act(0) == []
+
+
+NUMBERS = st.one_of(st.integers(-2, 4), st.integers(-(1 << 63), (1 << 64) - 1))
+FLOATS = st.one_of(st.sampled_from([0.0, 1.0, -1.0]), st.floats())
+SESSIONS = st.one_of(st.integers(0, 4).map(session_of), st.binary(max_size=20))
+
+
+class AnyRequests(RuleBasedStateMachine):
+    """Whatever peers send: no exception, a legal order of world operations, a master among the members."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.core = ServerCore(Rules(capacity=2, expected=1, lease_s=50.0, tick_lease_s=5.0, gather_s=10.0))
+        self.world, self.now_s = Shadow(), 0.0
+
+    def feed(self, event: Event) -> None:
+        todo: list[Effect] = list(self.core.handle(event, self.now_s))
+        while todo:
+            effect = todo.pop(0)
+            if isinstance(effect, Step):
+                acted = [(c.seat, c.tick) for c in effect.commands]
+                assert acted == [(chair.seat, self.world.tick) for chair in self.world.chairs]
+                self.world = self.world.stepped()
+                todo += self.core.handle(Stepped(self.world.tick), self.now_s)
+            elif isinstance(effect, SendFrame):
+                assert self.world.at(effect.seat) is not None
+            elif not isinstance(effect, Send):
+                self.world = changed(self.world, effect)
+
+    @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2), resume=st.none() | st.tuples(NUMBERS, NUMBERS))
+    def join(self, session: bytes, seat: int, claim: bytes, resume: tuple[int, int] | None) -> None:
+        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim, resume=resume)))
+
+    @rule(who=st.integers(0, 4))
+    def join_well(self, who: int) -> None:
+        self.feed(Received(bytes([who]), join_of(who, seat=m.ANY_SEAT)))
+
+    @rule(session=SESSIONS, epoch=NUMBERS, tick=NUMBERS, life=NUMBERS, x=FLOATS, y=FLOATS)
+    def act(self, session: bytes, epoch: int, tick: int, life: int, x: float, y: float) -> None:
+        self.feed(Received(b"p", m.Act(session, epoch, tick, life, x, y)))
+
+    @rule(which=st.integers(0, 1))
+    def act_well(self, which: int) -> None:
+        for member in self.core.cycle.roll.members[which : which + 1]:
+            now = (self.core.cycle.epoch, self.core.cycle.tick, member.life)
+            self.feed(Received(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
+
+    @rule(session=SESSIONS, epoch=NUMBERS, tick=NUMBERS, term=NUMBERS)
+    def tick(self, session: bytes, epoch: int, tick: int, term: int) -> None:
+        self.feed(Received(b"p", m.Tick(session, epoch, tick, term)))
+
+    @rule()
+    def tick_well(self) -> None:
+        cycle = self.core.cycle
+        self.feed(Received(b"p", m.Tick(cycle.master, cycle.epoch, cycle.tick, cycle.term)))
+
+    @rule(session=SESSIONS, epoch=NUMBERS, number=NUMBERS, life=NUMBERS, kind=st.integers(0, 3))
+    def other(self, session: bytes, epoch: int, number: int, life: int, kind: int) -> None:
+        requests: tuple[m.Request, ...] = (
+            m.Respawn(session, epoch, number, life),
+            m.Rebuild(session, epoch, number),
+            m.Beat(session, number),
+            m.Leave(session),
+        )
+        self.feed(Received(b"p", requests[kind]))
+
+    @rule(session=SESSIONS)
+    def lose(self, session: bytes) -> None:
+        self.feed(Lost(session))
+
+    @rule(seconds=st.sampled_from([0.5, 6.0, 60.0]))
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.feed(Clock())
+
+    @invariant()
+    def holds(self) -> None:
+        cycle = self.core.cycle
+        sessions = [member.session for member in cycle.roll.members]
+        assert (cycle.master in sessions) if sessions else cycle.master == b""
+        assert len({member.seat for member in cycle.roll.members}) == len(sessions) <= 2
+        assert (cycle.epoch, cycle.tick) == (self.world.epoch, self.world.tick)
+        assert cycle.stage in (BarrierState.EMPTY, BarrierState.COLLECT, BarrierState.READY)
+        there = {member.seat for member in cycle.roll.members} | set(cycle.roll.going)
+        assert {chair.seat for chair in self.world.chairs} == there
+
+
+def changed(world: Shadow, effect: Effect) -> Shadow:
+    """The world after what is done to it between ticks."""
+    match effect:
+        case Admit():
+            return world.admit(effect.seat, effect.name, b"")
+        case Dismiss():
+            return world.dismiss(effect.seat)
+        case RespawnSeats():
+            return world.respawn(effect.seats)
+        case RebuildWorld():
+            assert effect.seed >= 0
+            return world.rebuild(effect.epoch)
+    raise AssertionError(f"{effect}")
+
+
+TestAnyRequests = AnyRequests.TestCase
+TestAnyRequests.settings = settings(
+    max_examples=60, stateful_step_count=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(900)
+class TestManyMoreRequests(AnyRequests.TestCase):  # type: ignore[misc, name-defined]
+    settings = settings(TestAnyRequests.settings, max_examples=2000, stateful_step_count=50)

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import quick_config
+from wcsim.agents.clients.client import exit_of
+from wcsim.config import CameraConfig
+from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
+from wcsim.server.launch.states import ClientExit
+from wcsim.server.links.base import WorldOrder
+from wcsim.server.links.fake_world import FakeWorld
+from wcsim.server.protocol import messages as m
+from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
+from wcsim.server.transport.shm_folder import LOCK, RingFolder, remove_stale_rings
+from wcsim.types import Command, Joystick, SeatSpec
+
+ONE = quick_config("cameras.0.rgb=true")
+BACK = CameraConfig(name="back", width_px=20, height_px=17)
+CONFIG = ONE.model_copy(update={"cameras": (*ONE.cameras, BACK)})
+PICTURES = pictures_of(CONFIG.cameras)
+
+
+SHORT = (SeatSpec(max_steps=2),)
+
+
+def a_world(specs=SHORT):
+    return FakeWorld(WorldOrder(town="x", config=CONFIG, seed=1), specs, 1)
+
+
+def drive(world, sink):
+    sink.turn(world.snapshot.tick + 1)
+    now = world.snapshot
+    return world.tick(tuple(Command(seat=c.seat, tick=now.tick, joystick=Joystick(0, 1)) for c in now.clients), sink)
+
+
+def opened(view, client, slot):
+    """The frame as it comes out at the other end."""
+    frame = m.decode_reply(m.encode(m.Frame(0, client.tick, 0, client, slot)), view)
+    assert isinstance(frame, m.Frame)
+    return frame.client
+
+
+def test_a_client_sees_what_the_cameras_wrote_and_the_frame_before_stands(tmp_path):
+    sink, world, alone = RingSink(tmp_path, 1, PICTURES), a_world(), a_world()
+    view = RingView(sink.path(0))
+    alone_commands = (Command(seat=0, tick=0, joystick=Joystick(0, 1)),)
+    one = drive(world, sink).clients[0]
+    seen_one = opened(view, one, sink.slot(1))
+    expected_one = alone.tick(alone_commands).clients[0]
+    assert seen_one == expected_one
+    kept = [camera.depth_m.copy() for camera in seen_one.sensors.cameras]
+    two = drive(world, sink).clients[0]  # the episode ends: with the first frame of the next one
+    assert two.first is not None
+    seen_two = opened(view, two, sink.slot(2))
+    expected_two = alone.tick((replace(alone_commands[0], tick=1),)).clients[0]
+    assert seen_two == expected_two
+    assert seen_two.first == expected_two.first
+    assert not np.shares_memory(seen_two.first.sensors.cameras[0].depth_m, seen_two.sensors.cameras[0].depth_m)
+    assert all(np.array_equal(a, c.depth_m) for a, c in zip(kept, seen_one.sensors.cameras, strict=True))
+
+
+def test_first_frames_of_joins_and_respawns_have_a_place_of_their_own(tmp_path):
+    sink, world = RingSink(tmp_path, 2, PICTURES), a_world((SeatSpec(), None))
+    view = RingView(sink.path(1))
+    sink.turn(0)
+    first = world.admit(1, SeatSpec(), sink)
+    seen = opened(view, first, 0)
+    assert seen == first
+    assert seen.sensors.cameras[0].class_id[0, 0] == 1
+
+
+def test_pictures_can_be_read_only_and_their_file_is_its_owners_alone(tmp_path):
+    folder = tmp_path / "ring"
+    sink = RingSink(folder, 1, PICTURES)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert stat.S_IMODE(sink.path(0).stat().st_mode) == 0o600
+    world = a_world()
+    client = view_of(sink, world)
+    for camera in client.sensors.cameras:
+        for image in (camera.depth_m, camera.class_id, *([] if camera.rgb is None else [camera.rgb])):
+            assert not image.flags.writeable
+            assert image.flags.aligned
+    assert client.sensors.cameras[0].rgb.shape == (24, 32, 3)
+
+
+def view_of(sink, world):
+    client = drive(world, sink).clients[0]
+    return opened(RingView(sink.path(0)), client, sink.slot(1))
+
+
+def test_a_new_server_leaves_the_pictures_of_the_old_one_to_those_who_look_at_them(tmp_path):
+    old = RingSink(tmp_path, 1, PICTURES)
+    seen = view_of(old, a_world())
+    before = seen.sensors.cameras[0].depth_m.copy()
+    new = RingSink(tmp_path, 1, PICTURES)
+    new.buffers(0, first=False).images[0].depth_m[:] = 7.0
+    assert np.array_equal(seen.sensors.cameras[0].depth_m, before)
+    assert new.path(0) == old.path(0)
+    assert [path.name for path in tmp_path.iterdir()] == ["seat-0"]
+
+
+def test_what_is_no_ring_is_refused(tmp_path):
+    sink = RingSink(tmp_path, 1, PICTURES)
+    whole = sink.path(0).read_bytes()
+    path = tmp_path / "other"
+    for data in (b"", b"x" * 100, b"y" * 5000, whole[:-64], whole[:8] + b"\x09" + whole[9:], whole + b"\0"):
+        path.write_bytes(data)
+        with pytest.raises(ProtocolError, match="other"):
+            RingView(path)
+    with pytest.raises(ProtocolError, match="same machine"):
+        RingView(tmp_path / "missing")
+    client = drive(a_world(), sink).clients[0]
+    view = RingView(sink.path(0))
+    with pytest.raises(ProtocolError, match="<= 1"):
+        opened(view, client, 2)
+    with pytest.raises(ProtocolError, match="slot 2"):
+        view.pictures(2, first=False)
+    few = replace(client, sensors=replace(client.sensors, cameras=client.sensors.cameras[:1]))
+    with pytest.raises(ProtocolError, match="1 cameras"):
+        opened(view, few, 0)
+
+
+def test_no_room_is_said_at_once(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(DiskFullError, match="No space left"):
+        RingSink(tmp_path, 1, PICTURES)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, monkeypatch):
+    camera = CONFIG.cameras[0].model_copy(update={"width_px": 16, "height_px": 12})
+    most = pictures_of((camera,) * 64)
+    assert len(RingView(RingSink(tmp_path, 1, most).path(0)).pictures(0, first=True)) == 64
+    more = pictures_of((camera,) * 65)
+    with pytest.raises(ConfigError, match="65 of them; expected 64 at most"):
+        RingSink(tmp_path, 1, more)
+    monkeypatch.setattr("wcsim.server.transport.shared_images._fault", lambda pictures: "")
+    path = RingSink(tmp_path, 1, more).path(0)
+    monkeypatch.undo()
+    with pytest.raises(PicturesError, match="65 cameras"):
+        RingView(path)
+
+
+def test_pictures_that_will_never_fit_are_not_asked_for_again():
+    assert exit_of(PicturesError("65 cameras")) == ClientExit.USER_ERROR
+    assert exit_of(ProtocolError("the pictures cannot be opened")) == ClientExit.SERVER_GONE
+    assert exit_of(DiskFullError("no room")) == ClientExit.DISK_FULL
+
+
+OWNER = """
+import sys, time
+from pathlib import Path
+from wcsim.server.transport.shm_folder import RingFolder
+print(RingFolder(Path(sys.argv[1])).path, flush=True)
+time.sleep(60)
+"""
+
+
+def owned(home):
+    """A folder of another process, and that process."""
+    child = subprocess.Popen([sys.executable, "-c", OWNER, str(home)], stdout=subprocess.PIPE, text=True)
+    return Path(child.stdout.readline().strip()), child
+
+
+def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
+    mine, (theirs, child) = RingFolder(tmp_path), owned(tmp_path)
+    try:
+        assert stat.S_IMODE(mine.path.stat().st_mode) == 0o700
+        (theirs / "seat-0").write_bytes(b"picture")
+        assert remove_stale_rings(tmp_path) == 0
+        assert (theirs / "seat-0").exists()
+    finally:
+        child.kill()
+        child.communicate()
+    assert remove_stale_rings(tmp_path) == 1
+    assert [path.name for path in tmp_path.iterdir()] == [mine.path.name]
+    mine.close()
+    mine.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_who_cannot_see_a_process_leaves_its_folder_alone(tmp_path, monkeypatch):
+    """As in a container that shares the place: there, no number means the same process."""
+    monkeypatch.setattr(os, "kill", lambda pid, number: (_ for _ in ()).throw(ProcessLookupError()))
+    mine = RingFolder(tmp_path)
+    other = tmp_path / mine.path.name.replace(f"-{os.getpid()}-", "-4194305-")
+    mine.path.rename(other)
+    assert remove_stale_rings(tmp_path) == 0
+    assert (other / LOCK).exists()
+
+
+def test_a_folder_without_a_lock_goes_when_it_is_empty(tmp_path):
+    for name in ("wcsim-ring-12-empty", "wcsim-ring-13-full"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "wcsim-ring-13-full" / "seat-0").touch()
+    (tmp_path / "wcsim-ring-14-link").symlink_to(tmp_path / "wcsim-ring-13-full")
+    assert remove_stale_rings(tmp_path) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"wcsim-ring-13-full", "wcsim-ring-14-link"}

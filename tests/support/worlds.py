@@ -1,0 +1,34 @@
+"""Small worlds for tests: tiny cameras, no warm-up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.world import World, as_users_wish
+from wcsim.config import RunConfig, load_run_config
+from wcsim.towns.scenario.town import find_town
+from wcsim.types import SeatSpec, Snapshot
+
+QUICK = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
+
+
+def quick_config(*overrides: str) -> RunConfig:
+    """Preset quick with the smallest useful cameras and no warm-up."""
+    return load_run_config("quick", (*QUICK, *overrides))
+
+
+def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec: SeatSpec | None = None) -> World:
+    """A world in a town's folder."""
+    return World(find_town(str(town)), quick_config(*overrides), (spec or SeatSpec(),) * seats, seed)
+
+
+def follow(world: World) -> Snapshot:
+    """One tick in which everybody gets what their user asks for."""
+    return world.tick(as_users_wish(world.snapshot))
+
+
+def hashes(world: World, ticks: int) -> list[str]:
+    """State hashes of the coming ticks, whatever epoch they are in."""
+    return [state_hash(replace(follow(world), epoch=0)) for _ in range(ticks)]

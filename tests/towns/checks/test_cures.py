@@ -1,0 +1,129 @@
+"""Every printed cure does what it says when it is typed as it stands."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.support.typed import printed, typed
+from tests.towns.checks.test_faults import FINE
+from tests.towns.made.nets import hilly
+from tests.towns.made.strangers import made
+from tests.towns.made.unpaved import BEGIN_S, write_unpaved
+from wcsim.errors import TownError
+from wcsim.towns.checks.check import unroutable_trips
+from wcsim.towns.checks.cures import FASTEST_MPS, pave_cure, routes_cure, walkers_cure
+from wcsim.towns.checks.faults import STEEPEST, faults_of
+from wcsim.towns.ground.relief import steepest_grade
+from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.sumo.net import read_net
+from wcsim.towns.sumo.tools import run_tool
+
+_TYPES = '<vType id="slow" vClass="passenger" maxSpeed="9"/>'
+_LOST = """<vehicle id="lost" depart="50400"><route edges="elsewhere nowhere"/></vehicle>
+<trip id="found" type="slow" depart="50400" from="A0B0" to="B1C1"/>"""
+
+
+@pytest.fixture
+def theirs(tmp_path: Path) -> Town:
+    """A scenario in a folder whose name needs quotes, with a type in an additional file and a trip that is lost."""
+    sumocfg = write_unpaved(tmp_path / "it's theirs")
+    for name, more, end in (("u.add.xml", _TYPES, "</additional>"), ("u.rou.xml", _LOST, "</routes>")):
+        path = sumocfg.with_name(name)
+        path.write_text(path.read_text(encoding="utf-8").replace(end, more + end), encoding="utf-8")
+    return open_town(sumocfg)
+
+
+def named(town: Town, old: str, new: str) -> Town:
+    """The scenario with another file named in it, as the cure says."""
+    text = town.sumocfg.read_text(encoding="utf-8")
+    assert old in text
+    town.sumocfg.write_text(text.replace(old, new), encoding="utf-8")
+    return open_town(town.sumocfg)
+
+
+def _apart(path: Path, tag: str) -> None:
+    """Drop the elements of a kind from a file."""
+    tree = ElementTree.parse(path)  # noqa: S314 - our own
+    root = tree.getroot()
+    for element in root.findall(tag):
+        root.remove(element)
+    tree.write(path)
+
+
+def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
+    assert unroutable_trips(theirs) == 1
+    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
+    assert "move each <calibrator> of u.add.xml into a file of its own" in fault
+    _apart(theirs.folder / "u.add.xml", "calibrator")
+    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
+    code, said = typed(printed(fault, "to drop or mend them"), tmp_path)
+    assert code == 0, said
+    better = named(theirs, "u.rou.xml", "better.rou.xml")
+    text = better.routes[0].read_text(encoding="utf-8")
+    assert unroutable_trips(better) == 0 and 'id="found"' in text and 'id="lost"' not in text
+    assert 'busStop="stop"' in text and 'departLane="0"' in text
+    run = run_tool("sumo", ["-c", str(better.sumocfg), "--end", str(BEGIN_S + 60.0), "--no-step-log"], tmp_path)
+    assert run.returncode == 0 and "Error" not in run.output, run.output
+
+
+def test_a_demand_is_looked_at_from_its_own_begin(theirs: Town) -> None:
+    named(theirs, '"50300"', '"0"')
+    assert unroutable_trips(open_town(theirs.sumocfg)) == 0  # nobody departs in those ten minutes
+
+
+def test_steep_streets_are_flattened_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
+    hilly(theirs.net, theirs.folder / "steep.net.xml", lambda x, y: 0.4 * x)
+    steep = named(theirs, "u.net.xml", "steep.net.xml")
+    net = read_net(steep.net)
+    assert steepest_grade(net) > STEEPEST
+    (fault,) = faults_of(steep, net, FINE)
+    code, said = typed(printed(fault, "as steep as"), tmp_path)
+    assert code == 0, said
+    better = named(steep, "steep.net.xml", "better.net.xml")
+    assert steepest_grade(read_net(better.net)) <= STEEPEST
+
+
+def test_parts_are_joined_in_the_netedit_that_is_printed(theirs: Town, tmp_path: Path) -> None:
+    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, walkable_largest_share=0.5))
+    command = printed(fault, "join the parts")
+    assert shlex.split(command)[1:] == ["-s", str(theirs.net)]
+    code, said = typed(f"{command} --version", tmp_path)  # without it a window opens
+    assert code == 0 and "netedit" in said
+
+
+def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
+    assert f"-b {BEGIN_S:g} -e {BEGIN_S + 600.0:g} " in walkers_cure(theirs)
+    assert "-b 50300 -e 53900 " in walkers_cure(named(theirs, '"50900"', '"900000"'))
+    with pytest.raises(TownError, match="is not a time"):
+        walkers_cure(named(theirs, '"900000"', '"${HOME}"'))
+
+
+def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
+    fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
+    (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
+    command = printed(fault, "lay pavements")
+    assert command == pave_cure(fast).partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
+    code, said = typed(command, tmp_path)
+    assert code == 0 and "24 streets have a pavement now" in said, said
+
+
+def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
+    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3"), persons=False))
+    text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
+    rails.net.write_text(text, encoding="utf-8")
+    (fault,) = (fault for fault in faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
+    assert "no street that cars use" in fault and "town pave" not in fault
+    code, said = typed(f"wcsim town pave {rails.sumocfg} --out ours", tmp_path)
+    assert code == 2 and "it has none that cars use" in said
+
+
+def test_types_of_two_files_are_not_told_twice(theirs: Town) -> None:
+    assert "take the types" not in routes_cure(theirs)
+    path = theirs.routes[0]
+    path.write_text(path.read_text(encoding="utf-8").replace("<routes>", '<routes><vType id="x"/>'), encoding="utf-8")
+    assert "take the types out of u.add.xml, for better.rou.xml will have them, make" in routes_cure(theirs)

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.cli.towns import tiny_osm
+from wcsim.errors import TownError
+from wcsim.towns.checks.check import check_town
+from wcsim.towns.checks.faults import Findings, faults_of, notes_of
+from wcsim.towns.importing.build_net import CHAIR_WAYS, build_net
+from wcsim.towns.importing.netconvert import NetOrder, convert_net
+from wcsim.towns.osm.area import parse_box
+from wcsim.towns.osm.clean import filter_osm
+from wcsim.towns.osm.read import read_extract
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import LaneKind, read_net
+from wcsim.towns.sumo.xml_io import read_bytes
+from wcsim.towns.walking.islands import islands_by_links, share_of, walkable_parts
+from wcsim.towns.walking.overlaps import Overlap
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+FINE = Findings(
+    crossings=4,
+    walkingareas=4,
+    walkable_largest_share=1.0,
+    unroutable=0,
+    mesh_faults=0,
+    rays=4000,
+    classes=("passenger", "pedestrian"),
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"walkingareas": 0}, "no walking areas.*wcsim town pave /.*sumocfg --out .*-paved"),
+        ({"crossings": 0}, "no crossings.*wcsim town pave /.*sumocfg --out"),
+        ({"walkable_largest_share": 0.6}, "only 60.0% of the walkable.*join the parts: /.*/netedit -s /.*net.xml.gz"),
+        ({"unroutable": 7}, "7 trips have no way.*duarouter -n /.* -r /.* --ignore-errors -o /"),
+        ({"classes": ("bus",)}, "nobody walks.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600 "),
+        ({"mesh_faults": 50}, "50 of 4000 rays missed the ground.*rm -r"),
+    ],
+)
+def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, object], told: str) -> None:
+    net = read_net(corner_town.net)
+    assert faults_of(corner_town, net, FINE) == ()
+    (fault,) = faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
+    assert re.search(told, fault) and "\n" not in fault
+    assert len(notes_of(replace(corner_town, poly=None), net)) == 1
+
+
+def test_streets_over_the_pavements_of_others_are_noted_and_many_are_a_fault(corner_town: Town) -> None:
+    net = read_net(corner_town.net)
+    paved_m2 = sum(lane.length_m * lane.width_m for lane in net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED))
+    for share, many in ((0.05, False), (0.2, True)):
+        over = (Overlap(street="a", pavement="b", area_m2=share * paved_m2),)
+        assert [bool(faults_of(corner_town, net, replace(FINE, overlaps=over)))] == [many]
+        told = [note for note in notes_of(corner_town, net, over) if "edge a over b" in note]
+        assert bool(told) is not many
+
+
+def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:
+    root = ElementTree.fromstring(read_bytes(corner_town.net))  # noqa: S314 - our own
+    for element in root.iter():
+        if element.get("shape"):
+            points = [part.split(",")[:2] for part in element.attrib["shape"].split()]
+            element.set("shape", " ".join(f"{float(x) * 1e-5:.7f},{float(y) * 1e-5:.7f}" for x, y in points))
+    net = tmp_path / "degrees.net.xml"
+    ElementTree.ElementTree(root).write(net)
+    with pytest.raises(TownError, match=r"degrees.net.xml.*degrees or in another unit.*--proj.utm"):
+        check_town(replace(corner_town, net=net))
+
+
+@pytest.mark.shared
+def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
+    osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"
+    if not osm.is_file():
+        pytest.skip("the extract lies in the development material beside the checkout, which is not here")
+    extract = read_extract(osm, parse_box("-1.538528,53.795722,-1.531532,53.799858"))
+    order = NetOrder(name="x", box=extract.box, lefthand=True)
+    filter_osm(extract.root)
+    (tmp_path / "all.osm.xml").write_bytes(extract.xml())
+    whole = convert_net(order, "all.osm.xml", tmp_path)
+    found = islands_by_links(read_net(whole), whole)
+    assert len(found.footways) >= 5 and found.share < 0.98
+    built = build_net(order, extract.root, tmp_path)
+    assert built.share == share_of(walkable_parts(built.net, CHAIR_WAYS)) > 0.95
+    assert islands_by_links(built.net, tmp_path / "x.net.xml").share > found.share
+
+
+def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:
+    osm = tmp_path / "tiny.osm"
+    text = tiny_osm().replace('<tag k="sidewalk" v="both"/>', '<tag k="maxspeed" v="40 mph"/>')
+    osm.write_text(text.replace('v="residential"', 'v="primary"'), encoding="utf-8")
+    extract = read_extract(osm)
+    net = build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
+    streets = [edge for edge in net.edges if not edge.function]
+    assert all(any(lane.permits("pedestrian") for lane in edge.lanes) for edge in streets)
+    assert len([edge for edge in net.edges if edge.function == "crossing"]) >= 12

@@ -1,0 +1,88 @@
+"""Mutants of sound town files: wcsim's process never dies or hangs, and says which file is wrong and what to do.
+
+One that failed is run again by its number: `python -m tests.towns.fuzz.run FOLDER 137`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.towns.fuzz.run import Outcome, run_batch, write_base
+from tests.towns.fuzz.scenarios import DEADLY, DISK, FAMILIES, OWN, RAW, TREE, make_case
+
+SAMPLE, ALL, BATCH = 100, 500, 25
+SOUND = tuple(range(-len(FAMILIES), 0))
+
+
+def check(numbers: tuple[int, ...], folder: Path) -> list[Outcome]:
+    """Run mutants and refuse every fault, with its number."""
+    outcomes = run_batch(numbers, folder)
+    assert tuple(item.number for item in outcomes) == numbers
+    faults = [str(item) for item in outcomes if item.result == "fault"]
+    assert not faults, "\n".join(faults)
+    return outcomes
+
+
+def planted(number: int, fault: str, folder: Path, limit_s: float = 60.0) -> str:
+    """What the fuzzer says of a mutant in a wcsim with a fault."""
+    (outcome,) = run_batch([number], folder, fault, limit_s)
+    return f"{outcome.result}: {outcome.told}"
+
+
+@pytest.mark.parametrize("first", range(0, SAMPLE, BATCH))
+def test_a_sample_of_mutants(first: int, tmp_path: Path) -> None:
+    results = Counter(item.result for item in check(tuple(range(first, first + BATCH)), tmp_path))
+    assert results["works"] >= 3 and results["refused"] >= 3, results
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("first", range(0, ALL, BATCH))
+def test_all_mutants(first: int, tmp_path: Path) -> None:
+    check(tuple(range(first, first + BATCH)), tmp_path)
+
+
+def test_the_sound_files_that_mutants_are_made_of_work(tmp_path: Path) -> None:
+    assert {item.result for item in check(SOUND, tmp_path)} == {"works"}
+
+
+def test_every_change_is_made_to_every_family_it_fits() -> None:
+    cases = [make_case(number) for number in range(ALL)]
+    made = {family: {name for case in cases if case.family == family for name in case.changes} for family in FAMILIES}
+    assert all(set(OWN[family]) <= made[family] for family in FAMILIES)
+    assert set(TREE) | set(RAW) | set(DISK) <= set().union(*made.values())
+    counts = Counter(case.family for case in cases)
+    assert min(counts[family] for family in FAMILIES[:4]) >= 100 and counts["osm"] >= 50
+
+
+def test_a_number_is_always_the_same_mutant(tmp_path: Path) -> None:
+    contents = []
+    for name in ("one", "two"):
+        write_base(tmp_path / name)
+        for number in (1, 6, 7, 20, 48):
+            make_case(number).spoil(tmp_path / name / f"base.{'osm' if number == 48 else 'rou.xml'}")
+        contents.append([(tmp_path / name / file).read_bytes() for file in ("base.osm", "base.rou.xml")])
+    assert contents[0] == contents[1]
+
+
+def test_a_wcsim_that_dies_of_a_mutant_is_found(tmp_path: Path) -> None:
+    assert "refused: " in planted(DEADLY, "", tmp_path)
+    assert "fault: the process died with -11" in planted(DEADLY, "unchecked", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("leaky", "changed [('canary/leak.xml'"),
+        ("blunt", "KeyError"),
+        ("nameless", "the message names no file: something is wrong"),
+    ],
+)
+def test_a_wcsim_with_a_fault_is_found(fault: str, told: str, tmp_path: Path) -> None:
+    assert "fault: " in (found := planted(-1, fault, tmp_path)) and told in found
+
+
+def test_a_wcsim_that_hangs_is_found(tmp_path: Path) -> None:
+    assert "fault: hung for 6 s" in planted(-1, "stuck", tmp_path, 6.0)

@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+import gzip
+import os
+import shlex
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.towns import tiny_osm
+from wcsim.cli.main import main
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.checks.check import check_town, unroutable_trips
+from wcsim.towns.ground.relief import steepest_grade
+from wcsim.towns.importing import jam_trial
+from wcsim.towns.importing.elevation import Heights
+from wcsim.towns.importing.importer import ImportOrder, import_town
+from wcsim.towns.importing.work_folder import clear_stale, workplace
+from wcsim.towns.osm.area import parse_box
+from wcsim.towns.osm.clean import filter_osm
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import LaneKind, read_net
+from wcsim.towns.sumo.tools import run_tool
+from wcsim.towns.sumo.xml_io import parse_root, read_bytes, read_root
+
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "towns"
+
+
+@pytest.fixture
+def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
+    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    osm = tmp_path / "tiny.osm"
+    osm.write_text(tiny_osm(), encoding="utf-8")
+    return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
+
+
+def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Path.mkdir
+
+    def ended(self: Path, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        made(self, mode, parents, exist_ok)
+        if self.name.startswith(".small-"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", ended)
+    with pytest.raises(KeyboardInterrupt), workplace("small", tmp_path / "towns" / "small"):
+        raise AssertionError("the signal came before")
+    assert not list((tmp_path / "towns").iterdir())
+
+
+def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOrder) -> None:
+    town = import_town(order).town
+    first = {path.relative_to(town.folder): path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
+    import_town(order)  # over the first one
+    second = {path.relative_to(town.folder): path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
+    assert first == second
+    assert [path.name for path in order.out.parent.iterdir()] == ["small"]
+    assert {"small.sumocfg", "small.net.xml.gz", "small.poly.xml.gz", "small.rou.xml.gz", "small.add.xml"} <= {
+        path.name for path in town.folder.iterdir()
+    }
+
+
+def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
+    osm = manhattan_town.folder / "osm"
+    box = parse_box((osm / "bbox").read_text(encoding="utf-8"))
+    town = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0)).town
+    assert read_bytes(town.net) == read_bytes(manhattan_town.net)
+    assert town.poly is not None and manhattan_town.poly is not None
+    assert read_bytes(town.poly) == read_bytes(manhattan_town.poly)
+
+
+def test_failed_import_leaves_the_old_town_and_no_rubbish(order: ImportOrder, tmp_path: Path) -> None:
+    import_town(order)
+    before = sorted(path.name for path in order.out.iterdir())
+    broken = tmp_path / "broken.osm.xml"
+    broken.write_text("<osm><way id='1'/></osm>", encoding="utf-8")
+    with pytest.raises((SumoError, TownError), match="broken"):
+        import_town(replace(order, osm=broken))
+    assert sorted(path.name for path in order.out.iterdir()) == before
+    assert [path.name for path in order.out.parent.iterdir()] == ["small"]
+
+
+def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("mine", encoding="utf-8")
+    cases = [
+        (replace(order, name="a b"), "cannot be named"),
+        (replace(order, name="scenes"), "cannot be named"),
+        (replace(order, split="both"), "unknown split"),
+        (replace(order, bbox=(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
+        (replace(order, bbox=(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
+        (replace(order, per_hour={"car": 1.0}), "class 'car'"),
+        (replace(order, per_hour={"bicycle": -1.0}), "-1.0 departures"),
+        (replace(order, traffic=11.0), "traffic 11.0"),
+        (replace(order, relief=Heights(hill_m=999.0)), "999.0 m"),
+        (replace(order, relief=Heights(hill_m=5.0, max_grade=0.9)), "0.9"),
+        (replace(order, relief=Heights(dem=tmp_path / "none.tif")), "none.tif"),
+        (replace(order, out=tmp_path / "full"), "not a town"),
+        (replace(order, osm=tmp_path / "none.osm"), "cannot be read"),
+    ]
+    for bad, reason in cases:
+        with pytest.raises(TownError, match=reason):
+            import_town(bad)
+    assert (tmp_path / "full" / "thesis.txt").read_text(encoding="utf-8") == "mine"
+
+
+def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(order: ImportOrder) -> None:
+    dead, alive = "99999999", str(os.getpid())
+    towns = order.out.parent
+    for name in (f".small-{dead}-abc", f".small-{alive}-abc", f".small-{dead}-xyz-old", f".other-{dead}-abc"):
+        (towns / name).mkdir(parents=True)
+        (towns / name / "town.toml").touch()
+    clear_stale("small", order.out)
+    assert {path.name for path in towns.iterdir()} == {"small", f".small-{alive}-abc", f".other-{dead}-abc"}
+
+
+def test_filter_takes_out_what_crashes_netconvert_or_lies_under_ground() -> None:
+    text = b"""<osm>
+      <node id="1"><tag k="highway" v="crossing"/></node><node id="2"><tag k="highway" v="crossing"/></node>
+      <way id="10"><nd ref="1"/><tag k="highway" v="footway"/></way>
+      <way id="11"><nd ref="2"/><tag k="highway" v="footway"/><tag k="layer" v="-1"/></way>
+      <way id="12"><nd ref="2"/><tag k="highway" v="corridor"/></way>
+      <way id="13"><nd ref="2"/><tag k="building" v="yes"/></way>
+      <way id="14"><nd ref="2"/><tag k="railway" v="subway"/></way></osm>"""
+    root = parse_root(text, "text")
+    filter_osm(root)
+    assert [way.get("id") for way in root.iterfind("way")] == ["10", "13"]
+    assert [len(node) for node in root.iterfind("node")] == [1, 0]
+
+
+def test_shipped_demand_runs_without_errors_and_never_runs_dry(manhattan_town: Town, tmp_path: Path) -> None:
+    summary = tmp_path / "summary.xml"
+    options = ["-c", str(manhattan_town.sumocfg), "--end", "200", "--summary-output", str(summary)]
+    run = run_tool("sumo", options, tmp_path)
+    assert run.returncode == 0
+    assert not [line for line in run.output.splitlines() if "route" in line.lower() or line.startswith("Error")]
+    steps = list(read_root(summary))
+    assert int(steps[-1].attrib["running"]) > 5
+    assert unroutable_trips(manhattan_town) == 0
+    flows = list(read_root(manhattan_town.routes[0]))
+    ends = [float(flow.attrib["end"]) for flow in flows if flow.tag in ("flow", "personFlow")]
+    begins = [float(flow.attrib["begin"]) for flow in flows if flow.tag == "personFlow"]
+    assert max(ends) >= 1e6 and max(begins) >= 86_400 and begins == sorted(begins)
+
+
+def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None:
+    routes = tmp_path / "x.rou.xml"
+    routes.write_text(
+        '<routes><trip id="a" depart="0" from="WC" to="NC"/><trip id="b" depart="1" from="WC" to="CE"/>'
+        '<person id="p" depart="2"><walk from="WC" to="nope"/></person></routes>',
+        encoding="utf-8",
+    )
+    assert unroutable_trips(replace(corner_town, routes=(routes,), border=None)) == 2
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["leeds", "neukolln"])
+def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    west, south, east, north = (float(text) for text in (SHARED / f"{name}.bbox").read_text("utf-8").split(","))
+    made = import_town(
+        ImportOrder(
+            osm=SHARED / f"{name}.osm.xml.gz",
+            bbox=(west, south, east, north),
+            name=name,
+            split="test",
+            out=tmp_path / name,
+        )
+    )
+    net = gzip.decompress(made.town.net.read_bytes())
+    assert (b'lefthand="true"' in net[:2000]) == made.side.lefthand == (name == "leeds")
+    assert made.walkable_share >= 0.95
+
+
+def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
+    some = import_town(replace(order, per_hour={"bicycle": 720.0, "pedestrian": 0.0}, traffic=0.5)).town
+    flows = [flow for flow in read_root(some.routes[0]) if flow.tag.lower().endswith("flow")]
+    per_s = [float(flow.attrib["period"][4:-1]) for flow in flows if flow.attrib["type"] == "bicycles"]
+    assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
+    assert not [flow for flow in flows if flow.tag == "personFlow"]
+    made = import_town(replace(order, per_hour={"tram": 60.0, "bicycle": 9.0}))
+    assert made.notes[0] == "no traffic of class tram: no street or track of this town is open to it"
+    assert len([note for note in made.notes if "no traffic of class" in note]) == 1
+    none = import_town(replace(order, traffic=0.0)).town
+    assert len(read_root(none.routes[0])) == 0
+    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1 " in fault]
+    still = import_town(replace(order, per_hour={"pedestrian": 0.0})).town
+    assert [fault for fault in check_town(still).faults if "nobody walks" in fault and "randomTrips" in fault]
+
+
+def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:
+    steep = replace(order, traffic=0.0, relief=Heights(hill_m=120.0, max_grade=0.06))
+    town = import_town(steep).town
+    net = read_net(town.net)
+    heights_m = np.concatenate([lane.z_m for edge in net.edges for lane in edge.lanes])
+    assert np.ptp(heights_m) > 3.0
+    assert 0.03 < steepest_grade(net) <= 0.0601
+    first, dem = read_bytes(town.net), town.folder / "small.dem.tif"
+    assert dem.stat().st_size < 200_000
+    again = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.06))).town
+    assert read_bytes(again.net) == first
+    assert "terrain model" in (again.folder / "LICENSE-DATA").read_text(encoding="utf-8")
+    gentler = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.03))).town
+    assert steepest_grade(read_net(gentler.net)) <= 0.031
+
+
+def test_a_hill_is_as_high_as_ordered_where_the_streets_are(order: ImportOrder) -> None:
+    town = import_town(replace(order, traffic=0.0, relief=Heights(hill_m=9.0, max_grade=0.25))).town
+    heights_m = np.concatenate([lane.z_m for edge in read_net(town.net).edges for lane in edge.lanes])
+    assert np.ptp(heights_m) == pytest.approx(9.0, abs=0.05)
+
+
+def test_the_noted_command_builds_the_town_again(order: ImportOrder, monkeypatch: pytest.MonkeyPatch) -> None:
+    town = import_town(replace(order, traffic=0.3)).town
+    before = {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()}
+    town.net.write_bytes(gzip.compress(read_bytes(town.net).replace(b'speed="13.89"', b'speed="8.33"')))
+    report = check_town(town)
+    assert report.faults == () and [note for note in report.notes if "small.net.xml.gz" in note and "duarouter" in note]
+    (town.folder / "thesis.txt").write_text("mine", encoding="utf-8")
+    monkeypatch.chdir(town.folder)
+    words = shlex.split(town.file.rebuild)[1:]
+    with redirect_stderr(StringIO()) as told:
+        assert main(words) == 2
+    assert "small.net.xml.gz, thesis.txt" in told.getvalue() and "--replace" in told.getvalue()
+    assert (town.folder / "thesis.txt").read_text(encoding="utf-8") == "mine"
+    with redirect_stdout(StringIO()):
+        assert main([*words, "--replace", "--json", "report.json"]) == 0
+    (town.folder / "report.json").unlink()  # it was written into the new folder
+    assert {path.name: path.read_bytes() for path in town.folder.rglob("*") if path.is_file()} == before
+
+
+def test_what_an_author_adds_is_noted_and_no_fault(order: ImportOrder) -> None:
+    town = import_town(order).town
+    text = town.additional[0].read_text(encoding="utf-8")
+    town.additional[0].write_text(text.replace("</additional>", '<poi id="a" x="1" y="2"/></additional>'), "utf-8")
+    report = check_town(town)
+    assert report.faults == () and [note for note in report.notes if "small.add.xml" in note]
+
+
+def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
+    island = '<node id="901" lat="60.00085" lon="25.0005"/><node id="902" lat="60.00055" lon="25.0009"/>'
+    island += '<way id="900"><nd ref="901"/><nd ref="902"/><tag k="highway" v="footway"/><tag k="name" v="Lost"/></way>'
+    order.osm.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"), encoding="utf-8")
+    stages: list[str] = []
+    made = import_town(order, stage=stages.append)
+    assert len(stages) == 4 and str(order.osm) in stages[0]
+    assert made.left_out.names == ("Lost",) and 35.0 < made.left_out.footways_left_out_m < 45.0
+    assert made.left_out.streets_left_out_m == 0.0 and made.left_out.streets_m > 1000.0
+    assert any("names no bounds, so it was taken at 0.2 x 0.2 km" in note for note in made.notes)
+    crossings = len(read_net(made.town.net).lanes(LaneKind.CROSSING))
+    assert any(f"the map has 0 crossings and the net {crossings}" in note for note in made.notes)
+    west, south, east, north = 24.999, 59.999, 25.0046, 60.0023
+    bounded = import_town(replace(order, bbox=(west, south, east, north)))
+    assert not any("names no bounds" in note for note in bounded.notes)

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import pytest
+import sumolib
+
+from tests.towns.made.unpaved import BEGIN_S, write_unpaved
+from wcsim.errors import TownError
+from wcsim.towns.pave.edit import edited
+from wcsim.towns.pave.pavements import Paved, pave_town
+from wcsim.towns.pave.signals import SignalLinks, VehicleLink, padded
+from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.sumo.net import read_net
+from wcsim.towns.sumo.tools import run_tool
+from wcsim.towns.sumo.xml_io import parse_root
+
+POSITIONS = ("pos", "startPos", "endPos")
+CROSS = SignalLinks(
+    count=5,
+    was={0: 0, 1: 1, 2: 2},
+    drives=[
+        VehicleLink(link=0, start="west", end="east", straight=True),
+        VehicleLink(link=1, start="west", end="south", straight=False),
+        VehicleLink(link=2, start="north", end="south", straight=True),
+    ],
+    crossings={3: frozenset(("west",)), 4: frozenset(("south",))},
+)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["right", "left"])
+def paved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Paved]:
+    """The scenario before and after, traffic on either side."""
+    folder = tmp_path_factory.mktemp("unpaved")
+    before = write_unpaved(folder / "theirs", lefthand=request.param)
+    return before.parent, folder / "ours", pave_town(open_town(before), folder / "ours")
+
+
+def place_of(net: sumolib.net.Net, lane: str, text: str) -> tuple[float, float]:
+    """Where a position lies, by SUMO's own library."""
+    found = net.getLane(lane)
+    pos_m = float(text) if float(text) >= 0.0 else float(text) + found.getLength()
+    assert -1e-6 <= pos_m <= found.getLength() + 1e-6
+    place: tuple[float, float] = sumolib.geomhelper.positionAtShapeOffset(found.getShape(), pos_m)
+    return place
+
+
+def elements(folder: Path, name: str) -> list[Element]:
+    return list(ElementTree.parse(folder / name).getroot().iter())  # noqa: S314 - our own
+
+
+def test_every_stop_and_detector_lies_where_it_lay(paved: tuple[Path, Path, Paved]) -> None:
+    theirs, ours, told = paved
+    nets = [sumolib.net.readNet(str(folder / "u.net.xml")) for folder in (theirs, ours)]
+    compared, moved = 0, 0
+    for name in ("u.add.xml", "u.rou.xml"):
+        for old, new in zip(elements(theirs, name), elements(ours, name), strict=True):
+            if "lane" not in old.attrib:
+                continue
+            assert nets[1].getLane(new.attrib["lane"]).allows("passenger")
+            for key in (key for key in POSITIONS if key in old.attrib):
+                far_m = math.dist(
+                    place_of(nets[0], old.attrib["lane"], old.attrib[key]),
+                    place_of(nets[1], new.attrib["lane"], new.attrib[key]),
+                )
+                compared += 1
+                moved += far_m > 0.05
+                assert far_m < 0.05 or any(old.get("id", "") in thing for thing, _ in told.moved_m)
+    assert compared >= 15 and moved <= 2
+
+
+def test_names_of_lanes_follow_wherever_they_stand(paved: tuple[Path, Path, Paved]) -> None:
+    theirs, ours, told = paved
+    assert told.streets == 24 and told.crossings >= 20 and told.placed == 12 and told.programs == 1
+    things = {element.get("id"): element for element in elements(ours, "u.add.xml") if element.get("id")}
+    assert things["long"].get("lanes") == "A1B1_2 B1C1_2" and things["sign"].get("lanes") == "A1B1_1 A1B1_2"
+    assert "B1C1_1" in things and things["district"].get("edges") == "A1B1 B1C1"
+    vehicles = {element.get("id"): element for element in elements(ours, "u.rou.xml")}
+    bus = vehicles["bus"]
+    assert (bus.get("departLane"), bus.get("departPos")) == ("1", "18")  # a junction has grown by 2 m
+    assert (vehicles["named"].get("departLane"), vehicles["named"].get("arrivalLane")) == ("2", "2")
+    assert vehicles["cars"].get("departLane") == "best"
+    assert "<!-- kept as it is -->" in (ours / "u.add.xml").read_text(encoding="utf-8")
+    assert (ours / "u.sumocfg").read_bytes() == (theirs / "u.sumocfg").read_bytes()
+
+
+def test_signal_programs_of_the_author_know_the_crossings(paved: tuple[Path, Path, Paved]) -> None:
+    theirs, ours, _ = paved
+    old, new = (
+        [phase.attrib["state"] for phase in elements(folder, "signals/u.tll.xml") if phase.tag == "phase"]
+        for folder in (theirs, ours)
+    )
+    net = read_net(ours / "u.net.xml")
+    links = max(link.tls_link for link in net.connections if link.tls_id == "B1") + 1
+    assert {len(state) for state in new} == {links} and links == len(old[0]) + 4
+    assert [state[:16].lower() for state in new] == [state.lower() for state in old]
+    walk = [state[16:] for state in new]
+    assert sorted(walk[0]) == sorted(walk[2]) == ["G", "G", "r", "r"]
+    assert walk[1] == walk[3] == "rrrr" and walk[0] != walk[2]
+    made = [state for logic, state in net.phases if logic == "B1"]  # netconvert's own program has the same phases
+    assert {state[16:] for state in made} == {*walk}
+
+
+def test_sumo_runs_it_without_an_error(paved: tuple[Path, Path, Paved], tmp_path: Path) -> None:
+    _, _, told = paved
+    options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 150.0), "--no-step-log", "--xml-validation", "never"]
+    options += ["--stop-output", str(tmp_path / "stops.xml"), "--tripinfo-output", str(tmp_path / "trips.xml")]
+    run = run_tool("sumo", options, tmp_path)
+    assert run.returncode == 0 and "Error" not in run.output, run.output
+    stops = [stop for stop in elements(tmp_path, "stops.xml") if stop.tag == "stopinfo"]
+    assert [stop.get("busStop") for stop in stops] == ["stop", None] and stops[1].get("lane") == "B1C1_1"
+
+
+def test_a_paved_net_is_not_paved_again(paved: tuple[Path, Path, Paved], tmp_path: Path) -> None:
+    _, _, told = paved
+    with pytest.raises(TownError, match=r"has pavements and crossings already.*netedit -s"):
+        pave_town(open_town(told.sumocfg), tmp_path / "again")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def theirs(tmp_path: Path) -> Path:
+    return write_unpaved(tmp_path / "theirs")
+
+
+def test_streets_that_are_too_fast_get_none(theirs: Path, tmp_path: Path) -> None:
+    with pytest.raises(TownError, match=r"none of its streets got a pavement.*--max-speed"):
+        pave_town(open_town(theirs), tmp_path / "ours", 10.0)
+    assert not (tmp_path / "ours").exists()
+
+
+def test_a_lane_that_is_not_there_is_refused_by_name(theirs: Path, tmp_path: Path) -> None:
+    text = theirs.with_name("u.add.xml").read_text(encoding="utf-8")
+    theirs.with_name("u.add.xml").write_text(text.replace('lane="B0A0_0"', 'lane="B0A0_7"'), encoding="utf-8")
+    with pytest.raises(TownError, match=r"u\.add\.xml: parkingArea 'park': names lane 'B0A0_7'"):
+        pave_town(open_town(theirs), tmp_path / "ours")
+
+
+def test_a_town_keeps_what_sumo_has_no_word_for(theirs: Path, tmp_path: Path) -> None:
+    toml = 'name = "mine"\nsplit = "test"\norigin_m = [5, 5]\n\n[hashes]\n"u.net.xml" = "0"\n'
+    theirs.with_name("town.toml").write_text(toml, encoding="utf-8")
+    pave_town(open_town(theirs.parent), tmp_path / "ours")
+    town: Town = open_town(tmp_path / "ours")
+    assert (town.name, town.split, town.file.origin_m, town.file.hashes) == ("mine", "test", (5, 5), {})
+
+
+def test_crossings_are_green_while_nobody_may_drive_over_them() -> None:
+    states, seconds = ("GGr", "yyr", "rrr", "rrG", "rry"), (30.0, 3.0, 2.0, 30.0, 3.0)
+    assert padded(states, seconds, CROSS) == ("GgrrG", "yyrrr", "rrrGr", "rrGGr", "rryrr")
+    only_straight = padded(("Grr", "rrG"), (30.0, 30.0), CROSS)
+    assert only_straight == ("GrrrG", "rrGGr")
+    turning = padded(("rGr", "rrr"), (30.0, 20.0), CROSS)
+    assert turning == ("rgrrG", "rrrGG")
+    assert padded(("ooo",), (30.0,), CROSS) == ("ooooo",)
+
+
+def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
+    head = '<?xml version="1.0" encoding="ISO-8859-1"?>\n<!-- \xe4 > -->\n'
+    text = head + '<a b=\'1\'>\n  <c lane = "\xe4_0" d=">"/></a>\n'
+    data = text.encode("iso-8859-1")
+    assert [element.tag for element in parse_root(data, "x").iter()] == ["a", "c"]
+    assert edited(data, {1: {"lane": "\xe4_1"}}, "x") == text.replace("\xe4_0", "\xe4_1").encode("iso-8859-1")
+    with pytest.raises(TownError, match="attribute e cannot be changed"):
+        edited(data, {0: {"e": "2"}}, "x")
+
+
+def test_a_crossing_that_is_never_green_is_told(theirs: Path, tmp_path: Path) -> None:
+    signals = theirs.parent / "signals" / "u.tll.xml"
+    signals.write_text(signals.read_text(encoding="utf-8").replace("rrrr", "gggg"), encoding="utf-8")
+    (note,) = (note for note in pave_town(open_town(theirs), tmp_path / "ours").notes if "never gives green" in note)
+    assert "at B1" in note and "netedit" in note

@@ -1,0 +1,77 @@
+"""Crossings on a route, their lights, and vehicles that come."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.samples import strip_walk
+from tests.users.actors import actor
+from tests.users.kinematics import polyline
+from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
+from wcsim.users.crossing import crossings, has_light, is_red, vehicle_comes
+
+
+def walk(tls_id="", links=()) -> WalkGraph:
+    plain = strip_walk()
+    return replace(plain, edges=(*plain.edges[:4], replace(plain.edges[4], tls_id=tls_id, tls_links=links)))
+
+
+def over_the_road(street_y=4.0) -> Route:
+    """Along the north pavement, over the crossing at x = 40, along the south pavement."""
+    bare = polyline((30, 5.5), (40, 5.5), (40, street_y), (40, -street_y), (40, -5.5), (50, -5.5))
+    x, y = bare.points_W_m.T
+    on_road = (x == 40) & (y <= street_y) & (y > -street_y)
+    return replace(bare, edge_index=np.where(on_road, 4, np.where(y > 0, 0, 3)).astype(np.int32))
+
+
+def lit(street: Street) -> Street:
+    return replace(street, walk=walk("t", (1, 2)))
+
+
+ROUTE = over_the_road()
+(ROAD,) = crossings(ROUTE, walk("t", (1, 2)))
+
+
+def test_the_crossing_is_found_where_it_is():
+    assert (ROAD.start_m, ROAD.end_m) == pytest.approx((11.5, 19.5))
+    assert ROAD.start_W_m == pytest.approx((40.0, 4.0)) and ROAD.end_W_m == pytest.approx((40.0, -4.0))
+    assert (ROAD.tls_id, ROAD.tls_links) == ("t", (1, 2))
+    assert crossings(replace(ROUTE, edge_index=np.zeros(len(ROUTE.arc_m), np.int32)), walk()) == ()
+
+
+@pytest.mark.parametrize(
+    ("colours", "red", "light"),
+    [("rGGr", False, True), ("GrrG", True, True), ("GGrG", True, True), ("ggyg", True, True), ("oooo", False, False)],
+)
+def test_lights(colours, red, light):
+    signals = (SignalState(tls_id="other", colours="rrrr"), SignalState(tls_id="t", colours=colours))
+    assert is_red(ROAD, signals) == red
+    assert has_light(ROAD, signals) == light
+
+
+def test_without_a_light_nothing_is_red():
+    (bare,) = crossings(ROUTE, walk())
+    signals = (SignalState(tls_id="", colours="rrr"), SignalState(tls_id="t", colours="rrr"))
+    assert not is_red(bare, signals) and not has_light(bare, signals)
+    assert not is_red(ROAD, ())
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "comes"),
+    [
+        (actor(ActorKind.CAR, 20.0, -2.0, v=10.0), True),  # on it in 1.5 s
+        (actor(ActorKind.CAR, 0.0, 2.0, v=10.0), True),  # in 3.5 s, when the chair is in that lane
+        (actor(ActorKind.CAR, -35.0, 2.0, v=10.0), False),  # in 7 s, when the chair has left it
+        (actor(ActorKind.CAR, -20.0, -2.0, v=10.0), True),  # in 5.5 s, when the chair is in the far lane
+        (actor(ActorKind.CAR, -110.0, -2.0, v=10.0), False),  # in 14.5 s
+        (actor(ActorKind.CAR, 50.0, -2.0, v=10.0), False),  # has passed
+        (actor(ActorKind.CAR, 60.0, 2.0, yaw=math.pi, v=10.0), True),
+        (actor(ActorKind.CAR, 30.0, -2.0, v=0.0), False),  # stands
+        (actor(ActorKind.CAR, 20.0, 12.0, v=10.0), False),  # another road
+        (actor(ActorKind.CAR, 40.0, 0.0, v=8.0), True),  # is on it
+    ],
+)
+def test_vehicles(vehicle, comes):
+    assert vehicle_comes(ROAD, (vehicle,)) == comes

@@ -1,0 +1,98 @@
+"""What is noticed: once rolled, never again while in sight; attention has its share and length."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.users.actors import actor
+from tests.users.kinematics import polyline
+from wcsim.core.seeding import generator
+from wcsim.types import ActorKind, UserView
+from wcsim.users.perception import Perception, discs
+from wcsim.users.profiles import profile
+
+ROUTE = polyline((0, 0), (20, 0))
+
+
+def view(time_s=0.0, actors=(), obstacles=(), yaw=0.0) -> UserView:
+    return UserView(
+        time_s=time_s,
+        p_W_m=np.zeros(3),
+        yaw_rad=yaw,
+        speed_mps=1.0,
+        route=ROUTE,
+        actors=tuple(actors),
+        signals=(),
+        obstacles_W_m=np.c_[np.array(obstacles, float).reshape(-1, 3), np.arange(len(obstacles))],
+    )
+
+
+def notices(name, seed, **what) -> bool:
+    seen = Perception(profile(name), generator(seed)).look(view(**what))
+    return bool(seen.things)
+
+
+def test_the_chance_to_notice_is_the_profiles():
+    for name, share in (("competent", 0.98), ("inattentive", 0.35)):
+        got = np.mean([notices(name, seed, obstacles=[(2.0, 0.0, 0.1)]) for seed in range(400)])
+        assert got == pytest.approx(share, abs=0.07)
+
+
+def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
+    for seed in range(30):
+        perception = Perception(profile("inattentive"), generator(seed))
+        answers = {len(perception.look(view(0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things) for i in range(30)}
+        assert len(answers) == 1
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        ({"obstacles": [(5.5, 0.0, 0.1)]}, True),
+        ({"obstacles": [(7.0, 0.0, 0.1)]}, False),
+        ({"obstacles": [(-4.0, 0.0, 0.1)]}, False),
+        ({"obstacles": [(-4.0, 0.0, 0.1)], "yaw": math.pi}, True),
+        ({"actors": [actor(ActorKind.PEDESTRIAN, 8.5, 0.0)]}, True),
+        ({"actors": [actor(ActorKind.PEDESTRIAN, 11.0, 0.0)]}, False),
+        ({"actors": [actor(ActorKind.WHEELCHAIR, 5.0, 0.0)]}, True),
+        ({"actors": [actor(ActorKind.CAR, 20.0, 20.0, v=10.0)]}, True),
+        ({"actors": [actor(ActorKind.CAR, -20.0, 0.0, v=10.0)]}, True),
+        ({"actors": [actor(ActorKind.PEDESTRIAN, -4.0, 0.0)]}, False),
+    ],
+)
+def test_how_far_and_where_things_are_noticed(what, expected):
+    seed = 0 if notices("competent", 0, obstacles=[(2.0, 0.0, 0.1)]) else 1
+    assert notices("competent", seed, **what) == expected
+
+
+def test_only_vehicles_are_traffic():
+    seen = Perception(profile("competent"), generator(0)).look(
+        view(actors=[actor(ActorKind.CAR, 9.0, 0.0, name="c"), actor(ActorKind.BICYCLE, 5.0, 0.0, name="b")])
+    )
+    assert [vehicle.id for vehicle in seen.vehicles] == ["c"]
+
+
+def test_attention_has_its_share_and_length():
+    perception = Perception(profile("inattentive"), generator(3))
+    attentive = np.array([perception.attend(0.1) for _ in range(40_000)])
+    assert 1.0 - attentive.mean() == pytest.approx(0.3, abs=0.03)
+    ends = np.count_nonzero(attentive[1:] & ~attentive[:-1])
+    assert np.count_nonzero(~attentive) * 0.1 / ends == pytest.approx(2.0, abs=0.2)
+    lengths = np.diff(np.flatnonzero(np.diff(attentive.astype(int))))
+    assert lengths[attentive[np.flatnonzero(np.diff(attentive.astype(int)))[1:]] == 0].max() <= 42
+    turning = Perception(profile("inattentive"), generator(3))
+    assert all(turning.attend(0.1, calm=False) for _ in range(1000))
+    turning.attend(0.1, calm=True)
+    assert not turning.attentive  # what was put off comes when there is time for it
+    always = Perception(profile("competent"), generator(3))
+    assert all(always.attend(0.1) for _ in range(100))
+
+
+def test_a_long_box_becomes_a_row_of_discs_that_covers_it():
+    row = discs(actor(ActorKind.CAR, 10.0, 5.0, yaw=math.pi / 2, v=2.0))
+    assert len(row) == 3
+    assert {thing.radius_m for thing in row} == {0.9}
+    assert min(t.y_m for t in row) - 0.9 == pytest.approx(5.0 - 2.25)
+    assert all(t.x_m == pytest.approx(10.0) and t.vy_mps == pytest.approx(2.0) for t in row)
+    assert len(discs(actor(ActorKind.PEDESTRIAN, 0.0, 0.0))) == 1

@@ -1,0 +1,123 @@
+"""Recorded joysticks: what is written comes back, what cannot be used is refused with its place, value and bounds."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.samples import USUAL_OUTLINE, straight_route
+from tests.users.kinematics import Chair, Sim
+from wcsim.errors import ConfigError
+from wcsim.types import Joystick
+from wcsim.users.profiles import profile
+from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user, read_recording, write_recording
+
+HEAD = "time_s,x,y\n"
+
+
+def recorded(text, folder):
+    file = folder / "stick.csv"
+    file.write_text(text)
+    return read_recording(file)
+
+
+def replay(recording, ticks):
+    """The joystick after each tick of 0.1 s."""
+    user = RecordedUser(recording, USUAL_OUTLINE)
+    return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
+
+
+def test_samples_hold_until_the_next_and_the_stick_rests_afterwards(tmp_path):
+    sticks = replay(recorded(HEAD + "0.1,0,0.5\n0.25,0.5,0\n0.45,-0.25,1\n0.6,0,0.25\n", tmp_path), 10)
+    assert [(j.x, j.y) for j in sticks[:3]] == [(0.0, 0.0), (0.0, 0.5), (0.0, 0.5)]
+    assert [(j.x, j.y) for j in sticks[3:5]] == [(0.5, 0.0)] * 2
+    assert sticks[5].x == pytest.approx(-0.25 / np.hypot(0.25, 1.0))  # on the disc
+    assert [(j.x, j.y) for j in sticks[6:]] == [(0.0, 0.25)] * 2 + [(0.0, 0.0)] * 3
+
+
+@given(st.lists(st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)), min_size=2, max_size=30))
+def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
+    file = tmp_path_factory.mktemp("rec") / "deeper" / "stick.csv"
+    write_recording(file, 0.1 * np.arange(len(sticks)), np.array(sticks))
+    got = replay(read_recording(file), len(sticks) - 1)
+    assert [(j.x, j.y) for j in got] == sticks
+    assert [item.name for item in file.parent.iterdir()] == [file.name]
+
+
+def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
+    rows = "".join(f"{0.1 * k:.1f},0,0.8\n" for k in range(101))
+    user = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
+    sim.run(60.0)
+    assert user.gave_up and not user.arrived
+    assert sim.time_s == pytest.approx(10.1, abs=0.11)
+    assert user.route_progress_m == pytest.approx(sim.chair.middle()[0], abs=0.01)
+    assert user.joystick == user.intent == Joystick(0.0, 0.0)
+    user.follow(straight_route())
+    for _ in range(5):
+        sim.tick()
+    assert not user.gave_up
+    near = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    assert Sim(near, straight_route(), Chair(x=75.0, y=5.5)).run(20.0) and near.arrived and not near.gave_up
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", r"stick.csv:1: other column names; expected the line time_s,x,y"),
+        ("a,b,c\n0,0,0\n", "stick.csv:1: other column names; expected the line time_s,x,y"),
+        (HEAD, "0 samples; expected at least two"),
+        (HEAD + "0,0,0\n", "1 samples; expected at least two"),
+        (HEAD + "0,0,0\n0.1,nan,0\n", r"stick.csv:3: x is nan; expected -1 to 1"),
+        (HEAD + "0,0,0\n0.1,0,1.01\n", r"stick.csv:3: y is 1.01; expected -1 to 1"),
+        (HEAD + "0,0,0\n0.1,0,-inf\n", r"stick.csv:3: y is -inf; expected -1 to 1"),
+        (HEAD + "0,0,0\nnan,0,0\n", r"stick.csv:3: time_s is nan s after 0.0 s"),
+        (HEAD + "0,0,0\n0.1,0,0\n0.1,0,0\n", r"stick.csv:4: time_s is 0.1 s after 0.1 s; expected later"),
+        (HEAD + "0,0,0\n0.2,0,0\n0.1,0,0\n", r"stick.csv:4: time_s is 0.1 s after 0.2 s; expected later"),
+        (HEAD + "0,0,0\n0.1,0,0\n0.7,0,0\n", r"stick.csv:4: time_s is 0.7 s after 0.1 s; .* by at most 0.5 s"),
+        (HEAD + "3,0,0\n3.1,0,0\n", r"stick.csv:2: time_s is 3.0 s; expected the first sample at 0 to 0.5 s"),
+        (HEAD + "0,0,0\n\n0.1,up,0\n", r"stick.csv:4: x is no number; expected -1 to 1"),
+        (HEAD + "0,0,0\n0.1,0\n", r"stick.csv:3: 2 values; expected time_s,x,y"),
+        (HEAD + "0,0,0\n0.1,0,0\udcff\n", "is not in UTF-8"),
+        (HEAD + "0,0,0\n" + "1" * 200_000 + ",0,0\n", r"stick.csv:3: is no line of comma-separated values"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(tmp_path, text, says):
+    (tmp_path / "stick.csv").write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(ConfigError, match=says):
+        find_user(f"recorded:{tmp_path}/stick.csv")
+
+
+def test_a_missing_file_and_a_place_that_cannot_be_written_are_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"none.csv: cannot be read \(No such file"):
+        find_user(f"recorded:{tmp_path}/none.csv")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="choose another place"):
+        write_recording(tmp_path / "file" / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
+
+
+def test_nothing_is_left_of_a_recording_that_could_not_be_read_again(tmp_path):
+    with pytest.raises(ConfigError, match="time_s"):
+        write_recording(tmp_path / "stick.csv", np.array([0.0, 9.0]), np.zeros((2, 2)))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_is_a_profile_or_a_recording(tmp_path):
+    assert find_user("slow") == profile("slow")
+    write_recording(tmp_path / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
+    assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), JoystickRecording)
+    with pytest.raises(ConfigError, match=r"unknown user profile 'drunk'.*competent.*recorded:FILE"):
+        find_user("drunk")
+
+
+@pytest.mark.parametrize("text", ["root:SECRET:0\n", "SECRET\n", HEAD + "SECRET\n", HEAD + "0,SECRET,0\n", "\0SECRET"])
+def test_nothing_of_a_file_that_is_no_recording_is_told(tmp_path, text):
+    with pytest.raises(ConfigError) as caught:
+        recorded(text, tmp_path)
+    assert "SECRET" not in str(caught.value) and "stick.csv" in str(caught.value)
+
+
+def test_more_samples_than_anybody_records_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("wcsim.users.recorded.MOST_SAMPLES", 3)
+    with pytest.raises(ConfigError, match=r"stick.csv:5: more than 3 samples"):
+        recorded(HEAD + "".join(f"0.{k},0,0\n" for k in range(5)), tmp_path)

@@ -1,0 +1,99 @@
+"""Turning round beside kerbs and walls: where there is room, to which side, and never over an edge."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.samples import USUAL_OUTLINE, strip_street
+from tests.users.actors import make_user
+from tests.users.kinematics import Chair, Sim, polyline
+from wcsim.types import StreetGrid
+from wcsim.users.turning import Axle, plan_turn
+
+STREET = strip_street()
+
+
+def plan(y, yaw, error, grid=STREET.grid, x=15.0, backwards=True):
+    return plan_turn(grid, USUAL_OUTLINE, Axle(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
+
+
+def walled(low_y: float, high_y: float, to_x: float = 1e9) -> StreetGrid:
+    """The street with walls along both sides of a strip, which opens at to_x."""
+    grid = STREET.grid
+    rows, cols = np.indices(grid.height_cm.shape)
+    x, y = (cols + 0.5) * grid.cell_m + grid.origin_W_m[0], (rows + 0.5) * grid.cell_m + grid.origin_W_m[1]
+    gap_m = np.where(x < to_x, np.minimum(y - low_y, high_y - y), 5.0)
+    return replace(grid, clearance_dm=np.clip(gap_m * 10, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("error", [1.2, -1.2, 3.0, -3.0])
+def test_with_room_the_turn_is_made_at_once_the_short_way(error):
+    turn = plan(5.5, 0.3, error)
+    assert turn.move_m == 0.0 and turn.turn_rad == pytest.approx(error)
+
+
+def test_beside_a_kerb_the_front_swings_over_the_pavement():
+    right_kerb = plan(4.42, 0.0, -3.0)  # eastwards, the kerb close to the right
+    assert right_kerb.move_m == 0.0 and right_kerb.turn_rad == pytest.approx(math.tau - 3.0)
+    assert plan(4.42, math.pi, 3.0).turn_rad == pytest.approx(3.0 - math.tau)
+
+
+def test_in_a_passage_the_chair_goes_on_or_back_to_where_it_opens():
+    closed = walled(4.9, 6.1, to_x=16.0)
+    assert plan(5.5, 0.0, 3.0, closed).move_m > 0.5
+    assert plan(5.5, math.pi, 3.0, closed, x=15.2).move_m < -0.5
+    assert plan(5.5, math.pi, 3.0, closed, x=15.2, backwards=False).move_m >= 0.0
+    nowhere = plan(5.5, 0.0, 3.0, walled(4.9, 6.1))
+    assert abs(nowhere.turn_rad) <= 3.0
+
+
+@pytest.mark.parametrize(("y", "yaw"), [(4.45, 0.0), (4.45, math.pi), (4.8, 2.5), (4.7, -0.5)])
+def test_a_user_who_turns_round_stays_on_the_pavement(y, yaw):
+    to_x = 40.0 if math.cos(yaw) < 0 else 0.0
+    sim = Sim(make_user(street=STREET), polyline((20.0, 5.2), (to_x, 5.2)), Chair(x=20.0, y=y, yaw=yaw))
+    for _ in range(150):
+        sim.tick()
+        cos, sin = math.cos(sim.chair.yaw), math.sin(sim.chair.yaw)
+        wheels = [sim.chair.y + ahead * sin + left * cos for ahead in (0.0, 0.5) for left in (-0.29, 0.29)]
+        assert min(wheels) > 4.0
+    assert abs(sim.chair.x - to_x) < 12.0
+
+
+@pytest.mark.parametrize("name", ["competent", "switch"])
+def test_who_hangs_on_something_backs_up_before_giving_up(name):
+    sim = Sim(make_user(name, street=STREET), polyline((0.0, 5.5), (40.0, 5.5)), Chair(x=5.0, y=5.5))
+    sim.run(4.0)
+    sim.frozen, sim.chair.v = True, 0.0
+    wishes = []
+    while not sim.user.gave_up and sim.time_s < 60.0:
+        sim.tick()
+        wishes.append(sim.user.intent.y)
+    assert sim.time_s == pytest.approx(4.0 + 15.0, abs=1.5)
+    assert (min(wishes) < 0.0) == (name == "competent")  # four switches have no reverse
+
+
+def test_turning_in_a_hairpin_does_not_lead_back_to_its_first_leg():
+    """Out on one crossing and back on the next: both legs are equally near to a chair that turns between them."""
+    legs = polyline((-5.0, 5.5), (5.0, 5.5), (5.0, 5.7), (-5.0, 6.2))
+    sim = Sim(make_user(street=STREET), legs, Chair(x=4.9, y=5.55, yaw=math.pi))
+    sim.tick()
+    reached_m = sim.user.route_progress_m
+    assert reached_m > 9.5
+    for yaw in np.linspace(math.pi, -math.pi, 30):
+        sim.chair.yaw = float(yaw)
+        sim.tick()
+        assert sim.user.route_progress_m >= reached_m
+        reached_m = sim.user.route_progress_m
+
+
+def test_who_has_turned_one_way_as_far_as_it_goes_does_not_turn_back():
+    corner = walled(4.9, 6.2)
+    first = plan(5.5, 0.0, 2.0, corner)
+    assert not first.whole
+    stuck = Axle(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)
+    back = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5)
+    assert back.turn_rad < 0.0 and not back.move_m
+    again = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5, tried=1.0)
+    assert again.turn_rad >= 0.0 or abs(again.move_m) > 0.3

@@ -1,0 +1,365 @@
+"""The user in a small kinematic world: keeps its line, goes around, waits, gives up, and is the same twice."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.users.actors import USUAL_WHEELS_M, actor, make_user
+from tests.users.kinematics import Chair, Sim, lateral, polyline
+from tests.users.test_crossing import lit, over_the_road
+from wcsim.config import ChairConfig
+from wcsim.core.joystick import pushed, shaped
+from wcsim.core.seeding import generator
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.oracle import Oracle
+from wcsim.types import ActorKind, Joystick, SignalState
+from wcsim.users.avoidance import Body
+from wcsim.users.crossing import Kerbs, crossings
+from wcsim.users.profiles import profile, profile_names, sample
+from wcsim.users.route_line import Path
+from wcsim.users.steering import steer
+from wcsim.users.user import SimulatedUser
+
+STREET = strip_street()
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, action_set("square81").points)
+CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
+PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
+
+
+def on_pavement(user, quantised=False, x=0.3) -> Sim:
+    return Sim(user, straight_route(), Chair(x=x, y=5.5), quantised)
+
+
+def nearest(sim: Sim, seconds: float, actors) -> float:
+    """Run with actors that are a function of time; the least distance to them."""
+    least = math.inf
+    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+        sim.actors = actors(sim.time_s)
+        sim.tick()
+        least = min(least, ORACLE.clearance(sim.chair.plant(), actors(sim.time_s)))
+    return least
+
+
+# --- the line ---
+
+
+@pytest.mark.parametrize("quantised", [False, True])
+def test_the_competent_user_keeps_its_line_around_corners(quantised):
+    for seed in range(3):
+        rng = generator(seed, "user")
+        user = SimulatedUser(sample(profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
+        sim = Sim(user, CORNERS, Chair(), quantised)
+        off = lateral(sim.run(90.0).array(), CORNERS)
+        assert user.arrived
+        assert math.sqrt((off**2).mean()) < 0.15
+        assert off.max() < 0.42
+
+
+def test_a_straight_is_driven_straight_at_the_wanted_speed():
+    sim = on_pavement(make_user())
+    track = sim.run(40.0)
+    cruising = slice(60, 350)
+    assert np.mean(track.speed[cruising]) == pytest.approx(0.8 * 1.67, abs=0.06)
+    assert np.abs(np.array(track.xy)[cruising, 1] - 5.5).max() < 0.1
+    # No swinging: what is left of the turn rate is the hand's wander, and it does not come back as a rhythm.
+    assert np.std(track.yaw_rate[cruising]) < 0.06
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_profile_gets_around_the_corners(name):
+    arrived = 0
+    for seed in range(3):
+        sim = Sim(make_user(name, seed), CORNERS, Chair(), quantised=True)
+        track = sim.run(140.0)
+        arrived += sim.user.arrived
+        assert max(math.hypot(j.x, j.y) for j in track.sticks) <= 1.0 + 1e-9
+        if name != "inattentive":  # who looks away in a corner may leave the street: that is what the agent is for
+            assert math.sqrt((lateral(track.array(), CORNERS) ** 2).mean()) < 0.5
+    assert arrived >= (2 if name == "inattentive" else 3)
+
+
+@pytest.mark.parametrize("lane_m", [-0.6, -0.3, 0.0, 0.6])
+def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
+    user = make_user()
+    route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
+    user.follow(route)
+    user._lane_m = -lane_m
+    path = Path(route)
+    for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
+        x, y = path.at(arc_m)
+        for yaw_rad in np.arange(0.0, 6.2, 0.3).tolist():
+            half_m = USUAL_OUTLINE.half_lw_m
+            body = Body(x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0, half_m=half_m)
+            goal, axle = user._goal(body, path, arc_m + 1.2), user._axle(body)
+            assert math.dist(goal, (axle.x_m, axle.y_m)) >= 0.5
+            assert path.project(*goal, arc_m + 2.0).arc_m < arc_m + 4.5
+
+
+def test_profiles_differ_as_they_should():
+    def jitter(name):
+        sticks = np.array([(j.x, j.y) for j in on_pavement(make_user(name)).run(25.0).sticks[80:]])
+        return np.hypot(*np.diff(sticks, axis=0).T).mean()
+
+    calm, tremor, ataxic = jitter("competent"), jitter("tremor"), jitter("ataxic")
+    assert tremor > 5 * calm and ataxic > 2 * calm
+
+    def speed(name):
+        return np.mean(on_pavement(make_user(name)).run(25.0).speed[80:])
+
+    assert speed("slow") < 0.85 * speed("competent")
+
+
+@pytest.mark.parametrize(("y", "yaw"), [(5.5, math.pi), (5.5, math.pi / 2), (6.8, 0.0), (4.6, -0.8)])
+def test_a_user_pushed_away_or_turned_around_comes_back(y, yaw):
+    sim = Sim(make_user(), straight_route(), Chair(x=5.0, y=y, yaw=yaw))
+    track = sim.run(25.0)
+    assert abs(sim.chair.y - 5.5) < 0.1 and sim.chair.x > 25.0
+    assert min(sim.track.xy, key=lambda p: p[1])[1] > 4.4
+    assert len(track.xy) > 100
+
+
+# --- what was noticed ---
+
+
+@pytest.mark.parametrize("beside_m", [0.0, 0.15, -0.4])
+@pytest.mark.parametrize("quantised", [False, True])
+def test_goes_around_a_post_it_saw(beside_m, quantised):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0), quantised, x=5.0)
+    sim.obstacles = np.array([[15.0, 5.5 + beside_m, 0.15]])
+    post = replace(actor(PERSON, 15.0, 5.5 + beside_m), size_lwh_m=(0.3, 0.3, 1.0))
+    least = math.inf
+    while sim.time_s < 25.0:
+        sim.tick()
+        least = min(least, ORACLE.clearance(sim.chair.plant(), (post,)))
+    assert least > 0.08
+    assert sim.chair.x > 20.0
+    assert abs(sim.chair.y - 5.5) < 0.1
+
+
+def test_runs_into_a_post_it_missed():
+    sim = on_pavement(make_user(street=STREET, see_share=0.0), x=8.0)
+    sim.obstacles = np.array([[15.0, 5.5, 0.15]])
+    sim.run(8.0)
+    assert sim.chair.x > 15.0
+
+
+def test_stops_before_a_post_when_there_is_no_room_and_gives_up():
+    sim = on_pavement(make_user(see_share=1.0), x=5.0)
+    sim.obstacles = np.array([[15.0, 5.5, 0.3]])
+    sim.run(60.0)
+    assert sim.user.gave_up and not sim.user.arrived
+    nose_m = sim.chair.x + 0.8
+    assert 13.8 < nose_m < 14.7
+    assert sim.user.intent == Joystick(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "actors",
+    [
+        pytest.param(lambda t: (actor(PERSON, 25 - 1.3 * t, 5.5, math.pi, 1.3),), id="comes towards"),
+        pytest.param(lambda t: (actor(PERSON, 6 + 0.6 * t, 5.6, 0.0, 0.6),), id="is slower"),
+        pytest.param(lambda t: (actor(PERSON, 12, 1.5 + 0.5 * t, math.pi / 2, 0.5),), id="walks across"),
+        pytest.param(lambda t: (actor(ActorKind.WHEELCHAIR, 12, 5.3),), id="wheelchair stands"),
+    ],
+)
+def test_passes_people(actors):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0))
+    assert nearest(sim, 25.0, actors) > 0.1
+    assert sim.chair.x > 20.0
+
+
+@pytest.mark.parametrize(
+    "actors",
+    [
+        pytest.param([actor(PERSON, 12, y, name=str(y)) for y in (4.8, 5.5, 6.2, 6.9)], id="people"),
+        pytest.param([actor(CAR, 15, 5.6)], id="car"),
+    ],
+)
+def test_stops_for_a_closed_pavement_and_gives_up(actors):
+    sim = on_pavement(make_user(street=STREET, see_share=1.0))
+    assert nearest(sim, 60.0, lambda _: tuple(actors)) > 0.1
+    assert sim.user.gave_up
+    assert sim.time_s < 35.0
+
+
+# --- the road ---
+
+
+def cross(signals, cars=lambda t: (), seconds=70.0, name="competent", seed=0, **changes):
+    """Walk the crossing of the strip; (time, y of the chair's middle) each tick."""
+    user = make_user(name, seed, lit(STREET), **{"see_share": 1.0, **changes})
+    sim = Sim(user, over_the_road(), Chair(x=32.0, y=5.5))
+    log = []
+    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+        sim.actors, sim.signals = cars(sim.time_s), signals(sim.time_s)
+        sim.tick()
+        log.append((sim.time_s, sim.track.xy[-1][1]))
+    return sim, np.array(log)
+
+
+def light(green_from_s):
+    return lambda t: (SignalState(tls_id="t", colours="GrrG" if t < green_from_s else "rGGr"),)
+
+
+def test_waits_at_red_and_goes_at_green():
+    sim, log = cross(light(30.0), law_share=1.0)
+    waiting = log[log[:, 0] < 30.0, 1]
+    assert waiting.min() - 0.57 > 4.0  # the footplate stays on the pavement
+    assert waiting[-1] < 5.6  # and the user is a metre from it
+    assert sim.user.arrived and not sim.user.gave_up
+    straight_over, _ = cross(light(0.0), law_share=1.0)
+    assert straight_over.user.arrived and straight_over.time_s < 35.0
+
+
+def test_who_does_not_care_crosses_at_red():
+    _, log = cross(light(1e9), law_share=0.0, seconds=25.0)
+    assert log[-1, 1] < 0.0
+
+
+@pytest.mark.parametrize("away_share", [0.3, 0.6])
+def test_who_obeys_and_looks_away_does_not_enter_at_red(away_share):
+    """The red comes early or while the chair rolls up to the kerb; 50 s of red, and 25 users who look away."""
+    entered = 0
+    for seed in range(25):
+        red_from_s = 0.2 * seed
+
+        def signals(t, red_from_s=red_from_s):
+            return light(50.0 if t >= red_from_s else 0.0)(t)
+
+        changes = {"law_share": 1.0, "away_share": away_share}
+        _, log = cross(signals, name="inattentive", seed=seed, seconds=50.0, **changes)
+        entered += bool((log[(log[:, 0] >= red_from_s), 1] < 4.0 + 0.57).any())
+    assert entered == 0
+
+
+def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
+    sim = on_pavement(make_user("inattentive", street=STREET, noise=0.0, see_share=1.0))
+    sim.actors = tuple(actor(PERSON, 8.0, y, name=str(y)) for y in (4.5, 5.5, 6.5))
+    user = sim.user
+    while not 0.0 < user.intent.y < 0.35 or sim.chair.v < 0.6:  # it has seen them, and brakes
+        sim.tick()
+    user._perception.attend = lambda dt_s, calm: False
+    user._intent = Joystick(0.19, user.intent.y)
+    held = [user.intent]
+    for _ in range(40):
+        sim.tick()
+        held.append(user.intent)
+    assert [wish.x for wish in held[:6]] == pytest.approx([0.19, 0.15, 0.11, 0.07, 0.03, 0.0])
+    assert all(wish.x == 0.0 for wish in held[5:]) and abs(sim.chair.w) < 1e-6
+    assert all(b.y <= a.y for a, b in pairwise(held)) and held[-1].y < 0.15
+    assert sim.chair.v < 0.05 and ORACLE.clearance(sim.chair.plant(), sim.actors) > 0.1
+
+
+def kerbs(route, ground=None) -> Kerbs:
+    found = crossings(route, lit(STREET).walk)
+    return Kerbs(found, Path(route), ground, 1.0, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
+
+
+def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
+    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    stop_m = 11.5 - 0.5675 - 0.3
+    assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
+    assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
+    assert here.stop_m(11.0, 0.0, green, ()) is None  # began at green
+    assert here.stop_m(11.2, 0.0, red, ()) is None
+
+
+@pytest.mark.parametrize(("beside_m", "before_m"), [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
+def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(beside_m, before_m):
+    """The road begins at y = 4; the way runs beside it and turns onto the crossing at x = 40."""
+    y = 4.0 + beside_m
+    bare = polyline((30, y), (40, y), (40, 4), (40, -4), (40, -5.5), step_m=0.5)
+    on_road = (bare.points_W_m[:, 1] <= 4) & (bare.points_W_m[:, 1] > -4)
+    route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
+    stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
+    assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
+
+
+def test_a_light_that_stays_red_is_believed_for_two_minutes():
+    sim, log = cross(light(1e9), law_share=1.0, seconds=250.0)
+    started_s = log[np.argmax(log[:, 1] < 4.0), 0]
+    assert sim.user.arrived and 130.0 < started_s < 155.0
+
+
+def test_patience_at_a_closed_crossing_is_long_but_ends():
+    endless = [actor(CAR, x, -2.0, 0.0, 6.0, name=str(x)) for x in range(0, 81, 8)]
+    sim, log = cross(light(1e9), lambda _: endless, law_share=1.0, seconds=250.0)
+    assert sim.user.gave_up and log[:, 1].min() > 4.0
+    assert 90.0 < sim.time_s < 200.0
+
+
+@pytest.mark.parametrize("from_m", [-10.0, -30.0, -66.0])
+def test_lets_a_car_pass_that_would_come_too_near(from_m):
+    dark = (SignalState(tls_id="t", colours="oooo"),)
+
+    def cars(t):
+        return (actor(CAR, from_m + 6.0 * t, -2.0, 0.0, 6.0),)
+
+    def meeting(law_share):
+        """Least distance in time between car and chair on the car's lane."""
+        sim, log = cross(lambda _: dark, cars, law_share=law_share)
+        assert sim.user.arrived
+        in_lane_s = log[np.abs(log[:, 1] + 2.0) < 0.57 + 0.9, 0]
+        return np.abs(in_lane_s - (40.0 - from_m) / 6.0).min()
+
+    assert meeting(1.0) > 2.0
+    if from_m == -66.0:
+        assert meeting(0.0) < 1.0
+
+
+# --- the episode ---
+
+
+def test_gives_up_when_held_and_takes_the_next_destination():
+    sim = on_pavement(make_user())
+    for _ in range(50):
+        sim.tick()
+    sim.frozen, sim.chair.v = True, 0.0
+    sim.run(100.0)
+    assert sim.user.gave_up
+    assert sim.time_s == pytest.approx(5.0 + 15.0, abs=1.0)
+    for _ in range(15):
+        sim.tick()
+    assert math.hypot(sim.user.joystick.x, sim.user.joystick.y) < 0.15
+    sim.frozen = False
+    sim.user.follow(sim.route)
+    assert not sim.user.gave_up and sim.user.route_progress_m == 0.0
+    sim.run(120.0)
+    assert sim.user.arrived
+    assert sim.user.route_progress_m == pytest.approx(80.0, abs=0.6)
+
+
+def test_the_same_seed_is_the_same_user():
+    def sticks(seed):
+        sim = on_pavement(make_user("ataxic", seed))
+        return [(j.x, j.y) for j in sim.run(15.0).sticks]
+
+    assert sticks(4) == sticks(4) != sticks(5)
+
+
+def test_before_its_first_route_the_user_does_nothing():
+    user = make_user()
+    assert user.joystick == Joystick(0.0, 0.0)
+    user.hand(2, 0.004)
+    assert user.sticks.shape == (2, 2) and np.hypot(*user.sticks.T).max() < 0.05
+    assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
+
+
+@pytest.mark.parametrize(("steps", "dt_s"), [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
+def test_an_impossible_step_is_refused(steps, dt_s):
+    with pytest.raises(ConfigError, match="at least one"):
+        make_user("slow").hand(steps, dt_s)
+
+
+def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
+    body = Body(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
+    for chair in (ChairConfig(), ChairConfig(deadband=0.2), ChairConfig(deadband=0.05, shape_exponent=2.0)):
+        stick = steer(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
+        _, asked = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
+        assert asked * chair.v_max_mps == pytest.approx(0.5)
+        assert pushed(asked, chair) == pytest.approx(stick.y)

@@ -1,0 +1,1 @@
+"""Learners as clients of a shared world, each in a process of its own."""

@@ -1,0 +1,161 @@
+"""A client that learns on a seat of a running world, and says on the way how far it is."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+from wcsim.agents.clients.clients_folder import has_work
+from wcsim.agents.clients.time_shares import TimeShares
+from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+from wcsim.agents.learning.build import net_spec, with_window
+from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.agents.learning.train import train
+from wcsim.agents.networks.registry import find_network
+from wcsim.agents.runs.own_terms import find_reward_term
+from wcsim.agents.runs.run_folder import MANIFEST
+from wcsim.config import RunConfig
+from wcsim.core import files
+from wcsim.errors import (
+    AccessError,
+    ConfigMismatchError,
+    DiskFullError,
+    EvictedError,
+    InterruptedRunError,
+    LinkError,
+    PicturesError,
+    PolicyError,
+    StaleSessionError,
+    VersionMismatchError,
+    WcsimError,
+)
+from wcsim.server.launch.states import ClientExit
+from wcsim.server.specs import ClientSpec, ClientStatus, to_line
+
+SAY_S = 0.5  # shortest time between two status lines
+TIMES = "times.json"
+_LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
+
+
+class StatusPipe:
+    """Says how far a client is, a few times a second; to nobody when there is no pipe."""
+
+    def __init__(self, name: str, descriptor: int, env: WheelchairEnv, shares: TimeShares) -> None:
+        self._name, self._descriptor = name, descriptor
+        if descriptor >= 0:
+            os.set_blocking(descriptor, False)
+        self._env, self._shares = env, shares
+        self._said_s = 0.0
+        self.last = ClientStatus(name=name)
+
+    def show(self, now: TrainProgress) -> None:
+        """Take in how far the learner is, and say it when it is time, or when that is all."""
+        waits = self._env.waits
+        self.last = ClientStatus(
+            name=self._name,
+            step=now.step,
+            total_steps=now.total_steps,
+            phase=now.phase,
+            episodes=now.episodes,
+            crashes=now.crashes,
+            kpi1=now.kpi1,
+            simulation_s=waits.simulation_s,
+            barrier_s=max(0.0, waits.link_s - waits.simulation_s),
+            inference_s=self._shares.inference.seconds,
+            learning_s=self._shares.learning.seconds,
+        )
+        if self._descriptor >= 0 and (time.monotonic() - self._said_s >= SAY_S or now.step >= now.total_steps):
+            self._said_s = time.monotonic()
+            try:
+                os.write(self._descriptor, to_line(self.last))
+            except BlockingIOError:  # whoever listens is stopped
+                pass
+            except OSError:  # nobody listens any more; the kernel asks for the end itself (`parent.die_with_parent`),
+                self._descriptor = -1  # and a second request from here would cut the saving short
+
+
+def learn(
+    order: ClientSpec, resume: bool, status_fd: int = -1, say: Callable[[str], object] = lambda text: None
+) -> None:
+    """Train as ordered, into the run folder.
+
+    Args:
+        order: The client.
+        resume: Go on from a checkpoint, or begin again when a life before left none.
+        status_fd: Where status lines go; -1 for nowhere.
+        say: Told what a person should know.
+
+    Raises:
+        InterruptedRunError: It was asked to end; the work is saved.
+        WcsimError: See `agents.train.train` and `WheelchairEnv`.
+    """
+    config = with_window(RunConfig.model_validate_json(order.config_json))
+    find_network(net_spec(config).network)
+    terms = tuple(find_reward_term(name) for name in order.rewards)
+    out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
+    goes_on = resume and (out / MANIFEST).is_file()
+    if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
+        if has_work(out):
+            raise PolicyError(f"{out} holds work, and no {MANIFEST}; restore that file, or move the folder away")
+        shutil.rmtree(out)
+    env = WheelchairEnv(order.town, config=config, reward_terms=terms, join=order.join)
+    shares = TimeShares()
+    pipe = StatusPipe(order.join.name, status_fd, env, shares)
+    try:
+        train(
+            config,
+            lambda: env,
+            out,
+            order.seed,
+            pipe.show,
+            town=order.town,
+            town_sha256=order.town_sha256,
+            rewards=order.rewards,
+            command=order.command,
+            resume=goes_on,
+            hook=order.hook,
+            overrides=order.overrides,
+            progress_every=1,
+            callbacks=(shares,),
+            alive=lambda: env.beat(next(beats)),  # else a server that hears nothing gives the seat away
+            say=say,
+        )
+    finally:
+        env.close()
+        _write_times(out, pipe.last, time.monotonic() - begun_s)
+
+
+def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
+    """Where the time of this life went."""
+    if not out.is_dir():
+        return
+    known_s = last.simulation_s + last.barrier_s + last.inference_s + last.learning_s
+    times = {
+        "step": last.step,
+        "elapsed_s": elapsed_s,
+        "simulation_s": last.simulation_s,
+        "barrier_s": last.barrier_s,
+        "inference_s": last.inference_s,
+        "learning_s": last.learning_s,
+        "other_s": max(0.0, elapsed_s - known_s),
+    }
+    with contextlib.suppress(DiskFullError):  # why this life ends is of more weight
+        files.write_json(out / TIMES, times)
+
+
+def exit_of(error: WcsimError) -> ClientExit:
+    """How a client ends that met this error."""
+    if isinstance(error, InterruptedRunError):
+        return ClientExit.STOPPED
+    if isinstance(error, DiskFullError):
+        return ClientExit.DISK_FULL
+    if isinstance(error, EvictedError | StaleSessionError):
+        return ClientExit.EVICTED
+    if isinstance(error, LinkError) and not isinstance(error, _LASTING):
+        return ClientExit.SERVER_GONE
+    return ClientExit.USER_ERROR

@@ -1,0 +1,190 @@
+"""The folder of a run with several clients in one world; each client's own run is a folder in it.
+
+- manifest.json: what the run was made with, its clients, and its status
+- config.json: the configuration of the world
+- configs/NAME.json: that of each client
+- journal: everything that happened to the world
+- ledgers/NAME.ledger: every frame that a client has seen
+- events.jsonl, logs/: what the processes did and said
+- NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, METRICS, Manifest, Status, manifest_of, read_json
+from wcsim.config import RunConfig, parse
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_text
+from wcsim.errors import ConfigError, PolicyError, WcsimError
+from wcsim.server.journal.journal import JOURNAL, Ticked, iter_journal
+from wcsim.server.journal.ledger import read_ledger
+from wcsim.types import CLIENT_NAME
+
+_SEAL, _FILES = "seal", "files_sha256"
+_NAME = re.compile(CLIENT_NAME)
+_CLAIM = re.compile(r"[0-9a-f]{32}")
+LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientsFolder:
+    """An existing run of several clients."""
+
+    path: Path
+    config: RunConfig  # of the world
+    manifest: Manifest
+    clients: tuple[str, ...]  # in seat order
+
+    def ledger(self, name: str) -> Path:
+        """Where a client's ledger is."""
+        return self.path / LEDGERS / f"{name}.ledger"
+
+    def claim(self, name: str) -> str:
+        """The secret by which a client is known again, also by a world that was made again from its journal."""
+        path = self.path / LEDGERS / f"{name}.claim"
+        if not os.path.lexists(path):
+            files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
+        claim = read_text(path, FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError))
+        if not _CLAIM.fullmatch(claim):
+            raise PolicyError(f"{path}: is damaged; remove it, and the client is a new one to its world")
+        return claim
+
+    def log(self, name: str) -> Path:
+        """Where a client's log is."""
+        return self.path / LOGS / f"{name}.log"
+
+    def done(self, name: str, steps: int) -> bool:
+        """Whether a client has learned for so many steps in all."""
+        folder = self.path / name
+        manifest = read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
+        done = manifest.get("steps", 0)
+        return manifest.get("status") == "done" and isinstance(done, int) and done >= steps
+
+    def fruitless(self) -> bool:
+        """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
+        stepped = any(_stepped(self.ledger(name)) for name in self.clients)
+        return not (stepped or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
+
+    def client_config(self, name: str) -> RunConfig:
+        """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
+        folder, file = self.path / CONFIGS, f"{name}.json"
+        if not (folder / file).is_file():  # a run of an older version
+            folder, file = self.path / name, CONFIG
+        try:
+            return parse(RunConfig, read_json(folder, file), str(folder / file))
+        except ConfigError as error:
+            raise PolicyError(str(error)) from None
+
+    def kept_torn(self) -> list[Path]:
+        """What was cut off the ends of journal and ledgers, and is kept."""
+        return sorted([*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")])
+
+    def with_status(self, status: Status, steps: int) -> ClientsFolder:
+        """Write a new status into the manifest."""
+        return _written(replace(self, manifest=replace(self.manifest, status=status, steps=steps)))
+
+
+def create_clients_folder(
+    path: Path, config: RunConfig, manifest: Manifest, clients: Mapping[str, RunConfig]
+) -> ClientsFolder:
+    """Make a new folder. Raises PolicyError when it exists and is not empty, DiskFullError.
+
+    Args:
+        path: Where.
+        config: Of the world.
+        manifest: What it is made with.
+        clients: The configuration of each, in seat order.
+    """
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+    path.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    write_client_configs(path, clients)
+    return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
+
+
+def write_client_configs(path: Path, clients: Mapping[str, RunConfig]) -> None:
+    """Write down what each client is made with. Raises DiskFullError."""
+    (path / CONFIGS).mkdir(exist_ok=True)
+    for name, config in clients.items():
+        files.write_bytes(path / CONFIGS / f"{name}.json", config.model_dump_json(indent=2).encode())
+
+
+def open_clients_folder(path: Path) -> ClientsFolder:
+    """Open an existing folder. Raises PolicyError when it is none."""
+    data = read_json(path, MANIFEST)
+    _require_sealed(path, data)
+    clients = data.pop("clients", None)
+    if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
+        raise PolicyError(f"{path} is a run of one client; expected one made with --clients: leave that option out")
+    try:
+        config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+    manifest = manifest_of(data, path)
+    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+
+
+def _written(folder: ClientsFolder) -> ClientsFolder:
+    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself."""
+    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
+    hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
+    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    files.write_json(folder.path / MANIFEST, {**data, _SEAL: _seal(data)})
+    return folder
+
+
+def _require_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Take seal and hashes out of a manifest; one of an older version has none.
+
+    Raises:
+        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
+    """
+    seal, hashes = data.pop(_SEAL, None), data.get(_FILES, {})
+    if seal is not None and seal != _seal(data):
+        raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
+    data.pop(_FILES, None)
+    for name, digest in hashes.items() if seal is not None else ():
+        if not (path / name).is_file() or files.sha256(path / name) != digest:
+            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _seal(data: dict[str, Any]) -> str:
+    return files.sha256_text(json.dumps(data, sort_keys=True))
+
+
+def _ticked(journal: Path) -> bool:
+    """Whether the world of a journal has done a tick, or may have: one that cannot be read is somebody's work too."""
+    if not journal.exists():
+        return False
+    try:
+        return any(isinstance(record, Ticked) for record in iter_journal(journal))
+    except WcsimError:
+        return True
+
+
+def _stepped(ledger: Path) -> bool:
+    """Whether a client has done a step, or may have; the frame that its join gave it is none."""
+    if not ledger.exists():
+        return False
+    try:
+        return any(entry.stepped for entry in read_ledger(ledger))
+    except WcsimError:
+        return True
+
+
+def has_work(run: Path) -> bool:
+    """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
+    metrics = run / METRICS
+    episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+    steps = read_json(run, MANIFEST).get("steps", 0) if (run / MANIFEST).is_file() else 0
+    return episodes > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))

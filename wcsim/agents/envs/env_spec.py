@@ -1,0 +1,129 @@
+"""What all faces of a town share: the configuration, the spaces, and the order for a world.
+
+A face is a standard interface over the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
+(`agents/envs/parallel_env.py`) and that of Stable-Baselines3's vectorised environments (`agents/envs/vec_env.py`).
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from wcsim.agents.envs.frame_window import windowed_space
+from wcsim.config import RunConfig, load_run_config
+from wcsim.core.reading import MAX_INTEGER, shown_value
+from wcsim.errors import ConfigError
+from wcsim.server.links.base import WorldOrder
+from wcsim.server.specs import seat_spec
+from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.users.recorded import find_user
+
+RENDER_MODES = ("rgb_array",)
+RENDER_FPS = 10
+SEED_LIMIT = 1 << 31
+MAX_CHAIRS = 64  # of one world
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Face:
+    """A town, how it is configured, and where its outputs go."""
+
+    town: str
+    config: RunConfig
+    render_mode: str | None = None
+    run: Path | None = None
+    hook: str = ""
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What Gymnasium and PettingZoo want to know of an environment."""
+        return {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS, "name": "wcsim"}
+
+    def actions(self) -> ActionSet:
+        """The joystick positions to choose from."""
+        return action_set(self.config.env.actions)
+
+    def action_space(self) -> gymnasium.spaces.Discrete:
+        """The space of one chair's actions, a new one each time."""
+        return gymnasium.spaces.Discrete(len(self.actions()))
+
+    def observation_space(self) -> gymnasium.spaces.Dict:
+        """The space of one chair's observations, a new one each time."""
+        camera, env = self.config.cameras[0], self.config.env
+        vector = imu_size(env.observe_gyro, env.observe_yaw)
+        now = observation_space(env.observation, camera.width_px, camera.height_px, vector)
+        return windowed_space(now, env.frames)
+
+    def order(self, seed: int, chairs: int = 1) -> WorldOrder:
+        """The world of this face with so many seats."""
+        env = self.config.env
+        return WorldOrder(
+            town=self.town,
+            config=self.config,
+            seat=seat_spec(env),
+            seats=chairs,
+            seed=seed % SEED_LIMIT,
+            run="" if self.run is None else str(self.run),
+            hook=self.hook,
+        )
+
+
+def make_face(
+    town: str,
+    config: RunConfig | None,
+    preset: str,
+    overrides: Sequence[str],
+    render_mode: str | None,
+    run: Path | None,
+    hook: str,
+) -> Face:
+    """The face that these arguments of an environment describe, see `WheelchairEnv`.
+
+    Raises:
+        ConfigError: The configuration, the user's profile or the render mode cannot be used.
+    """
+    resolved = config if config is not None else load_run_config(preset, tuple(overrides))
+    find_user(resolved.env.profile)
+    if render_mode not in (None, *RENDER_MODES):
+        raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
+    if render_mode == "rgb_array":
+        resolved = with_colours(resolved)
+    return Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
+
+
+def checked_chairs(chairs: int) -> int:
+    """The number of chairs. Raises ConfigError for one that no world can have."""
+    if not 1 <= chairs <= MAX_CHAIRS:
+        raise ConfigError(f"chairs={chairs}; expected 1 to {MAX_CHAIRS} in one world")
+    return chairs
+
+
+def checked_seed(seed: object) -> int | None:
+    """A seed that somebody gave, or None. Raises ConfigError for one that is no integer from 0 on."""
+    if seed is None:
+        return None
+    try:
+        number = operator.index(seed)  # type: ignore[arg-type]
+    except TypeError:
+        number = -1
+    if not 0 <= number <= MAX_INTEGER:
+        raise ConfigError(f"seed {shown_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}")
+    return number
+
+
+def drawn_seed() -> int:
+    """A seed from the system, for whoever gave none."""
+    return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
+
+
+def with_colours(config: RunConfig) -> RunConfig:
+    """The same configuration with colours drawn by its first camera."""
+    first = config.cameras[0].model_copy(update={"rgb": True})
+    return config.model_copy(update={"cameras": (first, *config.cameras[1:])})

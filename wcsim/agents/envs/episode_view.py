@@ -1,0 +1,207 @@
+"""One wheelchair as an agent meets it: its link's frames become observations, rewards, flags and info.
+
+All faces are made of this one piece, so what an agent sees and is paid does not depend on the face.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.agents.envs.frame_window import FrameWindow
+from wcsim.config import RunConfig
+from wcsim.core.reading import shown_value
+from wcsim.errors import BadActionError, ConfigMismatchError, ProtocolError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.judge import judge, observation_of
+from wcsim.supervisor.observation import Observation
+from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
+from wcsim.types import ClientSnapshot, Joystick, RewardTerms
+
+Info = dict[str, Any]
+WORLD_RESTARTED = "world_restarted"
+
+
+class EpisodeStep(NamedTuple):
+    """What one step was, in the order of Gymnasium's `step`."""
+
+    observation: Observation
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: Info
+
+    @property
+    def done(self) -> bool:
+        """Whether the episode ended with it."""
+        return self.terminated or self.truncated
+
+
+class ChairLink(Protocol):
+    """What a chair needs of its link."""
+
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """See `WorldLink.send`."""
+
+    def receive(self) -> ClientSnapshot:
+        """See `WorldLink.receive`."""
+
+
+class Chair:
+    """A seat of a world, driven by actions of the set; `now` is its frame, None before its first one."""
+
+    def __init__(self, config: RunConfig, terms: Sequence[RewardTerm] = ()) -> None:
+        """A chair of this configuration; `terms` are the user's own reward terms, for this chair alone."""
+        self.now: ClientSnapshot | None = None
+        self._config = config
+        self._actions = action_set(config.env.actions)
+        self._terms = tuple(terms)
+        self._window = FrameWindow(config.env.frames)
+        self._seen: Observation = {}  # the last observation
+        self._action = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether an episode is on."""
+        return self.now is not None and self.now.first is None
+
+    @property
+    def picture(self) -> npt.NDArray[np.uint8] | None:
+        """What the first camera sees in colours, (H, W, 3) uint8, where colours are drawn."""
+        return None if self.now is None else self.now.sensors.cameras[0].rgb
+
+    def begin(self, first: ClientSnapshot) -> tuple[Observation, Info]:
+        """Begin an episode with its first frame.
+
+        Raises:
+            ConfigMismatchError: The world's cameras are not those of this configuration.
+        """
+        self._check(first)
+        self.now = first
+        for term in self._terms:
+            term.reset()
+        self._window.reset()
+        self._seen = self._window.add(observation_of(first, self._config))
+        return self._seen, self._info(first, None, 0.0)
+
+    def begin_next(self) -> tuple[Observation, Info]:
+        """Begin the episode whose first frame came with the last one of the episode before.
+
+        Raises:
+            ProtocolError: The episode before has not ended.
+        """
+        if self.now is None or self.now.first is None:
+            raise ProtocolError("the next episode is not there yet; expected one that has ended")
+        return self.begin(self.now.first)
+
+    def checked(self, action: object) -> int:
+        """An action's index, of what a learner said.
+
+        Raises:
+            ProtocolError: No episode is on.
+            BadActionError: It is no integer, or not in the set.
+        """
+        if not self.ready:
+            raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
+        index, most = _integer(action), len(self._actions) - 1
+        if index is None or not 0 <= index <= most:
+            got = shown_value(action)
+            raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
+        return index
+
+    def send(self, link: ChairLink, action: object) -> None:
+        """Say what to do in this tick; see `checked`."""
+        index = self.checked(action)
+        if self.now is not None:
+            self._action = index
+            x, y = self._actions.points[index]
+            link.send(self.now.tick, Joystick(float(x), float(y)))
+
+    def receive(self, link: ChairLink) -> EpisodeStep:
+        """What came of the action that was sent. Raises LinkError."""
+        before, after = self.now, link.receive()
+        if before is None:
+            raise ProtocolError("nothing was sent; expected send() before receive()")
+        self.now = after
+        action, asked = self._action, before.user
+        judged = judge(after, action, asked, self._actions.points, self._config)
+        terms = judged.reward
+        if self._terms:
+            terms = replace(terms, extra=sum(term.reward(before, after) for term in self._terms))
+        self._seen = self._window.add(judged.observation)
+        given = Joystick(*self._actions.points[action].tolist())
+        info = self._info(after, terms, self._actions.distance(action, (asked.x, asked.y)), (asked, given))
+        return EpisodeStep(self._seen, float(terms.total), judged.terminated, judged.truncated, info)
+
+    def cut(self) -> EpisodeStep:
+        """The end of an episode whose world began again: the last observation once more, truncated, worth nothing.
+
+        Raises:
+            ProtocolError: There is no episode.
+        """
+        if self.now is None:
+            raise ProtocolError("there is no episode to cut; expected one that has begun")
+        last, self.now = self.now, None
+        nothing = replace(
+            last.events,
+            truncated=True,
+            arrived=False,
+            gave_up=False,
+            progress_m=0.0,
+            jam_teleports=0,
+            crossed=False,
+            entered_red=False,
+        )
+        info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
+        return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
+
+    def _info(
+        self,
+        snapshot: ClientSnapshot,
+        terms: RewardTerms | None,
+        distance: float,
+        sticks: tuple[Joystick, Joystick] | None = None,
+    ) -> Info:
+        """What an agent is told beside its observation; `sticks` are the user's and its own answer to it."""
+        plant = snapshot.plant
+        asked, given = sticks or (None, None)
+        return {
+            "state": plant,
+            "imu": snapshot.sensors.imu,
+            "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
+            "joystick_distance": distance,
+            "asked": asked,
+            "given": given,
+            "reward_terms": terms,
+            "truth": snapshot.truth,
+            "drawn": snapshot.drawn,
+            "warning": snapshot.truth.danger if snapshot.truth else None,
+            "intervening": distance > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE,
+            "events": snapshot.events,
+            "contacts": snapshot.contacts,
+            "progress_m": snapshot.events.progress_m,
+            "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),
+        }
+
+    def _check(self, first: ClientSnapshot) -> None:
+        """Pictures of another size would leave the observation space without a word."""
+        wanted = [(camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras]
+        got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
+        if got != wanted:
+            raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
+
+
+def _integer(value: object) -> int | None:
+    """The integer that a number or an array of one number is; None for anything else, 1.0 included."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(())[()]
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        return None

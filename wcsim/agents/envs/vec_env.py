@@ -1,0 +1,149 @@
+"""Several wheelchairs in one world for one learner: a vectorised environment of Stable-Baselines3.
+
+`DQN("MultiInputPolicy", StreetVecEnv("helsinki", chairs=4))` learns from four chairs that meet in one street. All act
+in every step. A finished chair is respawned within the tick that ended it, as SB3 wants it: the observation is the next
+episode's first one, `info["terminal_observation"]` the last one of the episode before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from wcsim.agents.envs.env_spec import checked_chairs, checked_seed, make_face
+from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.envs.episode_views import Chairs
+from wcsim.config import RunConfig
+from wcsim.errors import ConfigError, ProtocolError
+from wcsim.server.links.base import Waits
+from wcsim.supervisor.observation import Observation
+from wcsim.supervisor.reward_terms import RewardTerm
+
+
+class StreetVecEnv(VecEnv):
+    """Drive several wheelchairs through one town; see the module's text."""
+
+    def __init__(
+        self,
+        town: str = "helsinki",
+        *,
+        chairs: int = 2,
+        config: RunConfig | None = None,
+        preset: str = "quick",
+        overrides: Sequence[str] = (),
+        seed: int | None = None,
+        reward_terms: Sequence[RewardTerm] = (),
+        render_mode: str | None = None,
+        run: Path | None = None,
+        hook: str = "",
+    ) -> None:
+        """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.
+
+        Raises:
+            ConfigError: The configuration cannot be used.
+        """
+        face = make_face(town, config, preset, overrides, render_mode, run, hook)
+        self._chairs = Chairs(face, checked_chairs(chairs), reward_terms)
+        self._first_seed = checked_seed(seed)
+        self._waiting = False  # for what comes of a step
+        self.config, self.render_mode = face.config, render_mode
+        super().__init__(chairs, face.observation_space(), face.action_space())
+
+    def reset(self) -> VecEnvObs:
+        """Begin an episode in every chair: after `seed`, and for the first time, in a world made anew."""
+        if self._waiting:
+            self.step_wait()  # what is under way must come to its end
+        seed = self._seeds[0]
+        if seed is None and self._chairs.open:
+            begun = self._chairs.begin_next()
+        else:
+            begun = self._chairs.begin(self._first_seed if seed is None else seed)
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = [info for _, info in begun]
+        return _stacked([observation for observation, _ in begun])
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Make the next reset begin the world again with this seed; the chairs' own seeds follow from it."""
+        self._seeds = [checked_seed(seed)] * self.num_envs
+        return self._seeds
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Say what every chair does, (N,) indices of actions. Raises BadActionError for one that is not in the set."""
+        if self._waiting:
+            raise ProtocolError("step_async() came twice; call step_wait() first")
+        said = list(np.asarray(actions, dtype=object).reshape(-1))
+        if len(said) != self.num_envs:
+            raise ProtocolError(f"{len(said)} actions; expected {self.num_envs}, one for each chair")
+        chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, said, strict=True)]
+        for seat, chair in enumerate(self._chairs.all):
+            chair.send(self._chairs.link(seat), chosen[seat])
+        self._waiting = True
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """What came of it: observations, rewards (N,) float32, dones (N,), infos."""
+        if not self._waiting:
+            raise ProtocolError("step_wait() came before step_async(); say first what the chairs do")
+        self._waiting = False
+        steps = [chair.receive(self._chairs.link(seat)) for seat, chair in enumerate(self._chairs.all)]
+        infos = [{**step.info, "TimeLimit.truncated": step.truncated} for step in steps]
+        observations = [self._shown(seat, step, infos[seat]) for seat, step in enumerate(steps)]
+        rewards = np.array([step.reward for step in steps], dtype=np.float32)
+        return _stacked(observations), rewards, np.array([step.done for step in steps]), infos
+
+    def _shown(self, seat: int, step: EpisodeStep, info: dict[str, Any]) -> Observation:
+        """What the learner sees next: where the episode has ended, the first observation of the next one."""
+        if not step.done:
+            return step.observation
+        info["terminal_observation"] = step.observation
+        observation, self.reset_infos[seat] = self._chairs.all[seat].begin_next()
+        return observation
+
+    def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
+        """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""
+        return [chair.picture for chair in self._chairs.all]
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        self._chairs.close()
+        self._waiting = False
+
+    def waits(self, seat: int) -> Waits:
+        """Where the time in a chair's link went so far."""
+        return self._chairs.link(seat).waits
+
+    # --- what SB3 asks environments one by one; these chairs are parts of one ---
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute that all chairs share, such as `render_mode` or `config`, once a chair."""
+        return [getattr(self, attr_name) for _ in self._picked(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Refused: the chairs are of one world. Raises ConfigError."""
+        raise ConfigError(f"{attr_name!r} cannot be set in a world that is there; make another StreetVecEnv")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method with the number of each chair as its first argument, such as `waits`."""
+        return [getattr(self, method_name)(seat, *method_args, **method_kwargs) for seat in self._picked(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """No chair is wrapped."""
+        return [False for _ in self._picked(indices)]
+
+    def _picked(self, indices: VecEnvIndices) -> list[int]:
+        return [int(index) for index in self._get_indices(indices)]
+
+
+def _stacked(observations: Sequence[Observation]) -> VecEnvObs:
+    """One observation of all chairs, each array with a first axis more, in fresh arrays."""
+    return {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}

@@ -1,0 +1,170 @@
+"""One wheelchair as a Gymnasium environment: `gymnasium.make("wcsim/Street-v1", town="helsinki")`.
+
+The world behind it lives in this process when none does yet, otherwise in a process of its own; trajectories are the
+same to the bit. A finished chair is respawned by the world within the tick that ended it, so `reset()` without a seed
+only hands out the frame that is already there; `reset(seed=s)` makes the whole world anew.
+
+With `join` the environment makes no world: it takes its seat in a running one, which other clients share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.agents.envs.env_spec import RENDER_FPS, RENDER_MODES, SEED_LIMIT, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.episode_view import Chair
+from wcsim.config import RunConfig
+from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
+from wcsim.server.links.base import Waits, WorldLink
+from wcsim.server.links.open import open_link
+from wcsim.server.specs import SeatRequest
+from wcsim.supervisor.observation import Observation
+from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.types import ClientSnapshot
+
+
+class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
+    """Drive one wheelchair through a town; see the module's text."""
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
+
+    def __init__(
+        self,
+        town: str = "helsinki",
+        *,
+        config: RunConfig | None = None,
+        preset: str = "quick",
+        overrides: Sequence[str] = (),
+        seed: int | None = None,
+        reward_terms: Sequence[RewardTerm] = (),
+        render_mode: str | None = None,
+        run: Path | None = None,
+        hook: str = "",
+        join: SeatRequest | None = None,
+    ) -> None:
+        """Describe the environment; the world is made, or joined, by the first reset.
+
+        Args:
+            town: A town's name or folder.
+            config: A resolved configuration; `preset` and `overrides` ("section.key=value") make one otherwise.
+            preset: Name of a preset.
+            overrides: Laid over the preset.
+            seed: Seed of the first reset when that brings none; drawn from the system when both are missing.
+            reward_terms: The user's own terms; their sum is added to the reward as `RewardTerms.extra`.
+            render_mode: None or "rgb_array" (the camera then draws colours too, for people to look at).
+            run: A run folder for the outputs of the town's own SUMO scenario; without one they go with the world.
+            hook: The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md.
+            join: Take this seat in a running world instead. Town, seed, run and hook are the server's then, cameras
+                and actions of the configuration must be the server's, and user and episode length are those of
+                `join.spec`.
+
+        Raises:
+            ConfigError: The configuration cannot be used.
+        """
+        self._face = make_face(town, config, preset, overrides, render_mode, run, hook)
+        self._join = join
+        self._first_seed = checked_seed(seed)
+        self._link: WorldLink | None = None
+        self._chair = Chair(self._face.config, reward_terms)
+        self.town, self.config, self.render_mode = town, self._face.config, render_mode
+        # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
+        self.observation_space = self._face.observation_space()  # type: ignore[assignment]
+        self.action_space = self._face.action_space()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; with a seed, in a world made anew.
+
+        In a joined world the first reset hands out the frame that the seat has, whatever the seed, for the world is
+        the server's. A later one with a seed asks for the world to be begun again, which only the master may.
+
+        Raises:
+            ConfigError: The seed is no integer from 0 on.
+            TownError: The town cannot be used.
+            NotMasterError: Others share the world, and this client is not its master.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
+        seed = checked_seed(seed)
+        super().reset(seed=seed)
+        return self._chair.begin(self._first_frame(seed))
+
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
+
+        Truncated too when a shared world began again: with the last observation once more, reward 0 and
+        `info["reason"] == "world_restarted"`; the next reset hands out the new epoch's first frame.
+
+        Raises:
+            BadActionError: There is no such action.
+            ProtocolError: No episode is on.
+            EvictedError: A server gave this client up; the next reset joins again.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
+        link = self._link
+        if link is None:
+            raise ProtocolError("step() came before reset(); call reset() first")
+        try:
+            self._chair.send(link, action)
+            return self._chair.receive(link)
+        except WorldRestartedError:
+            return self._chair.cut()
+        except EvictedError:
+            self.close()
+            raise
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """The first camera's picture (H, W, 3) uint8, in render mode "rgb_array"; a joined world must draw colours."""
+        return self._chair.picture if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Leave the world; a second call does nothing."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+            self._chair.now = None
+
+    @property
+    def waits(self) -> Waits:
+        """Where the time in the link went so far."""
+        return Waits() if self._link is None else self._link.waits
+
+    def beat(self, progress: int) -> None:
+        """Show a server that a long computation goes on, by a counter that rises."""
+        if self._link is not None:
+            self._link.beat(progress)
+
+    def _first_frame(self, seed: int | None) -> ClientSnapshot:
+        """The first frame of the next episode."""
+        link, now = self._link, self._chair.now
+        if link is None:
+            return self._open(seed if seed is not None else self._first_seed)
+        if seed is not None:
+            return link.rebuild(seed % SEED_LIMIT)
+        if now is None:  # a new epoch has begun
+            return link.join()
+        if now.first is not None:
+            return now.first
+        try:
+            return link.respawn()
+        except WorldRestartedError:
+            return link.join()
+
+    def _open(self, seed: int | None) -> ClientSnapshot:
+        if self._join is None:
+            self._link = open_link(self._face.order(drawn_seed() if seed is None else seed))
+        else:
+            from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
+
+            self._link = open_seat(self._join)
+        try:
+            return self._link.join()
+        except BaseException:
+            self.close()
+            raise

@@ -1,0 +1,144 @@
+"""From a run's configuration to a learner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from stable_baselines3.common.type_aliases import GymEnv
+
+from wcsim.agents.learning.phases import PhasePlan
+from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.networks import registry
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.config import LearnConfig, RunConfig, with_overrides
+from wcsim.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FadingRate:
+    """A learning rate that falls linearly to zero over the last share of a run, so that the last policy is settled.
+
+    >>> [FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
+    [1.0, 1.0, 0.5, 0.0]
+    """
+
+    rate: float
+    fade: float
+
+    def __call__(self, left: float) -> float:
+        """The rate when the share `left` of all steps is still to be done."""
+        return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
+
+
+def with_window(config: RunConfig) -> RunConfig:
+    """The configuration with the window that its network prefers, where `env.window` is not set.
+
+    Raises:
+        PolicyError: There is no such network.
+        ConfigError: It prefers a window that `env.observation` cannot have.
+    """
+    if config.env.window is not None:
+        return config
+    return with_overrides(config, (f"env.window={registry.preferred_window(config.learn.network)}",))
+
+
+def net_spec(config: RunConfig) -> NetSpec:
+    """The network that a run's configuration asks for."""
+    reward, learn = config.reward, config.learn
+    prior = FollowPrior(
+        base=reward.base,
+        max_follow_distance=reward.max_follow_distance,
+        max_distance=reward.max_distance,
+        penalty=reward.penalty,
+        reward_scale=learn.reward_scale,
+    )
+    return NetSpec(
+        network=learn.network, head=learn.head, actions=config.env.actions, classes=config.env.classes, prior=prior
+    )
+
+
+def phase_plan(learn: LearnConfig) -> PhasePlan:
+    """When the phases change."""
+    return PhasePlan(
+        total_steps=learn.total_steps,
+        phase1_steps=learn.phase1_steps,
+        epsilon_start=learn.epsilon_start,
+        epsilon_end=learn.epsilon_end,
+        margin=learn.margin,
+        margin_fade=learn.margin_fade,
+        aid=learn.aid_weight if learn.aid == "oracle" else 0.0,
+    )
+
+
+def checked_device(name: str) -> str:
+    """The device's name. Raises ConfigError for one that PyTorch does not know or this machine does not have."""
+    try:
+        torch.zeros(1, device=name).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).splitlines()[0][:120]
+        message = f"learn.device={name!r} cannot be used here ({reason}); expected cpu, or cuda with a card"
+        raise ConfigError(message) from None
+    return name
+
+
+def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+    """A fresh learner.
+
+    Raises:
+        PolicyError: The network or the observation space does not fit.
+        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory.
+    """
+    try:
+        return _built(config, env, seed)
+    except MemoryError:
+        frames = config.learn.replay_frames
+        raise ConfigError(f"learn.replay_frames={frames} do not fit into the memory; expected fewer") from None
+
+
+def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+    learn, camera = config.learn, config.cameras[0]
+    if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
+        raise ConfigError(
+            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
+            "because its pictures are mirrored: set learn.mirror=false"
+        )
+    return SeqDQN(
+        SeqQPolicy,
+        env,
+        settings=SeqSettings(
+            actions=config.env.actions,
+            double_q=learn.double_q,
+            reward_scale=learn.reward_scale,
+            exploration=learn.exploration,
+            epsilon_sigma=learn.epsilon_sigma,
+            epsilon_hold=learn.epsilon_hold,
+            mirror=learn.mirror,
+            aid_batch=learn.aid_batch,
+            aid_share=learn.aid_share,
+            aid_relabel=learn.aid_relabel,
+            aid_ahead=learn.aid_ahead,
+            aid_margin=learn.aid_margin,
+        ),
+        plan=phase_plan(learn),
+        seed=seed,
+        learning_rate=FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
+        buffer_size=learn.replay_frames,
+        learning_starts=max(learn.learning_starts, 2),
+        batch_size=learn.batch_size,
+        tau=learn.tau,
+        gamma=learn.gamma,
+        train_freq=learn.train_every,
+        gradient_steps=learn.gradient_steps,
+        max_grad_norm=learn.clip_norm,
+        replay_buffer_kwargs={
+            "n_step": learn.n_step,
+            "gamma": learn.gamma,
+            "precrash_share": learn.precrash_share,
+            "precrash_window": learn.precrash_window,
+            "advice": learn.aid == "oracle",
+            "seed": seed,
+        },
+        policy_kwargs={"spec": net_spec(config)},
+        device=learn.device,
+    )

@@ -1,0 +1,210 @@
+"""Stable-Baselines3 callbacks of a training run: metrics, checkpoints, progress, interruption."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import FrameType, TracebackType
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from wcsim.agents.learning.metrics import MetricsFile
+from wcsim.agents.learning.phases import LearningPhase
+from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.policy_api import JOYSTICK_KEY
+
+GREEDY_EVERY = 5  # steps between two looks at what the agent would do while the user's action is executed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainProgress:
+    """How far a run has come, for whoever waits."""
+
+    step: int
+    total_steps: int
+    phase: int
+    episodes: int
+    crashes: int
+    kpi1: float | None  # of the last finished episode
+
+
+@dataclass(slots=True)
+class EpisodeSums:
+    """What is summed up while an episode runs."""
+
+    reward: float = 0.0
+    steps: int = 0
+    distance: float = 0.0
+    speed: float = 0.0
+    progress_m: float = 0.0
+    arrivals: int = 0
+    greedy: list[float] = field(default_factory=list)
+
+
+class SeqCallback(BaseCallback):
+    """A callback of a SeqDQN."""
+
+    @property
+    def learner(self) -> SeqDQN:
+        """The model, by its own type."""
+        if not isinstance(self.model, SeqDQN):
+            raise TypeError(f"model is {type(self.model).__name__}; expected SeqDQN")
+        return self.model
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class JamWatch(SeqCallback):
+    """Reports every tick in which SUMO took vehicles out of a jam."""
+
+    def __init__(self, report: Callable[[int, int], None]) -> None:
+        super().__init__()
+        self.report = report
+
+    def _on_step(self) -> bool:
+        jammed = [info["events"].jam_teleports for info in self.locals["infos"] if info.get("events") is not None]
+        if any(jammed):
+            self.report(self.learner.num_timesteps, max(jammed))
+        return True
+
+
+class EpisodeMetrics(SeqCallback):
+    """Writes a row of metrics.csv at the end of each episode."""
+
+    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0) -> None:
+        super().__init__()
+        self.metrics, self.begun_s = metrics, begun_s
+        self.episodes, self.crashes = 0, crashes
+        self.kpi1: float | None = None
+        self.sums: list[EpisodeSums] = []
+
+    def _on_training_start(self) -> None:
+        self.sums = [EpisodeSums() for _ in range(self.training_env.num_envs)]
+        self.episodes = self.learner._episode_num
+
+    def _on_step(self) -> bool:
+        self._look_greedy()
+        for seat, info in enumerate(self.locals["infos"]):
+            self._add(seat, float(self.locals["rewards"][seat]), info)
+            if self.locals["dones"][seat]:
+                self._finish(seat, info)
+        return True
+
+    def _add(self, seat: int, reward: float, info: dict[str, Any]) -> None:
+        sums = self.sums[seat]
+        sums.reward += reward
+        sums.steps += 1
+        sums.distance += float(info.get("joystick_distance", 0.0))
+        sums.speed += float(info.get("speed_mps", 0.0))
+        sums.progress_m += float(info.get("progress_m", 0.0))
+        events = info.get("events")
+        sums.arrivals += int(events is not None and events.arrived)
+
+    def _look_greedy(self) -> None:
+        """KPI 1 of the first phase is about what the agent would choose; executed is the user's action."""
+        learner, observation = self.learner, self.learner._last_obs
+        if (
+            learner.phase is not LearningPhase.ACTION_DRIVEN
+            or self.n_calls % GREEDY_EVERY
+            or not isinstance(observation, dict)
+        ):
+            return
+        actions, _ = learner.policy.predict(observation, deterministic=True)
+        for seat, action in enumerate(actions):
+            distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
+            self.sums[seat].greedy.append(distance)
+
+    def _finish(self, seat: int, info: dict[str, Any]) -> None:
+        sums, learner = self.sums[seat], self.learner
+        crashed = not info.get("TimeLimit.truncated", False)
+        events = info.get("events")
+        self.episodes += 1
+        self.crashes += int(crashed)
+        self.kpi1 = sums.distance / sums.steps
+        plan = learner.plan
+        self.metrics.add(
+            {
+                "step": self.num_timesteps,
+                "episode": self.episodes,
+                "phase": int(learner.phase),
+                "return": sums.reward,
+                "length": sums.steps,
+                "kpi1": self.kpi1,
+                "kpi1_greedy": sum(sums.greedy) / len(sums.greedy) if sums.greedy else None,
+                "crashed": int(crashed),
+                "crash_reason": "" if events is None else events.crash_reason,
+                "speed_mps": sums.speed / sums.steps,
+                "progress_m": sums.progress_m,
+                "arrivals": sums.arrivals,
+                "epsilon": learner.exploration_rate,
+                "margin_weight": 0.0 if plan is None else plan.margin_weight(self.num_timesteps),
+                "loss": learner.last_loss,
+                "max_abs_q": learner.max_abs_q,
+                "updates": learner._n_updates,
+                "elapsed_s_wall": time.monotonic() - self.begun_s,
+            }
+        )
+        self.sums[seat] = EpisodeSums()
+
+
+class Every(SeqCallback):
+    """Calls a function between rollouts whenever so many more steps are done; everything is stored then."""
+
+    def __init__(self, steps: int, call: Callable[[], None]) -> None:
+        super().__init__()
+        self.steps, self.call = steps, call
+        self.next_at = 0
+
+    def _on_training_start(self) -> None:
+        self.next_at = (self.num_timesteps // self.steps + 1) * self.steps
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps >= self.next_at:
+            self.next_at = (self.num_timesteps // self.steps + 1) * self.steps
+            self.call()
+
+
+class StopWhenAsked(SeqCallback):
+    """Raises KeyboardInterrupt between rollouts once a stop was asked for, so that nothing is half-done."""
+
+    def __init__(self, request: StopRequest) -> None:
+        super().__init__()
+        self.request = request
+
+    def _on_rollout_start(self) -> None:
+        if self.request.asked:
+            raise KeyboardInterrupt
+
+
+class StopRequest:
+    """While open, SIGINT and SIGTERM ask for a stop; a second signal stops at once. Only in the main thread."""
+
+    def __init__(self) -> None:
+        self.asked, self.forced = False, False
+        self.ending = False  # the last files are being written: what is asked for again is under way
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before.clear()
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        if self.asked and not self.ending:
+            self.forced = True
+            raise KeyboardInterrupt
+        self.asked = True

@@ -1,0 +1,230 @@
+"""Checkpoints of a learner: weights, target, optimiser, replay, counters and random states, in safetensors and JSON.
+
+Taken between rollouts, where every step is stored. A world cannot be saved, so a resumed run begins a new episode and
+with it a new exploration offset; everything else that the learner holds is restored exactly. All of a checkpoint is
+under a hash; one that is damaged in any place is passed over for the one before it, and the learner is not touched.
+"""
+
+from __future__ import annotations
+
+import copy
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors.numpy import load_file, save_file
+
+from wcsim.agents.learning.checkpoint_file import (
+    MODEL,
+    REPLAY,
+    State,
+    read_state,
+    step_folders,
+    step_name,
+    step_of,
+    write_state,
+)
+from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
+from wcsim.core import files
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+
+KEEP = 3
+LATEST = "LATEST"
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassedOver:
+    """A checkpoint that was not used, and why."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loaded:
+    """What was restored beside the model, and what was not used for it, newest first."""
+
+    path: Path
+    extra: dict[str, int | float | str | bool]
+    sealed: bool  # False for a checkpoint of an older version, whose counters have no hash
+    passed_over: tuple[PassedOver, ...]
+
+
+def save_checkpoint(
+    folder: Path,
+    model: SeqDQN,
+    extra: Mapping[str, int | float | str | bool],
+    alive: Callable[[], object] = lambda: None,
+) -> Path:
+    """Write `folder/step-N` in one step, point LATEST to it, drop all but it and the newest three; returns it.
+
+    `alive` is called now and then while it is being written.
+
+    Raises:
+        DiskFullError: It could not be written; those before are whole.
+        SafetensorError: The same, in other words.
+    """
+    target = folder / step_name(model.num_timesteps)
+
+    def fill(work: Path) -> None:
+        save_file(_model_arrays(model), work / MODEL)
+        save_file(replay_arrays(_replay(model), alive), work / REPLAY)
+        alive()
+        values = {
+            "num_timesteps": model.num_timesteps,
+            "n_updates": model._n_updates,
+            "episodes": model._episode_num,
+            "explore_rng": generator_state(model.rng),
+            "replay_rng": generator_state(_replay(model).rng),
+            "extra": dict(extra),
+        }
+        write_state(work, values)
+
+    files.write_folder(target, fill)
+    files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
+    for old in step_folders(folder)[:-KEEP]:
+        if old != target:
+            shutil.rmtree(old, ignore_errors=True)
+    return target
+
+
+def load_checkpoint(folder: Path, model: SeqDQN) -> Loaded:
+    """Restore the newest sound checkpoint of a run into a fresh model built from the same configuration.
+
+    Raises:
+        PolicyError: None is sound and fits the model, which is as it was then.
+    """
+    passed: list[PassedOver] = []
+    for path in reversed(step_folders(folder)):
+        try:
+            state = read_state(path)
+            _restore(model, state, load_file(path / MODEL), load_file(path / REPLAY))
+        except Exception as error:  # whatever is wrong with it, the one before may be sound
+            told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
+            passed.append(PassedOver(path=path, reason=shown(told, 300)))
+            continue
+        return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
+    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "there is none"
+    raise PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+
+
+def newest_step(folder: Path) -> int:
+    """The step of a run's newest checkpoint, sound or not; -1 when there is none."""
+    return max(map(step_of, step_folders(folder)), default=-1)
+
+
+def generator_state(rng: np.random.Generator) -> dict[str, Any]:
+    """State of a Philox generator as plain values."""
+    state = rng.bit_generator.state
+    return {
+        "counter": [int(v) for v in state["state"]["counter"]],
+        "key": [int(v) for v in state["state"]["key"]],
+        "buffer": [int(v) for v in state["buffer"]],
+        "buffer_pos": int(state["buffer_pos"]),
+        "has_uint32": int(state["has_uint32"]),
+        "uinteger": int(state["uinteger"]),
+    }
+
+
+def restored_generator(state: dict[str, Any]) -> np.random.Generator:
+    """The generator that `generator_state` described."""
+    bits = np.random.Philox()
+    bits.state = {
+        "bit_generator": "Philox",
+        "state": {"counter": np.array(state["counter"], np.uint64), "key": np.array(state["key"], np.uint64)},
+        "buffer": np.array(state["buffer"], dtype=np.uint64),
+        "buffer_pos": state["buffer_pos"],
+        "has_uint32": state["has_uint32"],
+        "uinteger": state["uinteger"],
+    }
+    return np.random.Generator(bits)
+
+
+def _replay(model: SeqDQN) -> FrameReplay:
+    if not isinstance(model.replay_buffer, FrameReplay):
+        raise PolicyError(f"replay is {type(model.replay_buffer).__name__}; expected FrameReplay for a checkpoint")
+    return model.replay_buffer
+
+
+def _nets(model: SeqDQN) -> tuple[tuple[str, torch.nn.Module], ...]:
+    return ("q_net", model.q_net), ("q_net_target", model.q_net_target)
+
+
+def _model_arrays(model: SeqDQN) -> Arrays:
+    arrays: Arrays = {"torch_rng": torch.get_rng_state().numpy()}
+    for prefix, net in _nets(model):
+        for key, value in net.state_dict().items():
+            arrays[f"{prefix}/{key}"] = value.detach().cpu().numpy()
+    for index, slots in model.policy.optimizer.state_dict()["state"].items():
+        for key, value in slots.items():
+            arrays[f"optimizer/{index}/{key}"] = np.asarray(torch.as_tensor(value).cpu().numpy())
+    return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+
+
+def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays) -> None:
+    """All of it, or, with an exception, nothing."""
+    memory = _replay(model)
+    slots = _optimizer_slots(model, arrays)
+    _require_same_arrays(model, arrays)
+    require_fit(memory, replay)
+    nets = [copy.deepcopy(net.state_dict()) for _, net in _nets(model)]
+    optimizer = copy.deepcopy(model.policy.optimizer.state_dict())
+    torch_rng, memory_rng = torch.get_rng_state(), memory.rng
+    try:
+        for prefix, net in _nets(model):
+            head = f"{prefix}/"
+            net.load_state_dict(
+                {k.removeprefix(head): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(head)}
+            )
+        model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
+        restore_replay(memory, replay)
+        memory.rng, explore_rng = restored_generator(state.replay_rng), restored_generator(state.explore_rng)
+        torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
+    except BaseException:
+        for (_, net), before in zip(_nets(model), nets, strict=True):
+            net.load_state_dict(before)
+        model.policy.optimizer.load_state_dict(optimizer)
+        memory.reset()
+        memory.rng = memory_rng
+        torch.set_rng_state(torch_rng)
+        raise
+    model.rng = explore_rng
+    model.num_timesteps, model._n_updates, model._episode_num = state.num_timesteps, state.n_updates, state.episodes
+
+
+def _require_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
+    """Raise PolicyError unless the arrays of the networks have the names, shapes and types that the model's have."""
+    expected = {key: value for key, value in _model_arrays(model).items() if not key.startswith("optimizer/")}
+    got = {key: value for key, value in arrays.items() if not key.startswith("optimizer/")}
+    if set(got) != set(expected):
+        other = shown(sorted(set(got) ^ set(expected)))
+        raise PolicyError(f"{MODEL} has other arrays ({other}) than this configuration")
+    for key, value in expected.items():
+        here, there = (value.dtype, value.shape), (got[key].dtype, got[key].shape)
+        if here != there:
+            raise PolicyError(f"{MODEL}: {key} is {there[0]} {there[1]}, in this configuration {here[0]} {here[1]}")
+
+
+def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch.Tensor]]:
+    """The optimiser's state by parameter. Raises PolicyError when it is not that of these parameters."""
+    sizes = [tuple(value.shape) for group in model.policy.optimizer.param_groups for value in group["params"]]
+    slots: dict[int, dict[str, torch.Tensor]] = {}
+    for key, value in arrays.items():
+        if not key.startswith("optimizer/"):
+            continue
+        _, index, name = key.split("/")
+        number = int(index)
+        if not 0 <= number < len(sizes) or (value.size != 1 if name == "step" else value.shape != sizes[number]):
+            raise PolicyError(f"{MODEL}: {key} has the shape {value.shape}; it is of another network")
+        slots.setdefault(number, {})[name] = torch.from_numpy(value.reshape(()) if name == "step" else value)
+    return slots

@@ -1,0 +1,160 @@
+"""A checkpoint's folder and its `state.json`: names, order, hashes and bounds, without a look at the arrays."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_json, regular_size, shown
+from wcsim.errors import PolicyError
+
+STATE, MODEL, REPLAY = "state.json", "model.safetensors", "replay.safetensors"
+SCHEMA = 2  # 1 had no seal
+MOST_STEPS = 10**12  # of a run
+DAMAGED = ".damaged"  # added to the name of a checkpoint that was passed over
+_STEP = re.compile(r"step-(\d{8,18})")
+_KEYS = frozenset(
+    ("schema_version", "num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256")
+)
+_SEAL = "seal"
+_STATE_KIND = FileKind(what="the state of a checkpoint", limit_bytes=1 << 20, error=PolicyError)
+_ARRAYS_KIND = FileKind(what="the arrays of a checkpoint", limit_bytes=1 << 42, error=PolicyError)
+_GENERATOR = {"counter": (4, 64), "key": (2, 64), "buffer": (4, 64)}  # how many numbers of so many bits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """What `state.json` says, checked."""
+
+    num_timesteps: int
+    n_updates: int
+    episodes: int
+    explore_rng: dict[str, Any]  # see `checkpoint.generator_state`
+    replay_rng: dict[str, Any]
+    extra: dict[str, int | float | str | bool]
+    sealed: bool  # False for one of an older version, whose values have no hash
+
+
+def step_name(step: int) -> str:
+    """The name of the checkpoint of a step; their order as text is not that of their steps.
+
+    >>> step_name(5000), step_name(100_000_000)
+    ('step-00005000', 'step-100000000')
+    """
+    return f"step-{step:08d}"
+
+
+def step_folders(folder: Path) -> list[Path]:
+    """The checkpoints of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
+    found = []
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                match = _STEP.fullmatch(entry.name)
+                if match and entry.name == step_name(int(match[1])) and entry.is_dir(follow_symlinks=False):
+                    found.append(folder / entry.name)
+    except OSError:
+        return []
+    return sorted(found, key=step_of)
+
+
+def step_of(path: Path) -> int:
+    """The step of a checkpoint's folder."""
+    return int(path.name.removeprefix("step-"))
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a checkpoint that cannot be used, so that it is kept, and never meant again; returns its new place."""
+    names = (path.with_name(f"{path.name}{DAMAGED}{'' if k == 1 else f'-{k}'}") for k in count(1))
+    free = next(name for name in names if not os.path.lexists(name))
+    return path.rename(free)
+
+
+def write_state(folder: Path, values: Mapping[str, Any]) -> None:
+    """Write `state.json` with hashes of the files that are there, and one over itself."""
+    hashes = {name: files.sha256(folder / name) for name in (MODEL, REPLAY)}
+    state = {"schema_version": SCHEMA, **values, "sha256": hashes}
+    files.write_json(folder / STATE, {**state, _SEAL: _seal(state)})
+
+
+def read_state(folder: Path) -> State:
+    """The state of a checkpoint whose files are as they were written. Raises PolicyError that says what is not."""
+    data = read_json(folder / STATE, _STATE_KIND)
+    schema, seal = data.get("schema_version"), data.pop(_SEAL, None)
+    if type(schema) is not int or schema not in (1, SCHEMA):
+        raise PolicyError(f"{STATE} is of version {shown(schema)}; expected 1 or {SCHEMA}")
+    if set(data) != _KEYS or (seal is None) != (schema == 1):
+        raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
+    if seal is not None and seal != _seal(data):
+        raise PolicyError(f"{STATE} is damaged: it does not have the hash that it says")
+    state = State(
+        num_timesteps=_whole_number(data, "num_timesteps"),
+        n_updates=_whole_number(data, "n_updates"),
+        episodes=_whole_number(data, "episodes"),
+        explore_rng=_generator(data["explore_rng"], "explore_rng"),
+        replay_rng=_generator(data["replay_rng"], "replay_rng"),
+        extra=_extra(data["extra"]),
+        sealed=seal is not None,
+    )
+    if folder.name != step_name(state.num_timesteps):
+        raise PolicyError(f"{STATE} is of step {state.num_timesteps}; expected that of its folder's name")
+    _require_hashes(folder, data["sha256"])
+    return state
+
+
+def _seal(state: Mapping[str, Any]) -> str:
+    return files.sha256_text(json.dumps(state, sort_keys=True, allow_nan=False))
+
+
+def _require_hashes(folder: Path, told: Any) -> None:
+    if not isinstance(told, dict) or set(told) != {MODEL, REPLAY}:
+        raise PolicyError(f"{STATE} has hashes of {shown(told)}; expected those of {MODEL} and {REPLAY}")
+    for name in (MODEL, REPLAY):
+        regular_size(folder / name, _ARRAYS_KIND)
+        if files.sha256(folder / name) != told[name]:
+            raise PolicyError(f"{name} is damaged")
+
+
+def _whole_number(data: Mapping[str, Any], key: str) -> int:
+    value = data[key]
+    if type(value) is not int or not 0 <= value <= MOST_STEPS:
+        raise PolicyError(f"{STATE}: {key} is {shown(value)}; expected a number from 0 to {MOST_STEPS}")
+    return value
+
+
+def _extra(data: Any) -> dict[str, int | float | str | bool]:
+    if not isinstance(data, dict) or not all(type(value) in (int, float, str, bool) for value in data.values()):
+        raise PolicyError(f"{STATE}: extra is {shown(data)}; expected names with plain values")
+    crashes, flags = data.get("crashes", 0), [data.get(name, False) for name in ("phase1_done", "q_alarm")]
+    if type(crashes) is not int or crashes < 0 or not all(type(flag) is bool for flag in flags):
+        raise PolicyError(f"{STATE}: extra is {shown(data)}; expected a count of crashes, and flags")
+    return data
+
+
+def _generator(data: Any, key: str) -> dict[str, Any]:
+    """The state of a Philox generator, every number in its bounds."""
+    wrong = PolicyError(f"{STATE}: {key} is {shown(data)}; expected the state of a generator")
+    if not isinstance(data, dict) or set(data) != {*_GENERATOR, "buffer_pos", "has_uint32", "uinteger"}:
+        raise wrong
+    for name, (length, bits) in _GENERATOR.items():
+        if not isinstance(data[name], list) or len(data[name]) != length or not all(_bits(v, bits) for v in data[name]):
+            raise wrong
+    size = np.random.Philox().state["buffer"].size
+    if not _bits(data["buffer_pos"], 8) or data["buffer_pos"] > size or not _bits(data["has_uint32"], 1):
+        raise wrong
+    if not _bits(data["uinteger"], 32):
+        raise wrong
+    return data
+
+
+def _bits(value: Any, bits: int) -> bool:
+    return type(value) is int and 0 <= value < 1 << bits

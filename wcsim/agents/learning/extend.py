@@ -1,0 +1,27 @@
+"""A run that is to learn on for longer than it was made for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, read_json
+from wcsim.config import RunConfig, parse
+from wcsim.core import files
+from wcsim.errors import ConfigError, PolicyError
+
+
+def extend(run: Path, steps: int) -> None:
+    """Write another number of steps in all into a run's configuration; all else in it stays as it was.
+
+    Raises:
+        PolicyError: It is no run, or cannot have so many.
+        DiskFullError: There is no room.
+    """
+    data, manifest = read_json(run, CONFIG), read_json(run, MANIFEST)
+    try:
+        data["learn"]["total_steps"] = steps
+        config = parse(RunConfig, data, str(run / CONFIG))
+    except (ConfigError, TypeError, KeyError) as error:
+        raise PolicyError(f"{run / CONFIG}: {error}") from None
+    files.write_json(run / CONFIG, data)
+    files.write_json(run / MANIFEST, {**manifest, "config_sha256": config.digest()})

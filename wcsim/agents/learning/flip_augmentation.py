@@ -1,0 +1,46 @@
+"""Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice."""
+
+from __future__ import annotations
+
+import torch
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.agents.replay.safe_actions import AdviceBatch
+from wcsim.supervisor.observation import imu_size
+
+Tensors = dict[str, torch.Tensor]
+
+IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
+GYRO_SIGNS = (-1.0, 1.0, -1.0)
+YAW_SIGNS = (-1.0, 1.0)  # of its sine and cosine
+JOYSTICK_SIGNS = (-1.0, 1.0)
+_SIGNS = {
+    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
+    for gyro in (False, True)
+    for yaw in (False, True)
+}
+
+
+def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor) -> DictReplayBufferSamples:
+    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
+    return batch._replace(
+        observations=_mirrored(batch.observations),
+        actions=actions[batch.actions.long()],
+        next_observations=_mirrored(batch.next_observations),
+    )
+
+
+def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor) -> AdviceBatch:
+    """The same for a batch of the training aid."""
+    return AdviceBatch(observations=_mirrored(batch.observations), safe=batch.safe[:, actions])
+
+
+def _mirrored(observations: Tensors) -> Tensors:
+    out = dict(observations)
+    for key in (CLASS_KEY, DEPTH_KEY):
+        out[key] = observations[key].flip(-1)
+    imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
+    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS)):
+        out[key] = observations[key] * observations[key].new_tensor(signs)
+    return out

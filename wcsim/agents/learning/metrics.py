@@ -1,0 +1,74 @@
+"""metrics.csv: one row an episode, written as it ends."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.errors import DiskFullError, PolicyError
+
+COLUMNS = (
+    "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
+    "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
+)  # fmt: skip
+_STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
+_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
+Value = float | int | str | None
+
+
+class MetricsFile:
+    """Appends rows; every row is complete on disk before the next episode begins."""
+
+    def __init__(self, path: Path, keep_to_step: int | None = None) -> None:
+        """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
+        self.path = path
+        rows = read_metrics(path) if keep_to_step is not None and path.is_file() else []
+        kept = [row for row in rows if int(row["step"]) <= (keep_to_step or 0)]
+        files.write_bytes(path, (_line(COLUMNS) + "".join(_line(row.values()) for row in kept)).encode())
+
+    def add(self, row: Mapping[str, Value]) -> None:
+        """Append a row; numbers that are not finite are left empty. Raises KeyError, DiskFullError."""
+        line = _line([_text(row[name]) for name in COLUMNS])
+        try:
+            with self.path.open("a", encoding="utf-8", newline="") as file:
+                file.write(line)
+        except OSError as error:
+            raise DiskFullError(f"{self.path}: a row could not be written ({error.strerror}); make room") from None
+
+
+def read_metrics(path: Path) -> list[dict[str, str]]:
+    """All complete rows of a metrics file. Raises PolicyError when it is not one, or a row in it is damaged."""
+    text = read_text(path, _KIND)
+    whole = text[: text.rfind("\n") + 1]  # a process that was killed can leave a torn last line
+    try:
+        rows = list(csv.reader(io.StringIO(whole, newline="")))
+    except csv.Error as error:
+        raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the metrics.csv of a run") from None
+    if not rows or tuple(rows[0]) != COLUMNS:
+        got = ", ".join(rows[0]) if rows else "none"
+        raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(COLUMNS)}")
+    last = 0
+    for number, row in enumerate(rows[1:], start=2):
+        step = int(row[0]) if len(row) == len(COLUMNS) and _STEP.fullmatch(row[0]) else -1
+        if step < last:
+            raise PolicyError(f"{path}:{number}: is damaged; expected {len(COLUMNS)} values, the first a growing step")
+        last = step
+    return [dict(zip(COLUMNS, row, strict=True)) for row in rows[1:]]
+
+
+def _text(value: Value) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _line(values: Iterable[object]) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow(values)
+    return out.getvalue()

@@ -1,0 +1,158 @@
+"""Policies on disk: a folder with `policy.json` and `weights.safetensors`; nothing in it is code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from safetensors.torch import save_file
+
+from wcsim.agents.envs.frame_window import newest
+from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.networks import registry
+from wcsim.agents.networks.encoder import image_size, vector_size, window_size
+from wcsim.agents.networks.names import require_named
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
+from wcsim.agents.networks.weights import checked_weights, read_weights
+from wcsim.agents.policy_api import CLASS_KEY, Observation
+from wcsim.agents.runs.policy_file import POLICY_JSON, read_policy_file
+from wcsim.config import CameraConfig
+from wcsim.config.run_file import PolicyFile
+from wcsim.core import files
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+from wcsim.types import ClassId
+
+WEIGHTS = "weights.safetensors"
+JOYSTICK_SIZE = 2
+
+
+class NetPolicy:
+    """A trained network that acts greedily; of a longer window than its own it sees the newest images."""
+
+    def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
+        self.net = net
+        self.name = name
+        self.file = file
+        self.net.set_training_mode(False)
+
+    def begin(self) -> None:
+        """Nothing is remembered between steps."""
+
+    def reset(self) -> None:
+        """Nothing is remembered between steps."""
+
+    def act(self, observation: Observation) -> int:
+        """The action of the highest value."""
+        return int(self.values(observation).argmax())
+
+    def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:
+        """Values of all actions (A,), in units of the scaled reward.
+
+        Raises PolicyError when the observation holds fewer images than the network was trained on, or the network
+        leaves the finite numbers.
+        """
+        seen = newest(observation, self.file.window)
+        with torch.inference_mode():
+            batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
+            values = np.asarray(self.net(batch)[0].numpy(), dtype=np.float32)
+        if not np.isfinite(values).all():
+            raise PolicyError(f"policy {shown(self.name)!r} gives values that are not finite; train it again")
+        return values
+
+
+def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
+    """Write a policy folder in one step, replacing an older one; returns the folder."""
+    net = model.q_net
+    tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
+
+    def fill(target: Path) -> None:
+        save_file(tensors, target / WEIGHTS)
+        digest = files.sha256(target / WEIGHTS)
+        files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
+
+    files.write_folder(folder, fill)
+    return folder
+
+
+def load_policy(path: Path, network: str | None = None) -> NetPolicy:
+    """Load a policy folder.
+
+    A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
+    somebody else must not decide which code runs here.
+
+    Raises PolicyError when a file is missing, damaged or does not fit.
+    """
+    file = read_policy_file(path)
+    spec = _spec(path, file, network)
+    weights = path / WEIGHTS
+    if registry.is_own(spec.network):
+        with torch.device("meta"):  # what the description asks for, before any memory is given to it
+            wanted = _empty_net(file, spec).state_dict()
+        data = read_weights(weights, file.weights_sha256, wanted)
+        net = _empty_net(file, spec)
+    else:
+        net = _empty_net(file, spec)
+        data = read_weights(weights, file.weights_sha256, net.state_dict())
+    net.load_state_dict(checked_weights(weights, data, net.state_dict()))
+    policy = NetPolicy(net, path.name, file)
+    for observation in _probes(file):
+        policy.values(observation)
+    return policy
+
+
+def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights_sha256: str) -> dict[str, Any]:
+    spec = model.q_net.spec
+    return {
+        "schema_version": 1,
+        "algorithm": "SeqDQN",
+        "net": spec_to_json(spec),
+        "image_hw_px": list(image_size(model.observation_space)),
+        "vector_size": vector_size(model.observation_space),
+        "window": window_size(model.observation_space),
+        "camera": camera.model_dump(mode="json"),
+        "reward_scale": model.settings.reward_scale,
+        "manifest_sha256": manifest_sha256,
+        "weights_sha256": weights_sha256,
+        "versions": {name: metadata.version(name) for name in ("torch", "stable-baselines3")},
+    }
+
+
+def _spec(path: Path, file: PolicyFile, network: str | None) -> NetSpec:
+    name = file.net.network
+    if not registry.is_registered(name):
+        require_named(shown(path), name, network)
+    plain = file.net.model_dump()
+    prior = FollowPrior(**plain.pop("prior"))
+    return NetSpec(**plain, prior=prior)
+
+
+def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
+    return QNet(_space(file), spaces.Discrete(len(action_set(spec.actions))), spec)
+
+
+def _space(file: PolicyFile) -> spaces.Dict:
+    height, width = file.image_hw_px
+    image = spaces.Box(0, 255, (file.window, height, width), np.uint8)
+    return spaces.Dict(
+        seg=image,
+        depth=image,
+        imu=spaces.Box(-1.0, 1.0, (file.vector_size - JOYSTICK_SIZE,), np.float32),
+        joystick=spaces.Box(-1.0, 1.0, (JOYSTICK_SIZE,), np.float32),
+    )
+
+
+def _probes(file: PolicyFile) -> Iterator[Observation]:
+    """Observations that a usable network has values for: nothing seen, and every number at its largest."""
+    for share in (0.0, 1.0):
+        yield {
+            key: np.full(box.shape, share * (ClassId.ROAD if key == CLASS_KEY else box.high.flat[0]), box.dtype)
+            for key, box in _space(file).spaces.items()
+            if isinstance(box, spaces.Box)
+        }

@@ -1,0 +1,250 @@
+"""SeqDQN: the double deep Q-learner of wcsim, an algorithm of Stable-Baselines3.
+
+On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
+gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
+advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
+from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. Recurrent
+networks read the observation's window anew each time, so steps are drawn one by one and no state is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
+from stable_baselines3.common.utils import polyak_update
+from torch.nn import functional
+
+from wcsim.agents.learning.flip_augmentation import mirrored, mirrored_advice
+from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled
+from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.networks.q_network import QNet, SeqQPolicy
+from wcsim.agents.policy_api import JOYSTICK_KEY
+from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.core import seeding
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import ActionSet, action_set
+
+MAX_SKIPPED = 10  # updates in a row with a loss that is not finite
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeqSettings:
+    """What SeqDQN has beside SB3's DQN."""
+
+    actions: str = "square81"
+    double_q: bool = True
+    reward_scale: float = 0.05
+    exploration: Literal["local", "uniform"] = "local"
+    epsilon_sigma: float = 0.5
+    epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
+    mirror: bool = False  # batches are mirrored left to right half of the time
+    aid_batch: int = 32  # this and the following: see LearnConfig
+    aid_share: float = 0.5
+    aid_relabel: float = 0.5
+    aid_ahead: int = 0
+    aid_margin: float = 1.0
+
+
+class SeqDQN(DQN):
+    """Double DQN over wcsim's observations; without a `plan` it explores like SB3's DQN and never imitates the user."""
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"SeqQPolicy": SeqQPolicy}
+    q_net: QNet  # type: ignore[assignment]
+    q_net_target: QNet  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        policy: str | type[SeqQPolicy],
+        env: GymEnv | str,
+        *,
+        settings: SeqSettings | None = None,
+        plan: PhasePlan | None = None,
+        seed: int | None = None,
+        _init_setup_model: bool = True,
+        **dqn: Any,
+    ) -> None:
+        self.settings = settings if settings is not None else SeqSettings()
+        self.plan = plan
+        self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
+        self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
+        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
+        self.skipped_updates = 0
+        self.max_abs_q = 0.0
+        self.last_loss = float("nan")
+        dqn.setdefault("replay_buffer_class", FrameReplay)
+        super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
+
+    @property
+    def action_points(self) -> ActionSet:
+        """The joystick positions of the actions."""
+        return action_set(self.settings.actions)
+
+    @property
+    def phase(self) -> LearningPhase:
+        """Whose joystick is executed at the present step."""
+        return LearningPhase.AGENT_DRIVEN if self.plan is None else self.plan.phase(self.num_timesteps)
+
+    # --- acting ---
+
+    def predict(
+        self,
+        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
+        state: tuple[npt.NDArray[Any], ...] | None = None,
+        episode_start: npt.NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+        """Greedy actions; unless deterministic, each seat explores by a draw of its own."""
+        actions, state = self.policy.predict(observation, state, episode_start, deterministic=True)
+        if deterministic or not isinstance(observation, dict):
+            return actions, state
+        sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
+        explored = np.where(self._begins(len(sticks)), self._explore(sticks), actions)
+        return (explored if np.ndim(actions) else explored[0]), state
+
+    def _begins(self, seats: int) -> npt.NDArray[np.bool_]:
+        """Which seats explore now: an exploration lasts `epsilon_hold` steps, so it begins that much more rarely."""
+        hold = self.settings.epsilon_hold
+        if len(self._held) != seats:
+            self._held, self._offsets = np.zeros(seats, dtype=np.int64), np.zeros((seats, 2))
+        rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
+        begins = (self._held == 0) & (self.rng.random(seats) < rate)
+        drawn = self.rng.normal(0.0, self.settings.epsilon_sigma, (seats, 2))
+        self._offsets = np.where(begins[:, None], drawn, self._offsets)
+        self._held = np.where(begins, hold, self._held)
+        explores: npt.NDArray[np.bool_] = self._held > 0
+        self._held = np.maximum(self._held - 1, 0)
+        return explores
+
+    def _explore(self, sticks: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """A random action per seat: near the user's joystick, or any."""
+        if self.settings.exploration == "uniform":
+            return self.rng.integers(0, len(self.action_points), len(sticks))
+        return self.action_points.nearest_many(np.clip(sticks + self._offsets, -1.0, 1.0))
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Phase 1: the user's nearest action. Phase 2: greedy with exploration, from the first step on."""
+        observation = self._last_obs
+        if not isinstance(observation, dict):
+            raise PolicyError(f"observation is {type(observation).__name__}; expected wcsim's dict of arrays")
+        if self.phase is LearningPhase.ACTION_DRIVEN:
+            actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
+        else:
+            actions, _ = self.predict(observation, deterministic=False)
+        return actions, actions
+
+    def _on_step(self) -> None:
+        """Set the exploration rate; the target network follows the gradient steps instead of the world's steps."""
+        if self.plan is None:
+            self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
+        else:
+            self.exploration_rate = self.plan.epsilon(self.num_timesteps)
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+
+    # --- learning ---
+
+    def train(self, gradient_steps: int, batch_size: int = 32) -> None:
+        """Do `gradient_steps` updates. Raises PolicyError when the loss stays out of the finite numbers."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        buffer = self.replay_buffer
+        if buffer is None:
+            raise PolicyError("there is no replay buffer; build the model with an environment before training it")
+        plan, step = self.plan, self.num_timesteps
+        margin, aid = (0.0, 0.0) if plan is None else (plan.margin_weight(step), plan.aid_weight(step))
+        for _ in range(gradient_steps):
+            batch: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
+            if self._flips():
+                batch = mirrored(batch, self._mirror_map())
+            loss = self.loss(batch, margin)
+            if aid > 0.0:
+                loss = loss + aid * self.advice_loss()
+            self._update(loss)
+        self._n_updates += gradient_steps
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        self.logger.record("train/loss", self.last_loss)
+        self.logger.record("train/max_abs_q", self.max_abs_q)
+        self.logger.record("train/margin_weight", margin)
+        self.logger.record("train/aid_weight", aid)
+
+    def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
+        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss."""
+        target = self.targets(batch)
+        values = self.q_net(batch.observations)
+        self.max_abs_q = float(values.detach().abs().max())
+        chosen = values.gather(1, batch.actions.long())
+        loss = functional.smooth_l1_loss(chosen, target)
+        if margin > 0.0:
+            loss = loss + margin * self.margin_loss(values, batch.observations)
+        return loss
+
+    @torch.no_grad()
+    def targets(self, batch: DictReplayBufferSamples) -> torch.Tensor:
+        """Scaled n-step returns plus the discounted value after them, (B, 1)."""
+        after = self.q_net_target(batch.next_observations)
+        if self.settings.double_q:
+            best = self.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
+            value = after.gather(1, best)
+        else:
+            value = after.max(dim=1, keepdim=True).values
+        discounts = self.gamma if batch.discounts is None else batch.discounts
+        return torch.as_tensor(self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value)
+
+    def margin_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """How far the user's action is from beating every other by a margin that grows with the joystick distance."""
+        distances = self.q_net.distances(observations[JOYSTICK_KEY])
+        label = distances.argmin(dim=1, keepdim=True)
+        gap = distances - distances.gather(1, label) + MARGIN_OFFSET
+        wanted = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
+        return ((values + wanted).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
+
+    def advice_loss(self) -> torch.Tensor:
+        """Loss of a batch of advice from the truth (`agents/learning/oracle_loss.py`), 0 while there is none."""
+        settings, buffer = self.settings, self.replay_buffer
+        advice = None
+        if isinstance(buffer, FrameReplay):
+            advice = buffer.sample_advice(settings.aid_batch, settings.aid_share, settings.aid_ahead)
+        if advice is None:
+            return torch.zeros((), device=self.device)
+        seen, points = advice.observations, self.action_points.points
+        sticks = seen[JOYSTICK_KEY].cpu().numpy()
+        wishes = relabelled(sticks, points, settings.aid_relabel, self.rng)
+        advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
+        if self._flips():
+            advice = mirrored_advice(advice, self._mirror_map())
+        distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
+        values = self.q_net(advice.observations)
+        return aid_loss(values, distances, advice.safe, settings.reward_scale, settings.aid_margin)
+
+    def _flips(self) -> bool:
+        return self.settings.mirror and bool(self.rng.random() < 0.5)
+
+    def _mirror_map(self) -> torch.Tensor:
+        return torch.as_tensor(self.action_points.mirror, device=self.device)
+
+    def _update(self, loss: torch.Tensor) -> None:
+        self.last_loss = float(loss.detach())
+        if not np.isfinite(self.last_loss):
+            self.skipped_updates += 1
+            if self.skipped_updates > MAX_SKIPPED:
+                raise PolicyError(
+                    f"the loss was {self.last_loss} for {self.skipped_updates} updates in a row; expected a finite "
+                    "number: go back to a checkpoint with a smaller learn.learning_rate or learn.reward_scale"
+                )
+            return
+        self.skipped_updates = 0
+        self.policy.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
+        self.policy.optimizer.step()
+        polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)

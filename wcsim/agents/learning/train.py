@@ -1,0 +1,274 @@
+"""A training run from configuration to saved policies."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import torch
+from safetensors import SafetensorError
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from wcsim.agents.learning.build import build_model, checked_device, with_window
+from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
+from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
+from wcsim.agents.learning.checkpoint_file import set_aside
+from wcsim.agents.learning.metrics import MetricsFile
+from wcsim.agents.learning.phases import PhaseSwitch
+from wcsim.agents.learning.saved_policy import save_policy
+from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.runs.run_folder import (
+    METRICS,
+    Manifest,
+    RunFolder,
+    create_run,
+    make_manifest,
+    open_run,
+    with_kept_plant,
+)
+from wcsim.config import RunConfig
+from wcsim.config.plant import plant_text
+from wcsim.core import files, seeding
+from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
+from wcsim.towns.scenario.overrides import Override
+
+MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
+Progress = Callable[[TrainProgress], None]
+PROGRESS_EVERY = 50  # steps
+Q_ALARM = 1.5  # times the largest value that the reward allows
+
+
+def train(
+    config: RunConfig,
+    make_env: MakeEnv,
+    out: Path,
+    seed: int,
+    progress: Progress | None = None,
+    *,
+    town: str = "",
+    town_sha256: str = "",
+    rewards: Sequence[str] = (),
+    command: Sequence[str] = (),
+    resume: bool = False,
+    hook: str = "",
+    overrides: Sequence[Override] = (),
+    progress_every: int = PROGRESS_EVERY,
+    callbacks: Sequence[BaseCallback] = (),
+    alive: Callable[[], object] = lambda: None,
+    say: Callable[[str], object] = lambda text: None,
+) -> Path:
+    """Learn both phases and leave a run folder.
+
+    Args:
+        config: Everything about the run; with `resume` it must be the run's own.
+        make_env: Makes the environment; it is reset with `seed` first.
+        out: The run folder, new or empty, or an interrupted run with `resume`.
+        seed: Of networks, exploration, replay and the environment. Equal seeds on equal machines give equal weights.
+        progress: Called every `progress_every` steps.
+        town: Name of the training town, for the manifest.
+        town_sha256: Hash of its streets.
+        rewards: Names of the user's own reward terms, for the manifest, as is the command.
+        command: What started the run.
+        hook: Name of the user's own step hook, for the manifest.
+        overrides: What the run overrides of the town's own SUMO options, for the manifest.
+        resume: Go on from the newest sound checkpoint, in a new episode; without one the run begins again.
+        progress_every: Steps between two calls of `progress`, at least a rollout's.
+        callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
+        alive: Called now and then while something takes long that is no step of the environment.
+        say: Told what a person should know, such as checkpoints that could not be used.
+
+    Returns:
+        The run folder, with policies/phase1 and policies/final.
+
+    Raises:
+        InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
+        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
+        PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
+    """
+    checked_device(config.learn.device)
+    manifest = make_manifest(config, seed, town, town_sha256, rewards, command, hook, overrides)
+    run = _open(out, config, manifest, resume)
+    with files.locked(run.path), _torch_settings(config), StopRequest() as request:
+        env = DummyVecEnv([make_env])
+        try:
+            model = build_model(config, env, seed)
+            loaded = _loaded(run, model, say) if resume else None
+            session = _Session(run, model, request, progress, resume, loaded, progress_every, alive)
+            session.callbacks.extend(callbacks)
+            return session.learn()
+        finally:
+            env.close()
+
+
+class _Session:
+    """One sitting of a run: a fresh start or a resume, until done or stopped."""
+
+    def __init__(
+        self,
+        run: RunFolder,
+        model: SeqDQN,
+        request: StopRequest,
+        progress: Progress | None,
+        resume: bool,
+        loaded: Loaded | None,
+        progress_every: int,
+        alive: Callable[[], object],
+    ) -> None:
+        self.run, self.model, self.progress, self.request, self.alive = run, model, progress, request, alive
+        self.learn_config = run.config.learn
+        extra = {} if loaded is None else loaded.extra
+        if loaded is not None:
+            self._new_segment()
+        plan = model.plan
+        if plan is None:
+            raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
+        metrics = MetricsFile(run.path / METRICS, keep_to_step=model.num_timesteps if resume else None)
+        self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)))
+        self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
+        self.alarmed = bool(extra.get("q_alarm", False))
+        self.callbacks: list[BaseCallback] = [
+            self.episodes,
+            self.switch,
+            JamWatch(lambda step, vehicles: self.run.event("jam", step=step, teleported=vehicles)),
+            Every(self.learn_config.checkpoint_every, self._checkpoint),
+            Every(progress_every, self._report),
+            StopWhenAsked(request),
+        ]
+
+    def learn(self) -> Path:
+        """Run to the end. Raises InterruptedRunError when it was stopped."""
+        total = self.learn_config.total_steps
+        try:
+            remaining = total - self.model.num_timesteps
+            if remaining > 0:
+                self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+        except KeyboardInterrupt:
+            if self.request.asked and not self.request.forced:
+                with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
+                    self._checkpoint()
+            self.request.ending = True
+            self._finish("interrupted")
+            raise InterruptedRunError(
+                f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
+                "and can be continued with --resume"
+            ) from None
+        except (LinkError, DiskFullError):  # the world is gone, or the seat: what was learned before is worth keeping
+            if self.model.num_timesteps > 0:
+                self._checkpoint()
+            raise
+        if not self.switch.done and self.learn_config.phase1_steps > 0:
+            self._switched()
+        self._checkpoint()
+        self._finish("done")
+        return self.run.path
+
+    def _switched(self) -> None:
+        self._save("phase1")
+        self.run.event("phase2", step=self.model.num_timesteps)
+
+    def _save(self, stage: str) -> None:
+        path = self.run.policy(stage)
+        try:
+            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+        except (DiskFullError, OSError, SafetensorError) as error:
+            raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
+
+    def _finish(self, status: Literal["done", "interrupted"]) -> None:
+        """Final policy and manifest; there is no checkpoint of a step that was torn in two."""
+        self._save("final")
+        self._report()
+        self.run = self.run.with_status(status, self.model.num_timesteps)
+        self.run.event(status, step=self.model.num_timesteps)
+
+    def _checkpoint(self) -> None:
+        self._watch_values()
+        extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
+        try:
+            save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
+        except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
+            self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
+            return
+        self.run.event("checkpoint", step=self.model.num_timesteps)
+
+    def _watch_values(self) -> None:
+        """Values beyond all possible returns mean that learning has come apart; say so once."""
+        reward, learn = self.run.config.reward, self.learn_config
+        largest = learn.reward_scale * (reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma))
+        if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
+            self.alarmed = True
+            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=self.model.max_abs_q, largest=largest)
+
+    def _report(self) -> None:
+        if self.progress is not None:
+            step, total = self.model.num_timesteps, self.learn_config.total_steps
+            self.progress(
+                TrainProgress(
+                    step=step,
+                    total_steps=total,
+                    phase=int(self.model.phase),
+                    episodes=self.episodes.episodes,
+                    crashes=self.episodes.crashes,
+                    kpi1=self.episodes.kpi1,
+                )
+            )
+
+    def _new_segment(self) -> None:
+        """The world cannot be saved: a resumed run goes on in a new one, with a seed of its own."""
+        segment = seeding.derive(self.run.manifest.seed, "agent", "segment", self.model.num_timesteps)
+        if self.model.env is not None:
+            self.model.env.seed(segment)
+        self.run = self.run.with_status("running", self.model.num_timesteps)
+        self.run.event("resume", step=self.model.num_timesteps, seed=segment)
+
+
+def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Loaded | None:
+    """The newest sound checkpoint, restored; None for a run that has none yet and begins again.
+
+    What was passed over is set aside: it belongs to work that is done again, with another outcome.
+    """
+    if newest_step(run.checkpoints) < 0:
+        say(f"{run.path} was ended before its first checkpoint; it begins again")
+        run.event("begin_again")
+        return None
+    loaded = load_checkpoint(run.checkpoints, model)
+    for item in loaded.passed_over:
+        kept = set_aside(item.path)
+        say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")
+        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
+    if not loaded.sealed:
+        say(f"{loaded.path}: of an older version; its counters and random states have no hash, and are taken as sound")
+        run.event("unsealed", checkpoint=loaded.path.name)
+    return loaded
+
+
+def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFolder:
+    """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards."""
+    if not resume:
+        return create_run(out, config, wanted)
+    run = open_run(out)
+    kept = ("seed", "town_sha256", "rewards")
+    other = [key for key in kept if getattr(run.manifest, key) != getattr(wanted, key)]
+    if plant_text(config.chair.plant) != plant_text(run.config.chair.plant):
+        other.append("plant")
+    if with_window(run.config) != with_window(with_kept_plant(config, out)) or other:
+        raise PolicyError(f"{out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
+    return run
+
+
+@contextmanager
+def _torch_settings(config: RunConfig) -> Iterator[None]:
+    """Threads and determinism for the run, and what was set before after it."""
+    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(config.learn.threads)
+    torch.use_deterministic_algorithms(True, warn_only=config.learn.device != "cpu")
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.use_deterministic_algorithms(deterministic)

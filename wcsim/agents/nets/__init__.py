@@ -1,1 +1,0 @@
-"""Network bodies: image and vector to features. `agents/registry.py` says what they must do."""

@@ -1,0 +1,67 @@
+"""The names of wcsim's own networks, for whoever must not load torch; `agents/networks/registry.py` has the classes."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+from wcsim.core.nearest_names import meant
+from wcsim.core.plugins import find_class
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+
+MOST_LETTERS = 56  # so that a number fits behind it
+
+NETWORK_NAMES = ("fig6", "gru", "impala", "patch", "small", "stack")
+
+
+def client_name(network: str) -> str:
+    """What a client with this network is called, unless its user says otherwise: a plain word.
+
+    >>> client_name("own_file:OwnNet"), client_name("fig6")
+    ('OwnNet', 'fig6')
+    """
+    return re.sub(r"[^A-Za-z0-9_-]", "_", network.rpartition(":")[2])[:MOST_LETTERS]
+
+
+def is_own(name: str) -> bool:
+    """Whether a network is somebody's own class, `module:Class`."""
+    return ":" in name
+
+
+def require_network(name: str) -> None:
+    """Refuse what is no network before torch is loaded for it; the class itself is looked at by `find_network`.
+
+    Raises:
+        PolicyError: There is no such name, module or class; importing the module of `module:Class` runs its code.
+    """
+    registry = sys.modules.get("wcsim.agents.networks.registry")  # whoever gave names of their own to it has loaded it
+    if is_own(name):
+        find_class(name, "network")
+    elif name not in NETWORK_NAMES and not (registry is not None and registry.is_registered(name)):
+        raise unknown_network(name, NETWORK_NAMES)
+
+
+def unknown_network(name: str, known: tuple[str, ...]) -> PolicyError:
+    """The refusal of a name that no network has."""
+    names = ", ".join(sorted(known))
+    message = f"unknown network {shown(name, 80)!r}; expected one of {names}, or module:Class"
+    return PolicyError(message + meant(name, known))
+
+
+def require_named(where: str, name: str, named: str | None) -> None:
+    """Refuse a policy with somebody's own network that its user has not named: loading it runs its code.
+
+    Args:
+        where: The policy, as its user calls it.
+        name: Its network.
+        named: The one that was named.
+
+    Raises:
+        PolicyError: They differ.
+    """
+    if name != named:
+        raise PolicyError(
+            f"{where} uses the network {shown(name, 80)!r}, which is not one of wcsim's, and loading it runs its code; "
+            f"expected that you name it, if you trust it: --network {shown(name, 80)}"
+        )

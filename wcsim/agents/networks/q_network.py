@@ -1,0 +1,141 @@
+"""The action-value network (encoder, head, known follow reward) and the policy object that Stable-Baselines3 wants."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+from stable_baselines3.dqn.policies import DQNPolicy
+from torch import nn
+
+from wcsim.agents.networks.encoder import Classes, ObservationEncoder, vector, vector_size
+from wcsim.agents.policy_api import JOYSTICK_KEY
+from wcsim.supervisor.actions import MAX_DISTANCE, action_set
+
+SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
+TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowPrior:
+    """The reward for following the user, known for every action without learning (Tables 1 and 2 of the paper)."""
+
+    base: float = 1.0
+    max_follow_distance: float = 0.1768
+    max_distance: float = MAX_DISTANCE
+    penalty: float = 2.0
+    reward_scale: float = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetSpec:
+    """Everything that an action-value network depends on besides the spaces; plain values, kept in policy.json."""
+
+    network: str = "small"
+    head: Literal["residual", "plain"] = "residual"
+    dueling: bool = True
+    hidden: int = 128
+    actions: str = "square81"
+    classes: Classes = "cityscapes"
+    prior: FollowPrior = field(default_factory=FollowPrior)
+
+
+class QNet(BasePolicy):
+    """Values of all actions. With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a)."""
+
+    def __init__(self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec) -> None:
+        super().__init__(observation_space, action_space, normalize_images=False)
+        self.spec = spec
+        self.encoder = ObservationEncoder(observation_space, spec.network, spec.classes)
+        count = int(action_space.n)
+        inputs = self.encoder.features_dim + vector_size(observation_space)
+        self.trunk = nn.Sequential(nn.Linear(inputs, spec.hidden), nn.ReLU())
+        self.advantage = nn.Linear(spec.hidden, count)
+        self.value = nn.Linear(spec.hidden, 1) if spec.dueling else None
+        if spec.head == "residual":
+            with torch.no_grad():
+                self.advantage.weight.mul_(SMALL_INIT)
+                self.advantage.bias.zero_()
+        points = torch.as_tensor(action_set(spec.actions).points, dtype=torch.float32)
+        self.register_buffer("_points", points, persistent=False)  # (A, 2)
+
+    def forward(self, observations: PyTorchObs) -> torch.Tensor:
+        """Values (B, A), in units of the scaled reward."""
+        if not isinstance(observations, dict):
+            raise TypeError(f"observations are {type(observations).__name__}; expected a dict of tensors")
+        features = torch.cat([self.encoder(observations), vector(observations)], dim=1)
+        hidden = self.trunk(features)
+        q = self.advantage(hidden)
+        if self.value is not None:
+            q = self.value(hidden) + q - q.mean(dim=1, keepdim=True)
+        if self.spec.head == "residual":
+            q = q + self.follow_reward(observations[JOYSTICK_KEY])
+        return torch.as_tensor(q)
+
+    def distances(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
+        """Joystick distance of every action, (B, 2) -> (B, A)."""
+        gap = joysticks_xy[:, None, :] - torch.as_tensor(self._points)[None]
+        return (gap * gap).sum(dim=-1).sqrt()
+
+    def follow_reward(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
+        """Base reward or joystick penalty of every action, scaled, (B, 2) -> (B, A)."""
+        prior = self.spec.prior
+        distance = self.distances(joysticks_xy)
+        window = prior.max_distance - prior.max_follow_distance
+        intensity = ((distance - prior.max_follow_distance) / window).clamp(0.0, 1.0)
+        near = distance <= prior.max_follow_distance + TOLERANCE
+        reward = torch.where(near, torch.full_like(distance, prior.base), -prior.penalty * intensity)
+        return prior.reward_scale * reward
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
+        return self(observation).argmax(dim=1)  # type: ignore[no-any-return]
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {"observation_space": self.observation_space, "action_space": self.action_space, "spec": self.spec}
+
+
+class SeqQPolicy(DQNPolicy):
+    """Online and target network for `SeqDQN`, in the form that SB3's `predict`, `save` and `load` expect."""
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        action_space: spaces.Discrete,
+        lr_schedule: Schedule,
+        spec: NetSpec | None = None,
+        optimizer_kwargs: dict[str, Any] | None = None,
+    ) -> None:
+        self.spec = spec if spec is not None else NetSpec()
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            features_extractor_class=ObservationEncoder,
+            normalize_images=False,
+            optimizer_kwargs=optimizer_kwargs if optimizer_kwargs is not None else {"eps": 1.5e-4},
+        )
+
+    def make_q_net(self) -> QNet:  # type: ignore[override]
+        """A fresh network of this policy's specification."""
+        space, actions = self.observation_space, self.action_space
+        if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
+            raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
+        return QNet(space, actions, self.spec).to(self.device)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {
+            "observation_space": self.observation_space,
+            "action_space": self.action_space,
+            "lr_schedule": self._dummy_schedule,
+            "spec": self.spec,
+            "optimizer_kwargs": self.optimizer_kwargs,
+        }
+
+
+def spec_to_json(spec: NetSpec) -> dict[str, Any]:
+    """The specification as plain values for policy.json."""
+    return asdict(spec)

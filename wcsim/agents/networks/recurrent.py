@@ -1,0 +1,91 @@
+"""Networks over a short window of images: the paper's Figure 6 (CNN, LSTM, dense), a GRU in its place, stacked images.
+
+All begin as `PatchNet` does, with the whole window in one batch. The window is read anew in every step, so no state is
+carried from step to step, and replay may draw steps in any order.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import nn
+
+from wcsim.agents.networks.convolutional import FEATURES, PATCH_CHANNELS, PATCH_PX, PatchNet, StridedNet
+
+MEMORY = 128  # units of the recurrent layer
+REMEMBERS = 1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
+Shape = tuple[int, int, int, int]  # T, C, H, W
+
+
+class RecurrentNet(nn.Module):
+    """Each image to 128 numbers, then a recurrent layer over the window; its last output and the vector are features.
+
+    The recurrent layer starts with orthogonal recurrent weights, Glorot's input weights and biases of zero.
+    """
+
+    windowed: ClassVar[bool] = True
+    window: ClassVar[int] = 4
+
+    def __init__(self, image_shape: Shape, memory: nn.LSTM | nn.GRU) -> None:
+        super().__init__()
+        _, channels, height, width = image_shape
+        self.eye = PatchNet((channels, height, width), 0)
+        self.memory = memory
+        with torch.no_grad():
+            for name, values in memory.named_parameters():
+                if name.startswith("bias"):
+                    values.zero_()
+                    continue
+                fill = nn.init.orthogonal_ if name.startswith("weight_hh") else nn.init.xavier_uniform_
+                for first in range(0, len(values), MEMORY):
+                    fill(values[first : first + MEMORY])  # gate by gate
+
+    def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+        """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
+        batch, frames = image.shape[:2]
+        seen = self.eye(image.flatten(0, 1), vector.new_zeros(batch * frames, 0))
+        remembered, _ = self.memory(seen.unflatten(0, (batch, frames)))
+        return torch.cat([remembered[:, -1], vector], dim=1)
+
+
+class Figure6Net(RecurrentNet):
+    """Figure 6 of the paper: CNN, LSTM; the dense voter is the head, which gets IMU and joystick besides."""
+
+    def __init__(self, image_shape: Shape, vector_size: int) -> None:
+        del vector_size
+        memory = nn.LSTM(FEATURES, MEMORY, batch_first=True)
+        super().__init__(image_shape, memory)
+        with torch.no_grad():
+            biases = memory.get_parameter("bias_ih_l0")  # of the gates input, forget, cell, output
+            biases[MEMORY : 2 * MEMORY] = REMEMBERS
+
+
+class GruNet(RecurrentNet):
+    """A GRU in the place of the LSTM: three quarters of its weights. A fresh one gives the newest image half a say."""
+
+    def __init__(self, image_shape: Shape, vector_size: int) -> None:
+        del vector_size
+        super().__init__(image_shape, nn.GRU(FEATURES, MEMORY, batch_first=True))
+
+
+class StackNet(StridedNet):
+    """The images of the window as the channels of one: `PatchNet` with patches that reach through the window."""
+
+    windowed: ClassVar[bool] = True
+    window: ClassVar[int] = 4
+
+    def __init__(self, image_shape: Shape, vector_size: int) -> None:
+        super().__init__(_StackStem(image_shape), image_shape, vector_size)
+
+
+class _StackStem(nn.Conv3d):
+    """Patches of T x 4 x 4 pixels; in three dimensions because stacking the channels would copy every image."""
+
+    def __init__(self, image_shape: Shape) -> None:
+        frames, channels, _, _ = image_shape
+        super().__init__(channels, PATCH_CHANNELS, (frames, PATCH_PX, PATCH_PX), stride=(1, PATCH_PX, PATCH_PX))
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        """The map (B, channels, H / 4, W / 4) of images (B, T, C, H, W)."""
+        return super().forward(input.movedim(1, 2)).squeeze(2)

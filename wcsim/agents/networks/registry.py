@@ -1,0 +1,111 @@
+"""Networks by name.
+
+A network is an `nn.Module` class that is built with `(image_shape, vector_size)` and maps an image batch and a vector
+batch to features. What goes in:
+
+- `image`: (B, C, H, W) float32 in 0..1; one plane per group of pixel classes, then the log-depth (0 near, 1 far);
+  built with `image_shape` (C, H, W);
+- `vector`: (B, 7) float32 in -1..1; IMU (ax, ay, az, roll, pitch) and the user's joystick (x right, y forward).
+
+What comes out: (B, F) float32 for any F, which is found by a first call. The head that turns features into values of
+actions gets the vector once more beside the features, so that a network may ignore it; Stable-Baselines3's own
+algorithms give their heads the features alone. An example is `examples/own_network.py`.
+
+A class with `windowed = True` gets the images of the last T ticks (`env.window`), the newest last: it is built with
+`image_shape` (T, C, H, W) and called with (B, T, C, H, W). Its `window` is the T that `wcsim train` takes when the user
+sets none; it must work with any T, 1 included. Nothing is remembered from one call to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from torch import nn
+
+from wcsim.agents.networks.convolutional import PatchNet, SmallNet
+from wcsim.agents.networks.names import NETWORK_NAMES, unknown_network
+from wcsim.agents.networks.recurrent import Figure6Net, GruNet, StackNet
+from wcsim.agents.networks.residual import ImpalaNet
+from wcsim.core.plugins import find_class
+from wcsim.errors import PolicyError
+
+NetworkClass = Callable[[Any, int], nn.Module]  # (image_shape, vector_size)
+
+NETWORKS: dict[str, NetworkClass] = {
+    "small": SmallNet,
+    "patch": PatchNet,
+    "impala": ImpalaNet,
+    "fig6": Figure6Net,
+    "gru": GruNet,
+    "stack": StackNet,
+}
+
+
+def register(name: str, network: NetworkClass) -> None:
+    """Make a network known under a name. Raises PolicyError when the name is taken by another one or holds a colon."""
+    if ":" in name or NETWORKS.get(name, network) is not network:
+        raise PolicyError(f"network name {name!r} is taken or holds a colon; expected a new plain name")
+    NETWORKS[name] = network
+
+
+def is_own(name: str) -> bool:
+    """Whether a name stands for a network of wcsim itself."""
+    return name in NETWORK_NAMES and NETWORKS[name].__module__.startswith("wcsim.")
+
+
+def is_registered(name: str) -> bool:
+    """Whether a name stands for a network of wcsim itself or one given to `register`."""
+    return name in NETWORKS
+
+
+def find_network(name: str) -> NetworkClass:
+    """The network of that name, or the class of `module:Class` from the current folder or the Python path.
+
+    Raises PolicyError when there is none; importing `module` runs its code.
+    """
+    if name in NETWORKS:
+        return NETWORKS[name]
+    if ":" not in name:
+        raise unknown_network(name, tuple(NETWORKS))
+    found = find_class(name, "network")
+    if not issubclass(found, nn.Module):
+        raise PolicyError(f"network {name!r} is no torch.nn.Module; expected a class that is one (see examples/)")
+    return found
+
+
+def is_windowed(name: str) -> bool:
+    """Whether the network of that name reads a window of images. Raises PolicyError when there is none."""
+    return bool(getattr(find_network(name), "windowed", False))
+
+
+def preferred_window(name: str) -> int:
+    """The images a window should hold for the network of that name. Raises PolicyError when there is none."""
+    return int(getattr(find_network(name), "window", 1)) if is_windowed(name) else 1
+
+
+def input_shape(name: str, frames: int, image_shape: tuple[int, int, int]) -> tuple[int, ...]:
+    """What the network of that name is built with: (T, C, H, W) when it is windowed, else (C, H, W).
+
+    Raises PolicyError for a window of several images and a network that reads one.
+    """
+    if is_windowed(name):
+        return (frames, *image_shape)
+    if frames > 1:
+        others = ", ".join(sorted(other for other in NETWORKS if is_windowed(other)))
+        raise PolicyError(
+            f"network {name!r} reads one image, the observation holds {frames}; expected one: set env.window=1, or "
+            f"choose a windowed network ({others})"
+        )
+    return image_shape
+
+
+def build(name: str, image_shape: tuple[int, ...], vector_size: int) -> nn.Module:
+    """A network of that name for these inputs. Raises PolicyError when its class cannot be built with them."""
+    network = find_network(name)
+    try:
+        return network(image_shape, vector_size)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise PolicyError(
+            f"network {name!r} could not be built with image_shape={image_shape}, vector_size={vector_size}: {error}"
+        ) from error

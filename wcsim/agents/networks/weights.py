@@ -1,0 +1,106 @@
+"""Weights of a policy from bytes that somebody else may have written: what is checked is what is loaded."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load
+
+from wcsim.core.reading import FileKind, parse_json, read_bytes, regular_size, shown
+from wcsim.errors import PolicyError
+
+MAX_WEIGHTS_BYTES = 1 << 30
+MAX_HEADER_BYTES = 1 << 20
+_LENGTH_BYTES = 8  # of the header's length, which comes first
+_KIND = FileKind(what="the weights of a policy", limit_bytes=MAX_WEIGHTS_BYTES, error=PolicyError)
+_HEADER = FileKind(what="a safetensors file", limit_bytes=MAX_HEADER_BYTES, error=PolicyError)
+_DTYPES = {
+    torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16", torch.int64: "I64",
+    torch.int32: "I32", torch.int16: "I16", torch.int8: "I8", torch.uint8: "U8", torch.bool: "BOOL",
+}  # fmt: skip
+Tensors = Mapping[str, torch.Tensor]
+
+
+def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
+    """The bytes of a weights file whose header tells of exactly these tensors.
+
+    Args:
+        path: The file; it is read once.
+        sha256: What policy.json says of it.
+        wanted: Tensors of the same names, types and shapes; their numbers are not looked at.
+
+    Raises:
+        PolicyError: The file cannot be read, has another size or digest, or tells of other tensors.
+    """
+    size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted.values())
+    if not least <= size <= least + MAX_HEADER_BYTES + _LENGTH_BYTES:
+        raise PolicyError(
+            f"{shown(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
+            "copy the whole policy folder again"
+        )
+    data = read_bytes(path, _KIND)
+    found = hashlib.sha256(data).hexdigest()
+    if found != sha256:
+        raise PolicyError(
+            f"{shown(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
+            "the file was damaged or exchanged; copy the whole policy folder again"
+        )
+    _require_same(path, _told(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
+    return data
+
+
+def checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch.Tensor]:
+    """The tensors in the bytes of a weights file.
+
+    Raises:
+        PolicyError: They are not those of `wanted` in name, type and shape, or not finite.
+    """
+    try:
+        tensors = load(data)
+    except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
+        raise PolicyError(f"{shown(path)} is not a safetensors file: {shown(error)}") from None
+    _require_same(
+        path,
+        {name: _facts(tensor) for name, tensor in tensors.items()},
+        {name: _facts(tensor) for name, tensor in wanted.items()},
+    )
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
+        raise PolicyError(f"{shown(path)} holds numbers that are not finite; train this policy again")
+    return tensors
+
+
+def _facts(tensor: torch.Tensor) -> str:
+    return f"{_DTYPES.get(tensor.dtype, tensor.dtype)} {list(tensor.shape)}"
+
+
+def _told(path: Path, data: bytes) -> dict[str, str]:
+    """What the header of a safetensors file says of its tensors."""
+    size = int.from_bytes(data[:_LENGTH_BYTES], "little")
+    head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, MAX_HEADER_BYTES)]
+    if len(head) < max(size, 1):
+        raise PolicyError(f"{shown(path)} is not a safetensors file: its header has {size} bytes; expected 1 to 1 MiB")
+    try:
+        text = head.decode()
+    except UnicodeDecodeError as error:
+        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is no UTF-8 ({error.reason})") from None
+    facts = {name: _fact(entry) for name, entry in parse_json(text, shown(path), _HEADER).items()}
+    return {name: fact for name, fact in facts.items() if name != "__metadata__"}
+
+
+def _fact(entry: Any) -> str:
+    return f"{entry.get('dtype')} {entry.get('shape')}" if isinstance(entry, dict) else type(entry).__name__
+
+
+def _require_same(path: Path, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+    odd = sorted(name for name in wanted.keys() | got.keys() if wanted.get(name) != got.get(name))
+    if odd:
+        first = odd[0]
+        raise PolicyError(
+            f"{shown(path)} does not fit the network that policy.json describes: {shown(first, 80)} is "
+            f"{shown(got.get(first, 'missing'), 80)}, expected {wanted.get(first, 'nothing')} "
+            f"({len(odd)} tensors differ); use the weights it was trained with"
+        )

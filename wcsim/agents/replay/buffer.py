@@ -1,0 +1,265 @@
+"""Replay memory for image observations: each frame is kept once, the next observation is the next row.
+
+Of a window of frames, too, a row keeps the newest alone (`agents/replay/window_store.py`).
+
+A chain of rows ends where an episode ends (crash or time limit) or where the next step did not continue this one (the
+environment was reset from outside). The observation after the end of a chain is kept beside the ring, so that a
+truncated episode bootstraps from its true last observation. n-step returns never cross an end of a chain; at the newest
+row, whose successor is not known yet, they are shorter.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.utils import get_device
+from stable_baselines3.common.vec_env import VecNormalize
+
+from wcsim.agents.replay.layout import layout_of
+from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
+from wcsim.agents.replay.window_store import WindowStore
+from wcsim.core import seeding
+from wcsim.types import F32, U8, Bool
+
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chains:
+    """n-step chains from K start rows."""
+
+    returns: F32  # (K,) discounted rewards up to and including the last step
+    discounts: F32  # (K,) gamma ** length, the weight of the value after the last step
+    terminated: Bool  # (K,) the last step crashed: nothing comes after it
+    last: I64  # (K,) absolute index of the last step
+    ended: Bool  # (K,) the observation after the last step is kept beside the ring
+
+
+class FrameReplay(ReplayBuffer):
+    """A ring of steps, `buffer_size` frames in all seats together, in the shape that SB3's off-policy algorithms use.
+
+    Rows are addressed by their absolute index (steps added before them), which never repeats.
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        device: torch.device | str = "auto",
+        n_envs: int = 1,
+        optimize_memory_usage: bool = False,
+        handle_timeout_termination: bool = True,
+        *,
+        n_step: int = 1,
+        gamma: float = 0.99,
+        precrash_share: float = 0.0,
+        precrash_window: int = 20,
+        advice: bool = False,
+        seed: int = 0,
+    ) -> None:
+        # SB3's own constructor would allocate two uncompressed copies of every frame.
+        self.observation_space, self.action_space = observation_space, action_space
+        self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
+        self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, handle_timeout_termination
+        self.buffer_size = rows = max(buffer_size // n_envs, n_step + 1, 2)
+        self.n_step, self.gamma = n_step, gamma
+        self.precrash_share, self.precrash_window = precrash_share, precrash_window
+        self.layout = layout_of(observation_space)
+        self.rng = seeding.generator(seed, "agent", "replay")
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes)
+        self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
+        self.actions = np.zeros((rows, n_envs), dtype=np.int64)
+        self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
+        self.ended = np.zeros((rows, n_envs), dtype=bool)
+        self.terminated = np.zeros((rows, n_envs), dtype=bool)
+        self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
+        count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
+        self.advice = AdviceRing(rows, n_envs, count) if advice else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.total = 0  # steps added per seat, ever
+        self.pos, self.full = 0, False
+        self.ended[:] = False
+        self.windows.reset()
+        self.after_end: dict[tuple[int, int], tuple[U8, F32]] = {}  # by (absolute index, seat)
+        self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
+        self.expected: tuple[U8, F32] | None = None  # the observations that should come next
+        if self.advice is not None:
+            self.advice.reset()
+
+    def add(
+        self,
+        obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
+        next_obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
+        action: npt.NDArray[Any],
+        reward: npt.NDArray[Any],
+        done: npt.NDArray[Any],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """Keep one step of every seat; `next_obs` holds the terminal observation of a seat that is done."""
+        images, vectors = self.layout.image_rows(obs), self.layout.vector_rows(obs)
+        self._cut_where_broken(images, vectors)
+        row = self.pos
+        self._forget(self.total - self.buffer_size)
+        previous = (row - 1) % self.buffer_size
+        fresh = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
+        self.windows.write(self.total, images, fresh)
+        self.episode_step[row] = np.where(fresh, 0, self.episode_step[previous] + 1)
+        if self.advice is not None:
+            self.advice.write(self.total, fresh, infos)
+        self.vectors[row] = vectors
+        self.actions[row] = np.asarray(action).reshape(self.n_envs)
+        self.rewards[row] = reward
+        self.ended[row] = np.asarray(done, dtype=bool)
+        timeouts = [bool(info.get("TimeLimit.truncated", False)) for info in infos]
+        self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
+        self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
+        for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
+            self._keep_end(self.total, seat)
+            if self.terminated[row, seat]:
+                self.crashes.append((self.total, seat))
+        self.total += 1
+        self.pos = (row + 1) % self.buffer_size
+        self.full = self.full or self.pos == 0
+
+    def sample(  # type: ignore[override]
+        self, batch_size: int, env: VecNormalize | None = None
+    ) -> DictReplayBufferSamples:
+        """A batch of n-step transitions; rewards are unscaled returns. `env` is ignored: nothing is normalised."""
+        return self.gather(*self.draw(batch_size))
+
+    def draw(self, batch_size: int) -> tuple[I64, I64]:
+        """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
+
+        Raises ValueError when fewer than two steps are kept.
+        """
+        if self.total < 2:
+            raise ValueError(f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts")
+        first = self.total - self.size()
+        seats = self.rng.integers(0, self.n_envs, batch_size)
+        # The newest row has no successor to bootstrap from, unless its episode ended with it.
+        known = self.total - 1 - first + self.ended[(self.total - 1) % self.buffer_size, seats]
+        starts = first + np.floor(self.rng.random(batch_size) * known).astype(np.int64)
+        count = round(self.precrash_share * batch_size)
+        if count > 0 and self.crashes:
+            starts[:count], seats[:count] = self._before_crashes(count, first)
+        return starts, seats
+
+    def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
+        """The transitions that start at these rows."""
+        chains = self.chains(starts, seats)
+        rows = starts % self.buffer_size
+        now = self.layout.split(self.windows.read(starts, seats), self.vectors[rows, seats])
+        after = self._after(chains, seats)
+        return DictReplayBufferSamples(
+            observations={key: self.to_torch(value, copy=False) for key, value in now.items()},
+            actions=self.to_torch(self.actions[rows, seats][:, None], copy=False),
+            next_observations={key: self.to_torch(value, copy=False) for key, value in after.items()},
+            dones=self.to_torch(chains.terminated.astype(np.float32)[:, None], copy=False),
+            rewards=self.to_torch(chains.returns[:, None], copy=False),
+            discounts=self.to_torch(chains.discounts[:, None], copy=False),
+        )
+
+    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> AdviceBatch | None:
+        """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
+
+        An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already, as long as
+        another one is left.
+
+        Raises ValueError when the memory was built without `advice`.
+        """
+        if self.advice is None:
+            raise ValueError("replay keeps no advice; build it with advice=True (learn.aid=oracle)")
+        drawn = self.advice.draw(count, tight_share, self.rng)
+        if drawn is None:
+            return None
+        index, seats = drawn
+        rows = index % self.buffer_size
+        seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
+        return AdviceBatch(
+            observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
+            safe=self.to_torch(self._safe_ahead(self.advice, index, seats, ahead), copy=False),
+        )
+
+    def _safe_ahead(self, advice: AdviceRing, index: I64, seats: I64, ahead: int) -> Bool:
+        safe = advice.safe(index, seats)
+        at = index
+        for _ in range(ahead):
+            goes_on = ~self.ended[at % self.buffer_size, seats] & (at < self.total - 1)
+            at = np.where(goes_on, at + 1, at)
+            both = safe & advice.safe(at, seats)
+            safe = np.where(both.any(axis=1, keepdims=True), both, safe)
+        return safe
+
+    def chains(self, starts: I64, seats: I64) -> Chains:
+        """Follow each start for up to n steps, to the end of its chain or the newest row whose successor is known."""
+        returns = np.zeros(len(starts), dtype=np.float64)
+        discounts = np.ones(len(starts), dtype=np.float64)
+        last = starts.copy()
+        alive = np.ones(len(starts), dtype=bool)
+        for step in range(self.n_step):
+            index = starts + step
+            rows = index % self.buffer_size
+            alive &= (index < self.total - 1) | ((index == self.total - 1) & self.ended[rows, seats])
+            returns += np.where(alive, discounts * self.rewards[rows, seats], 0.0)
+            discounts = np.where(alive, discounts * self.gamma, discounts)
+            last = np.where(alive, index, last)
+            alive &= ~self.ended[rows, seats]
+        at = last % self.buffer_size
+        return Chains(
+            returns=returns.astype(np.float32),
+            discounts=discounts.astype(np.float32),
+            terminated=self.terminated[at, seats],
+            last=last,
+            ended=self.ended[at, seats],
+        )
+
+    def _after(self, chains: Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
+        rows = (chains.last + 1) % self.buffer_size
+        images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
+        for k in np.flatnonzero(chains.ended):
+            images[k], vectors[k] = self.after_end[int(chains.last[k]), int(seats[k])]
+        return self.layout.split(images, vectors)
+
+    def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
+        """Steps 0..window-1 before crashes, within their episodes and the ring."""
+        picks = [self.crashes[k] for k in self.rng.integers(0, len(self.crashes), count)]
+        index, seats = np.array(picks, dtype=np.int64).T
+        reach = np.minimum(self.episode_step[index % self.buffer_size, seats], index - first)
+        back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
+        return index - back, seats
+
+    def _cut_where_broken(self, images: U8, vectors: F32) -> None:
+        """End the chain of a seat whose observation is not the one that its last step led to."""
+        if self.expected is None or self.total == 0:
+            return
+        row = (self.total - 1) % self.buffer_size
+        for seat in np.flatnonzero(~self.ended[row]):
+            kept_images, kept_vectors = self.expected
+            same = np.array_equal(images[seat], kept_images[seat]) and np.array_equal(vectors[seat], kept_vectors[seat])
+            if not same:
+                self.ended[row, seat] = True
+                self._keep_end(self.total - 1, int(seat))
+
+    def _keep_end(self, index: int, seat: int) -> None:
+        if self.expected is not None:
+            images, vectors = self.expected
+            self.after_end[index, seat] = (images[seat].copy(), vectors[seat].copy())
+
+    def _forget(self, index: int) -> None:
+        """Drop what belongs to the row that is overwritten now."""
+        for seat in range(self.n_envs):
+            self.after_end.pop((index, seat), None)
+        while self.crashes and self.crashes[0][0] <= index:
+            self.crashes.popleft()

@@ -1,0 +1,134 @@
+"""A replay memory as arrays for a file, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.agents.replay import frame_store
+from wcsim.agents.replay.buffer import FrameReplay
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
+SLICE = 512  # steps read at once
+
+
+def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+    """Everything in the memory, oldest step first; images are compressed, which takes minutes for a large one.
+
+    `alive` is called now and then.
+    """
+    first, size = replay.total - replay.size(), replay.size()
+    index = first + np.arange(size)
+    rows = index % replay.buffer_size
+    blobs: list[bytes] = []
+    for seat in range(replay.n_envs):
+        for k in range(0, size, SLICE):
+            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + SLICE], seat))
+            alive()
+    ends = sorted(replay.after_end)
+    arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
+    if replay.advice is not None:
+        arrays.update(replay.advice.arrays(rows))
+    arrays["total"] = np.array([replay.total, size], dtype=np.int64)
+    arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
+    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
+    empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
+    arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
+    arrays["end_images"] = np.stack([replay.after_end[key][0] for key in ends]) if ends else empty_image
+    arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
+    arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
+    return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+
+
+def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
+    """Where the window of a step does not follow from the steps that are kept: (absolute index, seat)."""
+    first = replay.total - replay.size()
+    cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
+    return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
+
+
+def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    told = arrays["total"]
+    if told.dtype != np.int64 or told.shape != (2,):
+        raise ValueError(f"replay has counts {told.dtype} {told.shape}; expected two numbers")
+    total, size = (int(value) for value in told)
+    if not 0 <= size <= total or size != min(total, replay.buffer_size):
+        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
+    layout, seats = replay.layout, replay.n_envs
+    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
+    arrays.setdefault("whole_images", np.zeros((0, layout.image_bytes), np.uint8))
+    ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
+    shapes = {
+        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in PER_STEP},
+        "end_at": ((ends, 2), np.int64),
+        "end_images": ((ends, layout.image_bytes), np.uint8),
+        "end_vectors": ((ends, layout.vector_size), np.float32),
+        "whole_at": ((whole, 2), np.int64),
+        "whole_images": ((whole, layout.image_bytes), np.uint8),
+        "next_images": ((coming, layout.image_bytes), np.uint8),
+        "next_vectors": ((coming, layout.vector_size), np.float32),
+        "frames": (arrays["frames"].shape, np.uint8),
+        "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
+    }
+    for name, (shape, kind) in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype != kind:
+            got = arrays[name].dtype, arrays[name].shape
+            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
+    if coming not in (0, seats) or arrays["frames"].ndim != 1 or arrays["blob_bytes"].ndim != 1:
+        raise ValueError("replay: its images do not go together")
+    if (arrays["blob_bytes"] < 0).any() or int(arrays["blob_bytes"].sum()) != len(arrays["frames"]):
+        raise ValueError("replay: its frames have other lengths than it says")
+
+
+def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
+    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`require_fit`).
+
+    A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
+
+    Raises:
+        ValueError: Their frames are not those of their steps; the memory has to be reset then.
+    """
+    total, size = (int(value) for value in arrays["total"])
+    replay.reset()
+    index = total - size + np.arange(size)
+    rows = index % replay.buffer_size
+    for name in PER_STEP:
+        getattr(replay, name)[rows] = arrays[name]
+    if replay.advice is not None:
+        replay.advice.restore(arrays, index)
+    _restore_frames(replay, arrays, index)
+    for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
+        replay.windows.whole[int(step), int(seat)] = window
+    for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
+        replay.after_end[int(step), int(seat)] = (image, vector)
+    for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
+        for seat in np.flatnonzero(replay.terminated[rows[k]]):
+            replay.crashes.append((total - size + int(k), int(seat)))
+    replay.total, replay.pos, replay.full = total, total % replay.buffer_size, size == replay.buffer_size
+    if len(arrays["next_images"]):
+        replay.expected = (arrays["next_images"], arrays["next_vectors"])
+
+
+def _restore_frames(replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64]) -> None:
+    ends = np.cumsum(arrays["blob_bytes"])
+    data = arrays["frames"].tobytes()
+    blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]
+    each = len(blobs) // replay.n_envs  # one seat after the other
+    at = 0
+    for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
+        frames = np.stack([frame_store.unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
+            fresh = replay.episode_step[step % replay.buffer_size] == 0
+            replay.windows.write_newest(int(step), frame, fresh)
+        at += len(frames)
+    if at != len(index):
+        raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")

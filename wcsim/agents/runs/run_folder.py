@@ -1,0 +1,272 @@
+"""A run on disk.
+
+- manifest.json: versions, seed, town, hashes, git revision, command, status (running, done, interrupted)
+- config.json: the resolved configuration
+- plant.toml: the wheelchair, when it is the user's own
+- metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
+- events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
+- checkpoints/: step-00005000/ ..., LATEST
+- policies/: phase1/, final/
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import platform
+import subprocess
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND
+from wcsim.agents.runs.own_code import mark_of, own_classes
+from wcsim.agents.runs.policy_file import POLICY_JSON, read_policy_file
+from wcsim.config import RunConfig, load_run_config, parse, with_overrides
+from wcsim.config.plant import plant_text
+from wcsim.config.run_file import ManifestFile
+from wcsim.core import files
+from wcsim.core.nearest_names import meant
+from wcsim.core.reading import FileKind, is_file, is_folder, shown
+from wcsim.core.reading import read_json as read_bounded_json
+from wcsim.errors import ConfigError, PolicyError
+from wcsim.towns.scenario.overrides import Override
+
+MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
+PLANT = "plant.toml"
+CHECKPOINTS, POLICIES = "checkpoints", "policies"
+STAGES = ("phase1", "final")
+_KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
+PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
+Status = Literal["running", "done", "interrupted"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """What a run was made with."""
+
+    seed: int
+    town: str
+    town_sha256: str
+    config_sha256: str
+    rewards: tuple[str, ...]
+    command: tuple[str, ...]
+    versions: dict[str, str]
+    git_revision: str
+    status: Status = "running"
+    steps: int = 0
+    hook: str = ""
+    overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
+    own_code: str = ""  # mark of the user's own classes, see agents/runs/own_code.py
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunFolder:
+    """An existing run; `manifest` is as it was read or written last."""
+
+    path: Path
+    config: RunConfig
+    manifest: Manifest
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where checkpoints are."""
+        return self.path / CHECKPOINTS
+
+    def policy(self, stage: str) -> Path:
+        """Where the policy of a stage ("phase1" or "final") is, whether it exists or not."""
+        return self.path / POLICIES / stage
+
+    def manifest_sha256(self) -> str:
+        """Digest of what the run was made with, the same before and after it ends."""
+        return files.sha256_text(json.dumps(asdict(replace(self.manifest, status="running", steps=0)), sort_keys=True))
+
+    def with_status(self, status: Status, steps: int) -> RunFolder:
+        """Write a new status into the manifest."""
+        manifest = replace(self.manifest, status=status, steps=steps)
+        files.write_json(self.path / MANIFEST, asdict(manifest))
+        return replace(self, manifest=manifest)
+
+    def event(self, kind: str, **values: str | int | float) -> None:
+        """Add a line to events.jsonl; on a full disk it is left out."""
+        with contextlib.suppress(OSError), (self.path / EVENTS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"event": kind, **values}, allow_nan=False) + "\n")
+
+
+def make_manifest(
+    config: RunConfig,
+    seed: int,
+    town: str,
+    town_sha256: str,
+    rewards: Sequence[str],
+    command: Sequence[str],
+    hook: str = "",
+    overrides: Sequence[Override] = (),
+    networks: Collection[str] = (),
+) -> Manifest:
+    """A manifest for a run that starts now; `networks` are those of all clients, by default the configuration's."""
+    return Manifest(
+        seed=seed,
+        town=town,
+        town_sha256=town_sha256,
+        config_sha256=config.digest(),
+        rewards=tuple(rewards),
+        command=tuple(command),
+        versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
+        git_revision=git_revision(),
+        hook=hook,
+        overrides=tuple(overrides),
+        own_code=mark_of(own_classes(hook, rewards, networks or (config.learn.network,))),
+    )
+
+
+def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
+    """Make a new run folder.
+
+    Raises:
+        PolicyError: The folder exists and is not empty.
+        ConfigError: The user's own plant file cannot be read.
+    """
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+    plant = plant_text(config.chair.plant)
+    (path / CHECKPOINTS).mkdir(parents=True)
+    (path / POLICIES).mkdir()
+    if plant:
+        files.write_bytes(path / PLANT, plant)
+    files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    files.write_json(path / MANIFEST, asdict(manifest))
+    return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
+
+
+def open_run(path: Path) -> RunFolder:
+    """Open an existing run. Raises PolicyError when the folder is not a run or a file in it is damaged."""
+    data, config = read_json(path, MANIFEST), read_json(path, CONFIG)
+    if "clients" in data:
+        names = ", ".join(str(path / name) for name in data["clients"])
+        raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
+    manifest = manifest_of(data, path)
+    try:
+        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+    return RunFolder(path=path, config=resolved, manifest=manifest)
+
+
+def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
+    """The manifest that a run's file holds. Raises PolicyError when it is none."""
+    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude={"clients", "files_sha256", "seal"})
+    fields["overrides"] = tuple(Override(**row) for row in fields["overrides"])
+    return Manifest(**fields)
+
+
+def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
+    try:
+        return parse(ManifestFile, data, shown(file))
+    except ConfigError as error:
+        raise PolicyError(f"{error}: this is no manifest of this version; train again") from None
+
+
+def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
+    """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
+    if not is_file(path / PLANT):
+        return config
+    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
+    return config.model_copy(update={"chair": chair})
+
+
+def policy_path(name: str) -> Path:
+    """The policy folder that `name` means: a policy folder itself, a run (its final policy), or `RUN:phase1`.
+
+    Raises PolicyError when there is no such policy.
+    """
+    path = Path(name)
+    if is_file(path / POLICY_JSON):
+        return path
+    head, colon, stage = name.rpartition(":")
+    if not colon:
+        head, stage = name, "final"
+    if stage not in STAGES:
+        known = " or RUN:".join(STAGES)
+        raise PolicyError(f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}")
+    if not is_folder(Path(head)):
+        raise PolicyError(
+            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, or a "
+            f"baseline: {', '.join((*NAMES, UPPER_BOUND))}{meant(head, (*NAMES, UPPER_BOUND))}"
+        )
+    run = open_run(Path(head))
+    found = run.policy(stage)
+    if not is_file(found / POLICY_JSON):
+        have = ", ".join(s for s in STAGES if is_file(run.policy(s) / POLICY_JSON)) or "none"
+        raise PolicyError(
+            f"run {shown(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
+            "continue it with --resume"
+        )
+    return found
+
+
+def run_of(name: str) -> Manifest | None:
+    """Manifest of the run that a policy comes from; None for a policy folder that was copied out of its run.
+
+    Raises PolicyError when there is no such policy.
+    """
+    run = _enclosing_run(policy_path(name))
+    return None if run is None else run.manifest
+
+
+def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunConfig:
+    """The configuration that fits a policy: its run's own, else the preset with the policy's camera and actions.
+
+    Raises PolicyError when there is no such policy, ConfigError for overrides that cannot be used.
+    """
+    path = policy_path(name)
+    run = _enclosing_run(path)
+    if run is not None:
+        return with_overrides(run.config, overrides)
+    file, config = read_policy_file(path), load_run_config(preset)
+    env = config.env.model_copy(
+        update={"actions": file.net.actions, "classes": file.net.classes, "window": file.window}
+    )
+    return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
+
+
+def _enclosing_run(policy: Path) -> RunFolder | None:
+    folder = policy.resolve().parent.parent
+    return open_run(folder) if is_file(folder / MANIFEST) else None
+
+
+def git_revision() -> str:
+    """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
+    here = Path(__file__).resolve().parent
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"],
+            capture_output=True, text=True, timeout=10, check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def read_json(path: Path, name: str) -> dict[str, Any]:
+    """A JSON object among a run's files; a manifest's entries are of the right types and within their bounds.
+
+    Raises:
+        PolicyError: There is no such file, or it is none.
+    """
+    file = path / name
+    if not is_file(file):
+        raise PolicyError(f"{shown(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
+    data = read_bounded_json(file, _KIND)
+    if name == MANIFEST:
+        return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)
+    return data

@@ -1,0 +1,1 @@
+"""What the barrier and its messages cost a tick."""

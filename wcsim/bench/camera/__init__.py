@@ -1,0 +1,1 @@
+"""The rasteriser beside TinyRenderer and Embree."""

@@ -1,0 +1,44 @@
+"""Rows of the twisted ramp: grip of both drive wheels, stopping and steering."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from wcsim.bench.chair import ramps
+from wcsim.bench.chair.row import Setup, Trial
+from wcsim.core.frames import deg
+
+LEAST_LOAD: Final = 0.2  # of the static load
+_RAMP: Final = f"ramp of {deg(ramps.FALL_RAD):.0f} degrees, twisted by {deg(ramps.TWIST_RAD):.0f} over the wheelbase"
+
+
+def ramp_trials(_setup: Setup) -> Iterator[Trial]:
+    """The rows of one plant."""
+    yield Trial(
+        name="twisted_ramp_load",
+        unit="",
+        low=LEAST_LOAD,
+        high=1.2,
+        method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, either way, over that on level ground",
+        source="both drive wheels keep a fifth of their load",
+        measure=ramps.least_load_share,
+    )
+    yield Trial(
+        name="twisted_ramp_stop",
+        unit="",
+        low=0.8,
+        high=1.25,
+        method=f"longest way to a stop from half stick, down a {_RAMP} to and fro, over that of a level",
+        source="jerk-limited v2/2a + v a/2j, a quarter more for the fall",
+        measure=ramps.stopping_share,
+    )
+    yield Trial(
+        name="twisted_ramp_turn",
+        unit="",
+        low=0.75,
+        high=1.25,
+        method=f"least turn in 1.5 s, stick to either side, down a {_RAMP} to and fro, over that on level ground",
+        source="turns as it is asked to, within a quarter",
+        measure=ramps.turned_share,
+    )

@@ -1,0 +1,68 @@
+"""The table of a plant: all its trials, done one by one or in a pool of processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Final
+
+from wcsim.bench.chair.row import Row, Setup, Trial, measured
+from wcsim.bench.chair.rows.driving import driving_trials
+from wcsim.bench.chair.rows.kerb import kerb_trials
+from wcsim.bench.chair.rows.ramp import ramp_trials
+from wcsim.bench.chair.rows.tip import falling_rows, tip_trials
+from wcsim.bench.chair.rows.weight import weight_trials
+from wcsim.config import ChairConfig
+from wcsim.errors import ConfigError
+from wcsim.physics.wheelchair.plant import plant_spec
+
+Progress = Callable[[str], None]
+_MAKERS: Final = (weight_trials, driving_trials, ramp_trials, kerb_trials)
+
+
+def trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
+    """The trials of a plant whose names begin with one of some words; all if none.
+
+    Raises ConfigError or PhysicsError for a plant that cannot be.
+    """
+    plant_spec(setup.chair)
+    found = [trial for make in _MAKERS for trial in make(setup)]
+    return (*(trial for trial in found if not only or trial.name.startswith(tuple(only))), *tip_trials(setup, only))
+
+
+def table(
+    plant: str, hz: int, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
+) -> list[Row]:
+    """The table of a plant.
+
+    Args:
+        plant: Name of the plant, or the path of its file.
+        hz: Rate of the physics, a multiple of 10.
+        only: Beginnings of the names of the rows that are wanted; all if none.
+        workers: Processes to share the work; 1 for none but this one.
+        progress: Told the name of each row as it is done.
+
+    Raises:
+        ConfigError: The plant is unknown, its file is wrong, or no row begins so.
+        PhysicsError: The rate is out of bounds, or a trial gave no number.
+    """
+    setup = Setup(chair=ChairConfig(plant=plant), hz=hz)
+    chosen = trials(setup, only)
+    if not chosen:
+        raise ConfigError(f"no row begins with {', '.join(only)!r}; expected the beginning of a row's name")
+    rows: dict[str, Row] = {}
+    for row in _done(chosen, setup, workers):
+        rows[row.name] = row
+        if progress is not None:
+            progress(row.name)
+    return [*rows.values(), *falling_rows(setup, rows)]
+
+
+def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[Row]:
+    if workers == 1:
+        yield from (measured(trial, setup) for trial in chosen)
+        return
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(partial(measured, setup=setup), chosen)

@@ -1,0 +1,319 @@
+"""Statics of a chair on a tilted table: which wheel carries what, and at which tilt the uphill wheels carry nothing.
+
+Everything is computed from masses and contact points alone, never from the simulated body. Table frame T: z normal to
+the table, x and y of the chair before it moves on its springs. The chair does not slide: friction holds it in the plane
+of the table, so that only the height, pitch and roll of the frame are unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from wcsim.core.frames import rad
+from wcsim.errors import PhysicsError
+from wcsim.physics.engine import GRAVITY_MPS2
+from wcsim.types import F64
+
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+FIRM_N_PER_M: Final = 1e7  # of a wheel on the table: 0.1 mm under a whole chair
+_UP: Final = np.array([0.0, 0.0, 1.0])
+_LEVEL_M: Final = 1e-6
+_MOST_LEAN_RAD: Final = 0.5
+_GROUP_M: Final = 0.05  # wheels this much less downhill than the last one are uphill of it
+_COARSE_RAD: Final = rad(1.0)
+_FINE_RAD: Final = rad(0.01)
+_MOST_RAD: Final = rad(60.0)
+_NOTHING: Final = 1e-6  # of the weight
+_CLOSE: Final = 1e-6  # of the weight
+_MOST_ROUNDS: Final = 60
+_STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
+_PRESSED: Final = np.array([-5e-5, 0.0, 0.0])  # every wheel touches: one that just does not gives Newton no slope
+_LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)  # downhill, where it may come to lean on an anti-tip or a stop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupportSpring:
+    """The sprung arm of a wheel, upright in B: force down on the wheel = preload + stiffness * compression."""
+
+    stiffness_N_per_m: float
+    preload_N: float
+    least_m: float  # compression at the lower stop, negative
+    most_m: float  # and at the upper one
+    unsprung_kg: float  # what hangs on it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beam:
+    """A beam that carries feet and rocks freely about a lengthwise pivot in the chair's middle plane."""
+
+    pivot_z_m: float
+    stop_rad: float
+    weight_N: float  # of all that rocks
+    com_z_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foot:
+    """A wheel or ball that can stand on the table, in B with its arm at rest."""
+
+    name: str
+    centre_m: Vec3
+    radius_m: float
+    axis: Vec3 = (0.0, 0.0, 0.0)  # unit vector along the axle; none for a ball
+    half_width_m: float = 0.0
+    friction: float = 1.0
+    spring: SupportSpring | None = None
+    beam: Beam | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stand:
+    """A chair as statics sees it."""
+
+    mass_kg: float
+    com_m: Vec3
+    feet: tuple[Foot, ...]
+
+    def without(self, prefix: str) -> Stand:
+        """The same chair without the feet whose names begin so."""
+        feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
+        return Stand(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
+
+
+def uphill(stand: Stand, downhill: Vec2) -> frozenset[str]:
+    """Names of the feet that carry nothing when the chair tips downhill.
+
+    Sideways these are the feet of the upper side; forward and back all but those farthest downhill.
+    """
+    along = {foot.name: foot.centre_m[0] * downhill[0] + foot.centre_m[1] * downhill[1] for foot in stand.feet}
+    sideways = abs(downhill[1]) > abs(downhill[0])
+    least = 0.0 if sideways else max(along.values()) - _GROUP_M
+    return frozenset(name for name, place_m in along.items() if place_m < least)
+
+
+def rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
+    """Tilt at which the centre of mass stands above the tip line, with every foot on the table and no spring.
+
+    The tip line is the edge of the feet's hull that lies downhill of the centre of mass.
+    """
+    dx, dy = downhill
+    points = [(p[0] * dx + p[1] * dy, p[1] * dx - p[0] * dy) for foot in stand.feet for p in _edges(foot)]
+    cx, cy, height_m = stand.com_m
+    along, aside = cx * dx + cy * dy, cy * dx - cx * dy
+    reach = [
+        a[0] + (b[0] - a[0]) * (aside - a[1]) / (b[1] - a[1])
+        for a in points
+        for b in points
+        if a[1] <= aside < b[1] or b[1] < aside <= a[1]
+    ]
+    if not reach:
+        raise PhysicsError("the centre of mass is not above the feet; expected a plant that stands: check its numbers")
+    return math.atan2(max(reach) - along, height_m)
+
+
+def _edges(foot: Foot) -> tuple[Vec3, Vec3]:
+    """The two ends of a foot's contact line on level ground, as places of B above the ground."""
+    (x, y, z), (ax, ay, az), w = foot.centre_m, foot.axis, foot.half_width_m
+    return (x + w * ax, y + w * ay, z + w * az), (x - w * ax, y - w * ay, z - w * az)
+
+
+def tip_rad(stand: Stand, downhill: Vec2) -> float:
+    """Tilt of the table at which the uphill feet carry nothing, springs and anti-tips taken into account.
+
+    Args:
+        stand: The chair.
+        downhill: Unit vector in the table, from the chair's own x and y.
+
+    Raises:
+        PhysicsError: It does not tip below 60 degrees, or never stands.
+    """
+    upper = uphill(stand, downhill)
+    pose = _rest(stand, 0.0, downhill, _PRESSED, upper, (0.0,))
+    if pose is None:
+        raise PhysicsError("the plant tips at rest; expected one that stands: check its masses and wheels")
+    tilt, step = 0.0, _COARSE_RAD
+    hanging = any(load == 0.0 for load in _Table(stand, 0.0, downhill).loads(pose).values())
+    leans = _LEANS_RAD if hanging or any(foot.beam for foot in stand.feet) else (0.0,)
+    while step > _FINE_RAD:
+        after = _rest(stand, tilt + step, downhill, pose, upper, leans)
+        if after is None:
+            step *= 0.5
+        else:
+            tilt, pose = tilt + step, after
+        if tilt > _MOST_RAD:
+            raise PhysicsError("the plant does not tip at 60 degrees; expected less: check its masses and wheels")
+    return tilt
+
+
+def _rest(
+    stand: Stand, tilt_rad: float, downhill: Vec2, pose: F64, upper: frozenset[str], leans_rad: tuple[float, ...]
+) -> F64 | None:
+    """The pose in which it stands with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
+    least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
+    for lean in leans_rad:
+        table = _Table(stand, tilt_rad, downhill)
+        found = table.settle(pose - lean * np.array([0.0, *downhill]))
+        if found is not None and sum(load for name, load in table.loads(found).items() if name in upper) > least_N:
+            return found
+    return None
+
+
+def loads_N(stand: Stand) -> dict[str, float]:
+    """Normal load of each foot on level ground. Raises PhysicsError when it does not stand."""
+    table = _Table(stand, 0.0, (1.0, 0.0))
+    pose = table.settle(_PRESSED)
+    if pose is None:
+        raise PhysicsError("the plant tips at rest; expected one that stands: check its masses and wheels")
+    return table.loads(pose)
+
+
+class _Table:
+    """The equations of one chair at one tilt; vectors over the edges of its feet."""
+
+    def __init__(self, stand: Stand, tilt_rad: float, downhill: Vec2) -> None:
+        edges = [(foot, edge, share) for foot in stand.feet for edge, share in _standing(foot, downhill)]
+        self._names = [foot.name for foot, _, _ in edges]
+        self._centre = np.array([edge for _, edge, _ in edges])
+        self._axis = np.array([foot.axis for foot, _, _ in edges])
+        self._radius = np.array([foot.radius_m for foot, _, _ in edges])
+        self._share = np.array([share for _, _, share in edges])
+        springs = [foot.spring for foot, _, _ in edges]
+        self._sprung = np.array([spring is not None for spring in springs])
+        numbers = [
+            (s.stiffness_N_per_m, s.preload_N, s.least_m, s.most_m, s.unsprung_kg) if s else (1.0, 0.0, 0.0, 0.0, 0.0)
+            for s in springs
+        ]
+        self._stiff, self._preload, self._least, self._most, self._unsprung = np.array(numbers).T
+        beams = [foot.beam for foot, _, _ in edges]
+        self._beams = [(beam, np.array([b == beam for b in beams])) for beam in dict.fromkeys(beams) if beam]
+        self._mass, self._weight_N = stand.mass_kg, stand.mass_kg * GRAVITY_MPS2
+        self._com = np.array(stand.com_m)
+        self._down = np.array(downhill)
+        self._cos, self._sin = math.cos(tilt_rad), math.sin(tilt_rad)
+
+    def _contacts(self, pose: F64) -> tuple[F64, F64, F64]:
+        """Lowest points (E, 3) in T, their normal loads (E,) and the compressions of their arms (E,)."""
+        turn = _turn(pose[1], pose[2])
+        axis = self._axis @ turn.T
+        low = axis * axis[:, 2:] - _UP  # straight down, but in the wheel's plane
+        place = self._centre @ turn.T + low * (self._radius / np.linalg.norm(low, axis=1))[:, None]
+        depth = -(place[:, 2] + pose[0])
+        for beam, carried in self._beams:
+            depth[carried] -= self._rocked_m(beam, place[carried], depth[carried], self._share[carried], turn)
+        firm = FIRM_N_PER_M * np.maximum(depth, 0.0)
+        load, compressed = self._sprung_loads(depth, turn[:, 2])
+        place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
+        return place, self._share * np.where(self._sprung, load, firm), compressed
+
+    def _rocked_m(self, beam: Beam, place: F64, depth: F64, share: F64, turn: F64) -> F64:
+        """How far a beam lifts its feet, (E,), so that their loads turn it no more, or it leans on a stop.
+
+        Friction that holds the chair is taken in proportion to the load, as for arms.
+        """
+        axis, arm = turn[:, 0], place - beam.pivot_z_m * turn[:, 2]
+        push = np.append(-self._sin / self._cos * self._down, 1.0)
+        lift_m = np.cross(axis, arm)[:, 2]
+        moment_m = np.cross(arm, push) @ axis
+        firm = FIRM_N_PER_M * share
+        hangs = beam.weight_N * np.append(self._sin * self._down, -self._cos)
+        own_Nm = (beam.com_z_m - beam.pivot_z_m) * float(np.cross(turn[:, 2], hangs) @ axis)
+
+        def turned_Nm(angle_rad: float) -> float:
+            return own_Nm + float((firm * np.maximum(depth - angle_rad * lift_m, 0.0)) @ moment_m)
+
+        return lift_m * _zero(turned_Nm, beam.stop_rad, depth / lift_m)
+
+    def _sprung_loads(self, depth: F64, arm: F64) -> tuple[F64, F64]:
+        """Loads and compressions of sprung feet whose arms move along `arm`, a unit vector in T.
+
+        The foot pushes its arm with its load and with its share of the friction that holds the chair, which is taken
+        in proportion to the load.
+        """
+        along = arm[2] - self._sin / self._cos * (self._down @ arm[:2])
+        hangs = GRAVITY_MPS2 * (self._cos * arm[2] - self._sin * (self._down @ arm[:2]))
+        pushed = depth / arm[2]
+        force = self._preload + self._unsprung * hangs + self._stiff * pushed
+        force = force + FIRM_N_PER_M * np.maximum(pushed - self._most, 0.0)
+        hanging = np.maximum(-(self._preload + self._unsprung * hangs) / self._stiff, self._least)
+        in_air = pushed < hanging
+        return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(in_air, hanging, pushed)
+
+    def settle(self, pose: F64) -> F64 | None:
+        """The stable rest that Newton's method finds from a pose, damped where it would overshoot; None if none."""
+        drag, residual = 1e-6, self._residual(pose)
+        slope = self._slope(pose, residual)
+        for _ in range(_MOST_ROUNDS):
+            size = float(np.linalg.norm(residual))
+            if size < _CLOSE * self._weight_N:
+                upright = bool(np.abs(pose[1:]).max() < _MOST_LEAN_RAD)
+                return pose if upright and np.linalg.eigvalsh(slope + slope.T).max() < 0.0 else None
+            try:
+                move = np.linalg.solve(slope - drag * FIRM_N_PER_M * np.eye(3), -residual)
+            except np.linalg.LinAlgError:
+                return None
+            tried = self._residual(pose + move)
+            if np.linalg.norm(tried) < size:
+                pose, residual, drag = pose + move, tried, max(0.1 * drag, 1e-9)
+                slope = self._slope(pose, residual)
+            else:
+                drag *= 10.0
+                if drag > _STUCK:
+                    return None
+        return None
+
+    def _residual(self, pose: F64) -> F64:
+        """What is missing to equilibrium: force along z, moments about y and x of T, (3,)."""
+        place, load, compressed = self._contacts(pose)
+        turn = _turn(pose[1], pose[2])
+        com = turn @ self._com + (self._share * self._unsprung * compressed).sum() / self._mass * turn[:, 2]
+        lever = self._cos * com[:2] + self._sin * (com[2] + pose[0]) * self._down
+        moment = (load[:, None] * place[:, :2]).sum(axis=0) - self._weight_N * lever
+        return np.array([load.sum() - self._weight_N * self._cos, moment[0], moment[1]])
+
+    def _slope(self, pose: F64, residual: F64) -> F64:
+        """Derivatives of the residual by the pose, (3, 3)."""
+        step = 1e-7
+        return np.array([(self._residual(pose + step * unit) - residual) / step for unit in np.eye(3)]).T
+
+    def loads(self, pose: F64) -> dict[str, float]:
+        """Normal load of each foot."""
+        sums = dict.fromkeys(self._names, 0.0)
+        for name, load in zip(self._names, self._contacts(pose)[1], strict=True):
+            sums[name] += float(load)
+        return sums
+
+
+def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
+    """Where a function that falls in straight pieces between kinks is zero; `most` to either side of zero at most."""
+    angles = sorted({-most, most, *(float(kink) for kink in kinks if abs(kink) < most)})
+    values = [falling(angle) for angle in angles]
+    if values[0] <= 0.0:
+        return angles[0]
+    for (a, high), (b, low) in pairwise(zip(angles, values, strict=True)):
+        if low <= 0.0:
+            return a + (b - a) * high / (high - low)
+    return angles[-1]
+
+
+def _standing(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
+    """The edges that a foot stands on as the chair tips downhill: the lower one, or both where they lie level."""
+    edges = _edges(foot)
+    along = [edge[0] * downhill[0] + edge[1] * downhill[1] for edge in edges]
+    if abs(along[0] - along[1]) < _LEVEL_M:
+        return [(edge, 0.5) for edge in edges]
+    return [(edges[along.index(max(along))], 1.0)]
+
+
+def _turn(pitch: float, roll: float) -> F64:
+    """Rotation from B to T: nose up by `pitch`, then right side down by `roll`."""
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    nose = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    side = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(side @ nose)

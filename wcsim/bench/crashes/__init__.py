@@ -1,0 +1,1 @@
+"""Crashes looked at one by one: class, place, cause, and how often."""

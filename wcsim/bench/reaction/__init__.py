@@ -1,0 +1,1 @@
+"""Chairs in the way of traffic: who stops, who passes, who hits."""

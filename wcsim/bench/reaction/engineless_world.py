@@ -1,0 +1,164 @@
+"""The street with wheelchairs that are led by hand, without an engine: who touches whom, seen from above.
+
+Contacts are overlaps of the chair's rectangle with a vehicle's box or a person's disc, as the bridge mirrors them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import TracebackType
+
+import numpy as np
+
+from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.commands import ActorCommand, Blocked, ChairInStreet, is_person
+from wcsim.bridge.reaction.drivers import StreetReaction
+from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
+from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession
+from wcsim.config import ChairConfig, WorldConfig
+from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.towns.scenario.town import Town
+from wcsim.types import F64, ActorState, ClassId, Street
+
+ON_ROAD = (int(ClassId.ROAD), int(ClassId.CROSSWALK), int(ClassId.RAIL_TRACK))
+TOUCH_M = 0.01  # bodies that share less than this only touch
+
+
+class ReactionStage:
+    """SUMO, the reaction and any chairs; `deflected_into` and `contacts` collect what should not happen."""
+
+    def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
+        """Start SUMO and let it run for `warmup_s`. Raises WorldInUseError, SumoError."""
+        self._ground = street.grid
+        self.half_m = plant_spec(ChairConfig()).outline.half_lw_m  # of its chairs
+        self._config = config
+        self._actors: tuple[ActorState, ...] = ()
+        self.contacts: set[str] = set()
+        self.deflected_into: set[str] = set()
+        self._sumo = SumoSession(_options(town, street, config, seed))
+        self.attend(config.attention_share, seed)
+        for _ in range(round(warmup_s / config.tick_s)):
+            self._sumo.step()
+
+    def attend(self, share: float, seed: int) -> None:
+        """Begin anew with another share of attentive people; nobody must be under orders."""
+        habits = AttentionModel(self._config.model_copy(update={"attention_share": share}), seed)
+        self._swing = SwingOut(self._ground, self._config.tick_s)
+        self._street = StreetReaction(self._config, habits, self._swing)
+        self._deflection = PedestrianAvoidance(self._ground, self._config.tick_s, habits.people)
+
+    def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
+        """One tick with the chairs where they are; the actors near them afterwards."""
+        pilot = self._sumo.pilot
+        for order in (
+            *self._street.react(self._actors, chairs, pilot),
+            *self._deflection.holds(self._actors, chairs),
+        ):
+            pilot.apply(order)
+        self._sumo.step()
+        near = self.near(np.array([chair.p_W_m for chair in chairs]).reshape(-1, 2), self._config.mirror_radius_m)
+        away = self._street.turned_away(near, chairs, self._sumo.come)
+        for actor_id in away:
+            pilot.turn_away(actor_id)
+        near = self._swing.shown(tuple(actor for actor in near if actor.id not in away), pilot)
+        self._deflection.update(near, chairs)
+        self._actors = self._deflection.shifted(near)
+        self._look(near, chairs)
+        return self._actors
+
+    def apply(self, order: ActorCommand) -> None:
+        """Have an actor told something."""
+        self._sumo.pilot.apply(order)
+
+    def blocked(self) -> tuple[Blocked, ...]:
+        """Who stands because of a chair now."""
+        return (*self._street.blocked(), *self._deflection.blocked())
+
+    def passing(self) -> tuple[str, ...]:
+        """Who is on a way round a chair now."""
+        return (*self._street.passing(), *(a.id for a in self._actors if a.deflect_m and is_person(a)))
+
+    @property
+    def tick_s(self) -> float:
+        """Length of a tick."""
+        return self._config.tick_s
+
+    def near(self, here_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
+        """The actors near these points as SUMO has them."""
+        return self._sumo.actors(here_W_m, radius_m)
+
+    def chair(self, p_W_m: F64, yaw_rad: float, speed_mps: float = 0.0) -> ChairInStreet:
+        """A chair at a place of this street."""
+        heading = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+        on_road = int(self._ground.class_at(p_W_m)) in ON_ROAD
+        return ChairInStreet(
+            p_W_m=p_W_m, v_W_mps=speed_mps * heading, on_road=on_road, half_m=self.half_m, yaw_rad=yaw_rad
+        )
+
+    def close(self) -> None:
+        """End SUMO."""
+        self._sumo.close()
+
+    def __enter__(self) -> ReactionStage:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _look(self, near: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
+        for actor, bare in zip(self._actors, near, strict=True):
+            for chair in chairs:
+                if touches_chair(actor, chair):
+                    self.contacts.add(actor.id)
+            if actor is not bare and self._pushed_into_something(actor, bare, near):
+                self.deflected_into.add(actor.id)
+
+    def _pushed_into_something(self, actor: ActorState, bare: ActorState, near: Sequence[ActorState]) -> bool:
+        """Whether a person's deflection, and not SUMO itself, has it overlap a wall, a vehicle or another person."""
+        radius_m = _radius_m(actor)
+        walls = [float(self._ground.clearance_at(a.p_W_m)) for a in (actor, bare)]
+        if walls[0] < min(radius_m - 0.1, walls[1]):  # the raster's cells are 0.1 m
+            return True
+        return any(
+            other.id != actor.id
+            and _overlap_m(actor, other) > max(TOUCH_M, _overlap_m(bare, other_bare) + TOUCH_M)
+            and (is_person(other) or _overlap_m(bare, other_bare) <= TOUCH_M)  # else SUMO itself has them meet
+            for other, other_bare in zip(self._actors, near, strict=True)
+            if abs(other.p_W_m[0] - actor.p_W_m[0]) + abs(other.p_W_m[1] - actor.p_W_m[1]) < 15.0
+        )
+
+
+def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
+    """Whether an actor's body overlaps a wheelchair's footprint."""
+    x, y = chair.p_W_m.tolist()
+    box = (x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m)
+    if is_person(actor):
+        px, py, _ = actor.p_W_m.tolist()
+        return gap_to_box(px, py, *box) < _radius_m(actor) - TOUCH_M
+    return bool(boxes_touch(*box_of(actor, -TOUCH_M), *box))
+
+
+def _overlap_m(person: ActorState, other: ActorState) -> float:
+    x, y, _ = person.p_W_m.tolist()
+    if is_person(other):
+        ox, oy, _ = other.p_W_m.tolist()
+        return _radius_m(person) + _radius_m(other) - math.hypot(x - ox, y - oy)
+    return _radius_m(person) - float(gap_to_box(x, y, *box_of(other)))
+
+
+def _radius_m(person: ActorState) -> float:
+    return 0.5 * max(person.size_lwh_m[:2])
+
+
+def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> SumoOptions:
+    return SumoOptions(
+        sumocfg=town.sumocfg,
+        origin_m=town.file.origin_m,
+        step_s=config.tick_s,
+        seed=seed,
+        jam_teleport_s=config.jam_teleport_s,
+        z_origin_m=street.net_z_m,
+    )

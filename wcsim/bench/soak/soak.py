@@ -1,0 +1,250 @@
+"""Real processes under faults at random, then the proof that no step was lost: `wcsim bench soak`.
+
+A world with its simulators, clients without learners, one launcher. Faults come one after another for most of the time,
+then it is calm, so that memory can be watched. What is measured comes from what the clients wrote down (when they saw
+which frame), their ledgers, and the world's journal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]
+
+from wcsim.bench.soak.faults import WORLD, Chaos, Fault
+from wcsim.bench.soak.stub_client import StubSight, read_sights
+from wcsim.config import RunConfig
+from wcsim.server.journal.journal import JOURNAL, iter_journal
+from wcsim.server.journal.ledger import Audit, audit, read_ledger
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import Recovery, SeatRequest, WorldSpec, to_line
+from wcsim.server.transport.world_folder import endpoint_in, workplace
+from wcsim.types import SeatSpec
+from wcsim.users.profiles import recordings
+
+CALM_SHARE = 0.25  # of the time, at the end
+SETTLE_S = 3.0  # of the calm time, before memory is watched
+SAMPLE_S = 0.5
+WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoakOrder:
+    """What to soak."""
+
+    town: str
+    config: RunConfig
+    seconds: float
+    folder: Path  # run folder
+    clients: int = 3
+    seed: int = 0
+    lease_s: float = 3.0
+    recovery: Recovery = "new_epoch"
+    stand_in: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoakFacts:
+    """What a soak showed; times in seconds, from the fault to the others' next tick, empty where there was no fault."""
+
+    audit: Audit
+    faults: tuple[Fault, ...]
+    client_s: tuple[float, ...]
+    world_s: tuple[float, ...]
+    overlap_s: tuple[float, ...]  # of faults that struck while another one was being got over, and of those others
+    rejoin_s: tuple[float, ...]  # until the client that was hit saw a frame again
+    orphans: int
+    leaked: int  # folders of shared memory
+    rss_slope_mb_per_h: float
+    outcome: LaunchOutcome
+
+
+def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: None) -> SoakFacts:
+    """Run a soak; `progress` hears of the seconds that are over.
+
+    Raises:
+        WcsimError: The town or the configuration cannot be used.
+    """
+    names = [f"c{seat}" for seat in range(order.clients)]
+    end_s = time.monotonic() + order.seconds
+    watch = _Watch(Chaos(order.seed, end_s - CALM_SHARE * order.seconds), end_s, progress, order.seconds)
+    with workplace() as place:
+        world = _server_order(order, place)
+        plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
+        rules = LaunchRules(world_lease_s=WORLD_LEASE_S, client_lease_s=30.0)
+        launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
+        watch.launcher = launcher
+        outcome = launcher.run()
+    ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
+    sights = {name: read_sights(_sights(order, name)) for name in names}
+    faults = tuple(watch.chaos.faults)
+    took = tuple(recovery_s(fault, sights) for fault in faults)
+    rejoined = tuple(rejoin_s(fault, sights) for fault in faults)
+    overlap = overlapping(
+        [(f.time_s, f.time_s + (t or r or 0.0)) for f, t, r in zip(faults, took, rejoined, strict=True)]
+    )
+    known = [(f, t, shared) for f, t, shared in zip(faults, took, overlap, strict=True) if t is not None]
+    return SoakFacts(
+        audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
+        faults=faults,
+        client_s=tuple(t for fault, t, shared in known if fault.who != WORLD and not shared),
+        world_s=tuple(t for fault, t, shared in known if fault.who == WORLD and not shared),
+        overlap_s=tuple(t for _, t, shared in known if shared),
+        rejoin_s=tuple(filter(None, rejoined)),
+        orphans=watch.orphans(),
+        leaked=int(place.exists()),
+        rss_slope_mb_per_h=watch.slope_mb_per_h(),
+        outcome=outcome,
+    )
+
+
+def recovery_s(fault: Fault, sights: dict[str, list[StubSight]]) -> float | None:
+    """Seconds from a fault to the others' next tick that cannot have been under way already; None without others.
+
+    The tick that was waited for, or being done, at the time of the fault may still reach the others: two ticks more
+    than anybody had seen is one that was done without the client that was hit, or after it.
+    """
+    before = [s for seen in sights.values() for s in seen if s.time_s <= fault.time_s]
+    if not before or not fault.others:
+        return None
+    newest = max((s.epoch, s.tick) for s in before)
+    after = [
+        s.time_s
+        for name, seen in sights.items()
+        if name in fault.others
+        for s in seen
+        if s.time_s > fault.time_s and (s.epoch > newest[0] or (s.epoch == newest[0] and s.tick >= newest[1] + 2))
+    ]
+    return min(after) - fault.time_s if after else None
+
+
+def overlapping(spans_s: Sequence[tuple[float, float]]) -> tuple[bool, ...]:
+    """Which of these spans of time (begin, end) share a moment with another one."""
+    shared, last = [False] * len(spans_s), -1  # the one that ends last of those begun
+    for k in sorted(range(len(spans_s)), key=lambda k: spans_s[k]):
+        begin, end = spans_s[k]
+        if last >= 0 and begin < spans_s[last][1] and spans_s[last][0] < end:
+            shared[k] = shared[last] = True
+        if last < 0 or end > spans_s[last][1]:
+            last = k
+    return tuple(shared)
+
+
+def rejoin_s(fault: Fault, sights: dict[str, list[StubSight]]) -> float | None:
+    """Seconds from a fault until the client that was hit saw a frame again, where it has to join for that."""
+    if fault.who == WORLD or fault.what == "pause":
+        return None
+    after = [s.time_s for s in sights[fault.who] if s.time_s > fault.time_s]
+    return min(after) - fault.time_s if after else None
+
+
+class _Watch:
+    """What happens while the launcher runs: faults, samples of memory, the end."""
+
+    def __init__(self, chaos: Chaos, end_s: float, progress: Callable[[float], object], seconds: float) -> None:
+        self.chaos = chaos
+        self.launcher: Launcher | None = None
+        self._end_s, self._seconds, self._progress = end_s, seconds, progress
+        self._seen: set[tuple[int, float]] = set()  # (pid, time of birth)
+        self._samples: list[tuple[float, float]] = []  # (time, MB) when it is calm
+        self._sampled_s = 0.0
+
+    def show(self, state: LaunchState) -> None:
+        """Called a few times a second."""
+        now_s = time.monotonic()
+        self._progress(min(self._seconds, self._seconds - (self._end_s - now_s)))
+        self.chaos.act(state)
+        if now_s - self._sampled_s >= SAMPLE_S:
+            self._sampled_s = now_s
+            self._sample(state, now_s)
+        if now_s > self._end_s and self.launcher is not None and not state.stopping:
+            self.chaos.wake_all()
+            self.launcher.stop()
+
+    def orphans(self) -> int:
+        """Processes that were started and still run."""
+        return sum(self._lives(pid, born_s) for pid, born_s in self._seen)
+
+    def slope_mb_per_h(self) -> float:
+        """How all processes' memory grows while it is calm, by a straight line; 0 with too few samples."""
+        if len(self._samples) < 4:
+            return 0.0
+        times_s, sizes_mb = np.array(self._samples).T
+        return float(np.polyfit(times_s - times_s[0], sizes_mb, 1)[0] * 3600.0)
+
+    def _sample(self, state: LaunchState, now_s: float) -> None:
+        size_mb, pids = 0.0, [pid for pid in (state.world_pid, *(c.pid for c in state.clients)) if pid]
+        for pid in (psutil.Process().pid, *pids):
+            with contextlib.suppress(psutil.Error):
+                process = psutil.Process(pid)
+                size_mb += process.memory_info().rss / 1e6
+                if pid in pids:
+                    self._seen.add((pid, process.create_time()))
+        calm_s = CALM_SHARE * self._seconds
+        all_there = state.world is not None and len(state.world.members) == len(state.clients)
+        if not state.stopping and all_there and now_s > self._end_s - calm_s + SETTLE_S:
+            self._samples.append((now_s, size_mb))
+
+    def _lives(self, pid: int, born_s: float) -> bool:
+        try:
+            process = psutil.Process(pid)
+            return bool(process.create_time() == born_s and process.status() != psutil.STATUS_ZOMBIE)
+        except psutil.Error:
+            return False
+
+
+def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
+    rules = Rules(
+        capacity=order.clients,
+        config=order.config.world_digest(),
+        expected=order.clients,
+        lease_s=order.lease_s,
+        tick_lease_s=order.lease_s,
+        rejoin_s=3.0 * order.lease_s,
+        recordings=recordings([order.config.env.profile]),
+    )
+    return WorldSpec(
+        town=order.town,
+        config_json=order.config.model_dump_json(),
+        seed=order.seed,
+        rules=rules,
+        endpoint=endpoint_in(place),
+        ring=str(place),
+        name="soak",
+        run=str(order.folder),
+        recovery=order.recovery,
+        stand_in=order.stand_in,
+    )
+
+
+def _plan(order: SoakOrder, world: WorldSpec, name: str, seat: int, place: Path) -> ClientPlan:
+    join = SeatRequest(
+        endpoint=world.endpoint,
+        name=name,
+        claim=secrets.token_hex(16),
+        spec=SeatSpec(profile=order.config.env.profile, max_steps=300),
+        seat=seat,
+        config=world.rules.config,
+        ledger=str(_ledger(order, name)),
+    )
+    file = place / f"{name}.json"
+    file.write_bytes(to_line(join))
+    argv = (sys.executable, "-m", "wcsim.bench.soak.stub_client", str(file), "--sights", str(_sights(order, name)))
+    return ClientPlan(name=name, seat=seat, argv=argv, log=order.folder / "logs" / f"{name}.log", folder=order.folder)
+
+
+def _ledger(order: SoakOrder, name: str) -> Path:
+    return order.folder / "ledgers" / f"{name}.ledger"
+
+
+def _sights(order: SoakOrder, name: str) -> Path:
+    return order.folder / f"{name}.sights"

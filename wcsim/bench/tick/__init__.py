@@ -1,0 +1,1 @@
+"""What a tick costs, beside bare engines and beside the loop that one would write first."""

@@ -1,0 +1,118 @@
+"""What one would write first: PyBullet alone, one body for each thing, its TinyRenderer as the camera.
+
+Every actor of the simulation is mirrored, by a reset of its pose; the chair is the product's own, driven by two motors
+that keep a speed. SUMO's step is left out of its time, since one process holds one SUMO: what it lacks is given to it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.config import CameraConfig, ChairConfig
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
+from wcsim.physics.sensors.camera import camera_matrix, mount, pinhole, pose_of
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.types import F32, F64, I32, ActorState, StreetMesh
+
+SUBSTEPS, TICK_S = 24, 0.1
+
+
+class NaiveLoop:
+    """Chairs in a street of bodies; close it."""
+
+    def __init__(
+        self,
+        mesh: StreetMesh,
+        camera: CameraConfig,
+        starts: Sequence[tuple[F64, float]],
+        substeps: int = SUBSTEPS,
+        tick_s: float = TICK_S,
+    ) -> None:
+        self.client: int = pybullet.connect(pybullet.DIRECT)
+        self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
+        self.actors: dict[str, tuple[int, float]] = {}
+        self.substeps = substeps
+        pybullet.setGravity(0, 0, -9.81, physicsClientId=self.client)
+        pybullet.setTimeStep(tick_s / substeps, physicsClientId=self.client)
+        for vertices, indices in things(mesh):
+            self._solid(vertices, indices)
+        self.chairs = [self._chair(start_W_m, yaw_rad) for start_W_m, yaw_rad in starts]
+        joints = range(pybullet.getNumJoints(self.chairs[0], physicsClientId=self.client))
+        names = {pybullet.getJointInfo(self.chairs[0], i, physicsClientId=self.client)[1].decode(): i for i in joints}
+        self.wheels = (names["wheel_l"], names["wheel_r"])
+
+    def tick(
+        self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]
+    ) -> list[tuple[F32, I32]]:
+        """A tenth of a second; for each chair depth in metres and body numbers, both (H, W)."""
+        for actor in actors:
+            if actor.id not in self.actors:
+                self.actors[actor.id] = self._box(actor)
+            body, half_height = self.actors[actor.id]
+            x, y, z = actor.p_W_m
+            turn = (0, 0, np.sin(actor.yaw_rad / 2), np.cos(actor.yaw_rad / 2))
+            pybullet.resetBasePositionAndOrientation(body, (x, y, z + half_height), turn, physicsClientId=self.client)
+        for chair in self.chairs:
+            for wheel, speed in zip(self.wheels, wheel_radps, strict=True):
+                pybullet.setJointMotorControl2(
+                    chair, wheel, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=60, physicsClientId=self.client
+                )
+        for _ in range(self.substeps):
+            pybullet.stepSimulation(physicsClientId=self.client)
+        return [self._look(chair) for chair in self.chairs]
+
+    def close(self) -> None:
+        """End the engine."""
+        pybullet.disconnect(physicsClientId=self.client)
+
+    def _chair(self, start_W_m: F64, yaw_rad: float) -> int:
+        place = (*start_W_m[:2], start_W_m[2] + 0.02)
+        turn = (0, 0, np.sin(yaw_rad / 2), np.cos(yaw_rad / 2))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "chair.urdf"
+            path.write_text(urdf(plant_spec(ChairConfig())), encoding="utf-8")
+            body: int = pybullet.loadURDF(str(path), place, turn, physicsClientId=self.client)
+        return body
+
+    def _look(self, chair: int) -> tuple[F32, I32]:
+        place, q = pybullet.getBasePositionAndOrientation(chair, physicsClientId=self.client)
+        yaw_rad = pybullet.getEulerFromQuaternion(q)[2]
+        T_CW = camera_matrix(pose_of(place, yaw_rad, 0.0), self.mount)
+        width, height, near, far = self.lens.width_px, self.lens.height_px, self.lens.near_m, self.lens.range_m
+        _, _, _, depth, bodies = pybullet.getCameraImage(
+            width, height, view_matrix(T_CW), projection_matrix(self.lens), shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self.client,
+        )  # fmt: skip
+        z = far * near / (far - (far - near) * np.asarray(depth, np.float32).reshape(height, width))
+        return z, np.asarray(bodies, np.int32).reshape(height, width)
+
+    def _solid(self, vertices: list[list[float]], indices: list[int]) -> None:
+        flags = pybullet.GEOM_FORCE_CONCAVE_TRIMESH
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH, vertices=vertices, indices=indices, flags=flags, physicsClientId=self.client
+        )
+        look = pybullet.createVisualShape(
+            pybullet.GEOM_MESH, vertices=vertices, indices=indices, physicsClientId=self.client
+        )
+        pybullet.createMultiBody(0, shape, look, physicsClientId=self.client)
+
+    def _box(self, actor: ActorState) -> tuple[int, float]:
+        half = [0.5 * side for side in actor.size_lwh_m]
+        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        look = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        return pybullet.createMultiBody(0, shape, look, physicsClientId=self.client), half[2]
+
+
+def things(mesh: StreetMesh) -> Iterator[tuple[list[list[float]], list[int]]]:
+    """Vertices and indices of everything of one class in one cell of the street: a house, a piece of pavement."""
+    for first, last in zip(mesh.chunk_faces[:-1], mesh.chunk_faces[1:], strict=True):
+        faces, classes = mesh.faces[first:last], mesh.face_class[first:last]
+        for class_id in np.unique(classes):
+            used, indices = np.unique(faces[classes == class_id], return_inverse=True)
+            yield mesh.vertices_W_m[used].astype(float).tolist(), indices.ravel().tolist()

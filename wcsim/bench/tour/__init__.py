@@ -1,0 +1,1 @@
+"""A chair over every pavement, walking area and crossing of a town."""

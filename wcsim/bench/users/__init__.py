@@ -1,0 +1,1 @@
+"""What simulated users do, beside the parameters that they should show."""

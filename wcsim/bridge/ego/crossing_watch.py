@@ -1,0 +1,108 @@
+"""What a wheelchair does on a carriageway: is on it, gets over it, sets out at red. The world's truth, for KPIs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.bridge.reaction.commands import ROADWAY
+from wcsim.types import F64, ActorState, Bool, Ground, SignalState, WalkGraph, WayKind
+from wcsim.users.crossing import is_red
+
+BESIDE_M = 1.0  # so far beside the painted strip a chair is still on the crossing
+BEFORE_M = 1.0  # and so far before its ends
+ENTRY_SHARE = 0.35  # who gets onto the road beyond this share of a crossing came in from somewhere else
+OVER_SHARE = 0.8  # who leaves the road beyond this share of it has got over
+AGAIN_S = 1.0  # a footplate that was behind the kerb for so long passes it anew
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnRoad:
+    """One moment of a chair."""
+
+    on_carriageway: bool = False  # its middle
+    crossed: bool = False  # in from one pavement, out on the opposite one, over a crossing all the way
+    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
+
+
+class CrossingWatch:
+    """One chair in one episode; needs every tick of it."""
+
+    def __init__(self, ground: Ground, walk: WalkGraph) -> None:
+        """The kerb line is where the ground becomes a carriageway; the crossings of `walk` are straight strips."""
+        self._ground = ground
+        self._edges = [edge for edge in walk.edges if edge.kind is WayKind.CROSSING]
+        ends_m = np.array([(edge.points_W_m[0], edge.points_W_m[-1]) for edge in self._edges]).reshape(-1, 2, 2)
+        along_m = ends_m[:, 1] - ends_m[:, 0]
+        self._from_m = ends_m[:, 0]
+        self._length_m = np.maximum(np.hypot(along_m[:, 0], along_m[:, 1]), 1e-9)
+        self._unit = along_m / self._length_m[:, None]
+        self._reach_m = np.array([0.5 * edge.width_m + BESIDE_M for edge in self._edges])
+        self._entered: tuple[tuple[int, bool], ...] = ()  # crossing, and whether from its last point
+        self._on_road: bool | None = None
+        self._foot_on_road: bool | None = None
+        self._foot_behind_s = -math.inf  # since when the footplate has been behind the kerb
+
+    def see(self, chair: ActorState, time_s: float, signals: Iterable[SignalState]) -> OnRoad:
+        """Take the next tick: the chair's box, SUMO's time, the signals of now."""
+        x, y, _ = chair.p_W_m.tolist()
+        half_m = 0.5 * chair.size_lwh_m[0]
+        ahead = (math.cos(chair.yaw_rad), math.sin(chair.yaw_rad))
+        return OnRoad(
+            on_carriageway=(on_road := self._ground.class_here(x, y) in ROADWAY),
+            crossed=self._gets_over(x, y, on_road),
+            entered_red=self._enters_red((x + half_m * ahead[0], y + half_m * ahead[1]), ahead, time_s, signals),
+        )
+
+    def _gets_over(self, x_m: float, y_m: float, on_road: bool) -> bool:
+        """Whether the road ends here, on the other side of the crossing over which the chair came."""
+        before, self._on_road = self._on_road, on_road
+        if not self._entered and not (on_road and before is False):
+            return False
+        share, inside = self._places(x_m, y_m)
+        if not on_road:
+            entered, self._entered = self._entered, ()
+            return bool(inside.any()) and any(_from(float(share[k]), last) >= OVER_SHARE for k, last in entered)
+        if before is False:
+            at_first, at_last = inside & (share <= ENTRY_SHARE), inside & (share >= 1.0 - ENTRY_SHARE)
+            self._entered = (
+                *((int(k), False) for k in np.flatnonzero(at_first)),
+                *((int(k), True) for k in np.flatnonzero(at_last)),
+            )
+        elif not inside.any():
+            self._entered = ()
+        return False
+
+    def _enters_red(
+        self, foot_m: tuple[float, float], ahead: tuple[float, float], time_s: float, signals: Iterable[SignalState]
+    ) -> bool:
+        before, since_s = self._foot_on_road, self._foot_behind_s
+        self._foot_on_road = self._ground.class_here(*foot_m) in ROADWAY
+        if not self._foot_on_road:
+            self._foot_behind_s = time_s if before else since_s
+            return False
+        if before is not False or time_s - since_s < AGAIN_S - 1e-6:
+            return False
+        share, inside = self._places(*foot_m)
+        facing = self._unit @ np.array(ahead)
+        facing = np.where(share <= 0.5, facing, -facing)
+        there = inside & (np.minimum(share, 1.0 - share) <= ENTRY_SHARE) & (facing > 0.0)
+        if not there.any():
+            return False
+        return is_red(self._edges[int(np.argmax(np.where(there, facing, -np.inf)))], signals)
+
+    def _places(self, x_m: float, y_m: float) -> tuple[F64, Bool]:
+        """How far along each crossing (C,) a point is, as a share of its length, and whether it is on it (C,)."""
+        off_m = np.array([x_m, y_m]) - self._from_m
+        along_m = np.sum(off_m * self._unit, axis=1)
+        left_m = self._unit[:, 0] * off_m[:, 1] - self._unit[:, 1] * off_m[:, 0]
+        inside = (np.abs(left_m) <= self._reach_m) & (along_m >= -BEFORE_M) & (along_m <= self._length_m + BEFORE_M)
+        return along_m / self._length_m, inside
+
+
+def _from(share: float, last: bool) -> float:
+    """A share of a crossing, counted from the end at which the chair came in."""
+    return 1.0 - share if last else share

@@ -1,0 +1,353 @@
+"""One seat of a world: a wheelchair, its user, its episode. A world holds any number of them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
+from wcsim.bridge.ego.kerb_drop import fell
+from wcsim.bridge.ego.randomization import DrawnChair, Randomization
+from wcsim.bridge.ego.street_obstacles import ObstacleWatch
+from wcsim.bridge.ego.visible_actors import ShownActors
+from wcsim.config import RunConfig
+from wcsim.core import seeding
+from wcsim.errors import ConfigError
+from wcsim.physics.engine import Engine
+from wcsim.physics.renderer.instances import ChairPose, chair_pose
+from wcsim.physics.sensors.camera import CameraRig, SeatBuffers
+from wcsim.physics.sensors.pixel_noise import child
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.wheelchair import Wheelchair
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.rewards import crash_reason
+from wcsim.towns.walking.routes import Router
+from wcsim.types import (
+    F64,
+    ActorKind,
+    ActorState,
+    ClientSnapshot,
+    Events,
+    Ground,
+    Joystick,
+    Outline,
+    PlantState,
+    Route,
+    SeatSpec,
+    SensorFrame,
+    SignalState,
+    StartSpec,
+    Street,
+    Truth,
+    UserView,
+    chair_actor_id,
+)
+from wcsim.users.profiles import sample
+from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
+from wcsim.users.user import SimulatedUser
+
+SIGHT_M = 25.0
+GOAL_RANGE_M = (60.0, 400.0)
+SPAWN_TRIES = 400
+START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
+AT_REST = Joystick(0.0, 0.0)
+
+XY = tuple[float, float]
+TakenNear = Callable[[F64, float], Sequence[ActorState]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """Where an episode begins; a seat with a fixed start keeps its user's exact parameters too."""
+
+    p_W_m: F64  # (3,) on the ground
+    yaw_rad: float
+    route: Route
+
+
+class Ego:
+    """A wheelchair with its user; `World` calls its methods in the order of a tick."""
+
+    def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
+        """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
+        self.index = index
+        self.spec = spec
+        _require_in_town(spec.start, router)
+        self._person = find_user(spec.profile)
+        self._config = config
+        self._street = street
+        self._router = router
+        plant = plant_spec(config.chair)
+        wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
+        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
+        self._variation = Randomization(config, index)
+        self.fitting: DrawnChair | None = None
+        self._seed = 0
+        self._episode = -1
+        self._spawned = False
+        self._step = 0
+        self._progress_m = self._progressed_m = 0.0
+        self._shown: tuple[PlantState, ActorState] | None = None
+        self._on_road = OnRoad()
+        self._shown_actors = ShownActors(config.world)
+
+    @property
+    def spawned(self) -> bool:
+        """Whether this seat's chair stands in the street."""
+        return self._spawned
+
+    @property
+    def begun(self) -> int:
+        """How many episodes of this seat have begun in this epoch, those before it was taken among them."""
+        return self._episode + 1
+
+    def build(self, engine: Engine, seed: int, begun: int = 0) -> None:
+        """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
+        self._seed = seed
+        self._episode = begun - 1
+        self._spawned = False
+        self._imu_key = seeding.key(seed, "imu", self.index)
+        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
+
+    def spawn(self, taken: TakenNear) -> None:
+        """Begin the next episode: a start clear of everything, a user and a route of its own."""
+        self._vary()
+        rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
+        start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
+        self._episode += 1
+        self._spawned = True
+        self._step = 0
+        self._progress_m = 0.0
+        self._place = start
+        self.stand()
+        self.user = self._new_user()
+        self._obstacles = ObstacleWatch(self._street.grid)
+        self._crossing = CrossingWatch(self._street.grid, self._street.walk)
+        self._shown_actors.forget()
+        self._follow(start.route)
+
+    def _vary(self) -> None:
+        """Make the chair what it is in the next episode, and let no command of the last one reach it."""
+        delay = self._config.world.action_delay_ticks
+        self.fitting = self._variation.fitting(self._seed, self._episode + 1)
+        if self.fitting is not None:
+            self.chair.become(self.fitting.spec)
+            drawn = self.fitting.drawn.action_delay_ticks
+            delay = delay if drawn is None else drawn
+        self._waiting = deque([AT_REST] * delay)
+
+    def command(self, joystick: Joystick) -> None:
+        """Take a command; the chair obeys it after the delay."""
+        self._waiting.append(joystick)
+        self.chair.command(self._waiting.popleft())
+
+    def stand(self) -> None:
+        """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
+        self.chair.place(self._place.p_W_m, self._place.yaw_rad)
+        self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
+
+    def end_tick(self, tick: int) -> None:
+        """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
+        self.chair.end_tick(child(self._imu_key, tick))
+        world = self._config.world
+        self.user.hand(world.substeps, world.tick_s / world.substeps)
+
+    def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
+        """Show the user the street, and see where in it the chair is."""
+        self.user.look(self._view(time_s, others, signals))
+        self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
+        self._progressed_m = self.user.route_progress_m - self._progress_m
+        self._progress_m = self.user.route_progress_m
+
+    def next_destination(self) -> None:
+        """After an arrival, or when the user gave up: the episode goes on to another place."""
+        x, y, _ = self.chair.state().p_WB_m.tolist()
+        rng = seeding.generator(self._seed, "goal", self.index, self._episode, self._step)
+        self._follow(self._router.route((x, y), self._draw_goal(rng, (x, y))))
+
+    def observe(
+        self,
+        tick: int,
+        rig: CameraRig,
+        actors: Sequence[ActorState],
+        chairs: Sequence[ChairPose],
+        signals: Sequence[SignalState],
+        buffers: SeatBuffers | None = None,
+    ) -> SensorFrame:
+        """Cameras and IMU of this tick; the images are made in `buffers` when they are given."""
+        counted = self.spec.truth_visible
+        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals, counted)
+        if counted:
+            self._shown_actors.see(tick, rig.shown_px(self.index))
+        return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
+
+    def events(self, jam_teleports: int, first: bool) -> Events:
+        """What this tick did to the episode; the first frame of an episode has no events."""
+        self._step += not first
+        reason = "" if first else self._crash_reason()
+        return Events(
+            episode=self._episode,
+            step=self._step,
+            crashed=bool(reason),
+            crash_reason=reason,
+            truncated=not first and not reason and self._step >= self.spec.max_steps,
+            arrived=not first and self.user.arrived,
+            gave_up=not first and self.user.gave_up,
+            progress_m=0.0 if first else self._progressed_m,
+            jam_teleports=jam_teleports,
+            on_carriageway=self._on_road.on_carriageway,
+            crossed=self._on_road.crossed,
+            entered_red=self._on_road.entered_red,
+        )
+
+    def _crash_reason(self) -> str:
+        chair, config = self.chair, self._config.reward
+        dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
+        return crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
+
+    def truth(self, others: Sequence[ActorState]) -> Truth | None:
+        """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
+        if not (self.spec.truth or self.spec.truth_visible):
+            return None
+        plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
+        known = self._shown_actors.known(others) if self.spec.truth_visible else None
+        seen = self._oracle.assess(plant, stick, others, waiting, known)
+        return Truth(
+            intent=self.user.intent,
+            danger=seen.danger,
+            first_s=seen.first_s,
+            clearance_m=seen.clearance_m,
+            progress_m=self._progressed_m,
+            visible=seen.visible,
+        )
+
+    def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:
+        """This seat's share of the world's snapshot."""
+        return ClientSnapshot(
+            seat=self.index,
+            tick=tick,
+            plant=self.chair.state(),
+            sensors=sensors,
+            user=self.user.joystick,
+            contacts=self.chair.contacts(),
+            events=events,
+            truth=truth,
+            drawn=None if self.fitting is None else self.fitting.drawn,
+        )
+
+    def pose(self) -> ChairPose:
+        """Where the cameras see this chair."""
+        return chair_pose(self.index, self.chair.state(), self.chair.outline)
+
+    def as_actor(self) -> ActorState:
+        """This chair as other users and the street see it; made once for each state of the chair."""
+        plant = self.chair.state()
+        if self._shown is None or self._shown[0] is not plant:
+            self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
+        return self._shown[1]
+
+    def _new_user(self) -> SimulatedUser | RecordedUser:
+        if isinstance(self._person, JoystickRecording):
+            return RecordedUser(self._person, self.chair.outline)
+        rng = seeding.generator(self._seed, "user", self.index, self._episode)
+        exact = self._person
+        return SimulatedUser(
+            sample(exact, rng) if self.spec.start is None else exact,
+            rng,
+            self._config.chair,
+            self.chair.outline,
+            self._street,
+        )
+
+    def _follow(self, route: Route) -> None:
+        self.route = route
+        self.user.follow(route)
+        self._progress_m = self.user.route_progress_m
+
+    def _view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
+        plant = self.chair.state()
+        x, y, _ = plant.p_WB_m.tolist()
+        return UserView(
+            time_s=time_s,
+            p_W_m=plant.p_WB_m,
+            yaw_rad=plant.yaw_rad,
+            speed_mps=float(plant.v_B_mps[0]),
+            route=self.route,
+            actors=tuple(a for a in others if _in_sight(a, x, y)),
+            signals=signals,
+            obstacles_W_m=self._obstacles.on_way(self.route, self.user.route_progress_m),
+        )
+
+    def _fixed_start(self, spec: StartSpec) -> Start:
+        return self._start(spec.p_W_m, spec.yaw_rad, spec.goal_W_m)
+
+    def _start(self, xy: XY, yaw_rad: float, goal: XY) -> Start:
+        p_W_m = np.array([*xy, float(self._street.grid.height_at(np.array(xy)))])
+        return Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
+
+    def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> Start:
+        """A start on flat walkable ground, `clear_spawn_m` from everything that moves; relaxed when nothing is free."""
+        clear_m = self._config.world.clear_spawn_m
+        for attempt in range(1, SPAWN_TRIES + 1):
+            xy, yaw_rad = self._router.random_start(rng)
+            if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
+                break
+            clear_m *= 0.7 if attempt % 100 == 0 else 1.0
+        return self._start(xy, yaw_rad, self._draw_goal(rng, xy))
+
+    def _draw_goal(self, rng: np.random.Generator, xy: XY) -> XY:
+        return self._router.random_goal(rng, xy, *GOAL_RANGE_M, self._config.world.crossing_share)
+
+
+def _require_in_town(start: StartSpec | None, router: Router) -> None:
+    """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
+    for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
+        if not router.away_m(xy) <= START_REACH_M:
+            raise ConfigError(
+                f"{what} at {xy} m is {router.away_m(xy):.0f} m from the nearest pavement; expected one of the town's "
+                f"places, at most {START_REACH_M:.0f} m away"
+            )
+    if start is not None and not math.isfinite(start.yaw_rad):
+        raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
+
+
+def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
+    cos, sin = math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
+    (x, y, z), (ahead_mps, left_mps, _) = plant.p_WB_m.tolist(), plant.v_B_mps.tolist()
+    return ActorState(
+        id=name,
+        kind=ActorKind.WHEELCHAIR,
+        p_W_m=np.array([x + outline.middle_x_m * cos, y + outline.middle_x_m * sin, z]),
+        yaw_rad=plant.yaw_rad,
+        pitch_rad=plant.pitch_rad,
+        v_W_mps=np.array([ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos, 0.0]),
+        size_lwh_m=outline.size_lwh_m,
+    )
+
+
+def _in_sight(actor: ActorState, x_m: float, y_m: float) -> bool:
+    ax, ay, _ = actor.p_W_m.tolist()
+    return math.hypot(ax - x_m, ay - y_m) < SIGHT_M
+
+
+def is_clear(
+    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
+) -> bool:
+    """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
+    footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    hull = xy_W_m + np.array(footprint_B_m) @ np.array([[cos, sin], [-sin, cos]])
+    if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
+        return False
+    middle = xy_W_m + middle_m * np.array([cos, sin])
+    reach_m = clear_m + half_m
+    return all(
+        float(np.hypot(*(a.p_W_m[:2] - middle))) > reach_m + 0.5 * max(a.size_lwh_m[:2])
+        for a in taken(middle, reach_m + 10.0)
+    )

@@ -1,0 +1,91 @@
+"""The seats of a world: a fixed number of places for wheelchairs, each free or taken, from tick to tick."""
+
+from __future__ import annotations
+
+from wcsim.bridge.ego.ego import Ego
+from wcsim.config import RunConfig
+from wcsim.errors import ProtocolError
+from wcsim.physics.engine import Engine
+from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.towns.checks.validate import require_pavement
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.walking.routes import Router
+from wcsim.types import SeatSpec, Street, chair_actor_id
+
+
+class EgoSlots:
+    """Who sits where; `present` holds the taken seats in the order of their numbers."""
+
+    def __init__(self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town) -> None:
+        """One place for each of `specs`, free where it is None.
+
+        Raises:
+            ConfigError: a camera is inside the chair's body, or a spec holds something that cannot be used.
+            TownError: there are places, but the town has no pavement to drive on.
+        """
+        self.present: tuple[Ego, ...] = ()
+        self._config, self._street = config, street
+        self._begun = [0] * len(specs)  # episodes of the epoch, by place
+        self._seed = 0
+        if specs:
+            refuse_cameras_inside(config.cameras, plant_spec(config.chair).frame.boxes)
+            require_pavement(street, town)
+            self._router = Router(street.walk)
+            self.present = tuple(self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None)
+
+    def at(self, number: int) -> Ego:
+        """The seat of this number. Raises ProtocolError when it is free or not there."""
+        self._require(number)
+        seat = self._find(number)
+        if seat is None:
+            raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
+        return seat
+
+    def build(self, engine: Engine, seed: int) -> None:
+        """Begin an epoch: a new wheelchair in a new engine for each seat that is taken."""
+        self._seed = seed
+        self._begun = [0] * len(self._begun)
+        for seat in self.present:
+            seat.build(engine, seed)
+
+    def admit(self, engine: Engine, number: int, spec: SeatSpec) -> Ego:
+        """Take a free seat; its wheelchair is parked in the engine until its first episode is begun.
+
+        Raises:
+            ProtocolError: the seat is taken or not there.
+            ConfigError: the spec holds something that cannot be used.
+        """
+        self._require(number)
+        if self._find(number) is not None:
+            raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
+        seat = self._seat(number, spec)
+        seat.build(engine, self._seed, self._begun[number])
+        self.present = tuple(sorted((*self.present, seat), key=lambda item: item.index))
+        return seat
+
+    def dismiss(self, number: int) -> None:
+        """Free a seat: its wheelchair leaves the engine. Raises ProtocolError when the seat is free or not there."""
+        self._begun[number] = self.at(number).begun
+        self.revoke(number)
+
+    def revoke(self, number: int) -> None:
+        """The same for a seat whose first episode could not begin, which then does not count."""
+        gone = self.at(number)
+        self.present = tuple(seat for seat in self.present if seat is not gone)
+        gone.chair.remove()
+        for seat in self.present:
+            seat.chair.forget(chair_actor_id(number))
+
+    def _seat(self, number: int, spec: SeatSpec) -> Ego:
+        return Ego(number, spec, self._config, self._street, self._router)
+
+    def _find(self, number: int) -> Ego | None:
+        return next((seat for seat in self.present if seat.index == number), None)
+
+    def _free(self) -> list[int]:
+        return [number for number in range(len(self._begun)) if self._find(number) is None]
+
+    def _require(self, number: int) -> None:
+        if not 0 <= number < len(self._begun):
+            raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")

@@ -1,0 +1,187 @@
+"""What differs from episode to episode: drawn from the ranges of `[vary]`, each name from a seed of its own.
+
+So a seat's draws do not change when another range is added, and every seat has others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+from wcsim.config import CameraConfig, RunConfig, parse
+from wcsim.config.randomization import VaryConfig
+from wcsim.core import frames, seeding
+from wcsim.errors import ConfigError
+from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, varied
+from wcsim.physics.wheelchair.plant_body import check_springs
+from wcsim.types import Drawn
+
+TRIES = 50  # a chair may be out of bounds, or fall over, for some of its drawn numbers together
+
+Vec3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnChair:
+    """A wheelchair as it is fitted out in one episode."""
+
+    drawn: Drawn
+    spec: PlantSpec
+    cameras: tuple[CameraConfig, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Box:
+    """A box in B."""
+
+    centre_m: Vec3
+    size_m: Vec3
+
+
+class Randomization:
+    """Draws the episodes of one seat; with nothing in `[vary]` it gives None.
+
+    Raises:
+        ConfigError: A range leaves the bounds of what it names; says the value, its unit and the bounds.
+    """
+
+    def __init__(self, config: RunConfig, seat: int) -> None:
+        self._vary, self._cameras, self._seat = config.vary, config.cameras, seat
+        if not self._vary.nothing:
+            self._spec = plant_spec(config.chair)
+            self._step_s = config.world.tick_s / config.world.substeps
+            _check_names(self._vary)
+            _check_plants(self._vary, self._spec, self._step_s)
+            _check_cameras(self._vary, self._cameras, self._spec)
+
+    def fitting(self, seed: int, episode: int) -> DrawnChair | None:
+        """The chair of an episode, None when all are alike.
+
+        Raises ConfigError when TRIES draws have given no chair that can stand.
+        """
+        if self._vary.nothing:
+            return None
+        for attempt in range(TRIES):
+            drawn = draw(self._vary, len(self._cameras), seed, self._seat, episode, attempt)
+            try:
+                spec, cameras = with_drawn(self._spec, drawn), moved(self._cameras, drawn)
+                check_springs(spec, self._step_s)
+                refuse_cameras_inside(cameras, spec.frame.boxes)
+            except ConfigError as error:
+                fault = error
+                continue
+            return DrawnChair(drawn=drawn, spec=spec, cameras=cameras)
+        raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand; expected narrower ranges: {fault}")
+
+
+def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0) -> Drawn:
+    """What the ranges give for an episode of a seat; `attempt` counts draws that could not be used."""
+
+    def numbers(name: str, span: tuple[float, float] | None, count: int = 1) -> list[float]:
+        if span is None:
+            return []
+        rng = seeding.generator(seed, "vary", seat, episode, name, attempt)
+        return [float(value) for value in rng.uniform(*span, count)]
+
+    shifts = numbers("camera_shift_m", vary.camera_shift_m, 3 * cameras)
+    turns = numbers("camera_turn_deg", vary.camera_turn_deg, 2 * cameras)
+    ticks = vary.action_delay_ticks
+    rng = seeding.generator(seed, "vary", seat, episode, "action_delay_ticks")
+    return Drawn(
+        light=_first(numbers("light", vary.light)),
+        friction=_first(numbers("friction", vary.friction)),
+        user_mass_kg=_first(numbers("user_mass_kg", vary.user_mass_kg)),
+        camera_shift_m=tuple((x, y, z) for x, y, z in zip(*(shifts[k::3] for k in range(3)), strict=True)),
+        camera_turn_rad=tuple((frames.rad(a), frames.rad(b)) for a, b in zip(turns[::2], turns[1::2], strict=True)),
+        action_delay_ticks=None if ticks is None else int(rng.integers(ticks[0], ticks[1] + 1)),
+        plant=tuple((name, numbers(name, span)[0]) for name, span in sorted(vary.plant.items())),
+    )
+
+
+def with_drawn(spec: PlantSpec, drawn: Drawn) -> PlantSpec:
+    """The plant of an episode. Raises ConfigError when a value is out of bounds or the chair cannot stand."""
+    values = dict(drawn.plant)
+    if drawn.user_mass_kg is not None:
+        values["mass.user_kg"] = drawn.user_mass_kg
+    spec = varied(spec, values) if values else spec
+    if drawn.friction is None:
+        return spec
+    rolling = {f"casters.{i}.friction": pair.friction for i, pair in enumerate(spec.casters)}
+    rolling["wheel.friction"] = spec.wheel.friction
+    return varied(spec, {name: value * drawn.friction for name, value in rolling.items()})
+
+
+def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig, ...]:
+    """The cameras as they are mounted in an episode. Raises ConfigError when one is out of its bounds."""
+    shifts = drawn.camera_shift_m or ((0.0, 0.0, 0.0),) * len(cameras)
+    turns = drawn.camera_turn_rad or ((0.0, 0.0),) * len(cameras)
+    return tuple(
+        _mounted(camera, shift, frames.deg(yaw_rad), frames.deg(pitch_rad))
+        for camera, shift, (yaw_rad, pitch_rad) in zip(cameras, shifts, turns, strict=True)
+    )
+
+
+def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: float) -> CameraConfig:
+    x, y, z = (p + s for p, s in zip(camera.p_BC_m, shift_m, strict=True))
+    turned = {"yaw_deg": camera.yaw_deg + yaw_deg, "pitch_deg": camera.pitch_deg + pitch_deg}
+    return parse(CameraConfig, {**camera.model_dump(), "p_BC_m": (x, y, z), **turned}, f"camera {camera.name}")
+
+
+def _check_names(vary: VaryConfig) -> None:
+    """Refuse numbers of a plant that change nothing in an episode, or that another range draws as well."""
+    for name in vary.plant:
+        if name.startswith(("limits.", "climbs.")):
+            raise ConfigError(f"vary.plant.{name}: says what the plant is tested for; expected a number of its body")
+        if name == "mass.user_kg" and vary.user_mass_kg is not None:
+            raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected one of both")
+
+
+def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:
+    """Both ends of every range by itself; whether all together can stand is seen when they are drawn."""
+    for name, span in vary.plant.items():
+        for value in span:
+            _under(f"vary.plant.{name}", partial(_check_plant, spec, name, value, step_s))
+    for kg in vary.user_mass_kg or ():
+        _under("vary.user_mass_kg", partial(with_drawn, spec, Drawn(user_mass_kg=kg)))
+    for factor in vary.friction or ():
+        _under("vary.friction", partial(with_drawn, spec, Drawn(friction=factor)))
+
+
+def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
+    check_springs(varied(spec, {name: value}), step_s)
+
+
+def _check_cameras(vary: VaryConfig, cameras: tuple[CameraConfig, ...], spec: PlantSpec) -> None:
+    for camera in cameras:
+        for shift_m in vary.camera_shift_m or ():
+            _under("vary.camera_shift_m", partial(_mounted, camera, (shift_m, shift_m, shift_m), 0.0, 0.0))
+        for turn_deg in vary.camera_turn_deg or ():
+            _under("vary.camera_turn_deg", partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg))
+    if vary.camera_shift_m is not None:
+        grown = tuple(_grown_boxes(spec, vary.camera_shift_m))
+        _under("vary.camera_shift_m, boxes larger by it", partial(refuse_cameras_inside, cameras, grown))
+
+
+def _grown_boxes(spec: PlantSpec, span_m: tuple[float, float]) -> Iterator[_Box]:
+    """The chair's boxes, so much larger that a camera which stays in its place is in one if a shifted one can be."""
+    middle_m, width_m = 0.5 * (span_m[0] + span_m[1]), span_m[1] - span_m[0]
+    for box in spec.frame.boxes:
+        cx, cy, cz = box.centre_m
+        sx, sy, sz = box.size_m
+        yield _Box(
+            centre_m=(cx - middle_m, cy - middle_m, cz - middle_m), size_m=(sx + width_m, sy + width_m, sz + width_m)
+        )
+
+
+def _under(key: str, check: Callable[[], object]) -> None:
+    """Run a check under the name of a range."""
+    try:
+        check()
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {error}") from None
+
+
+def _first(values: list[float]) -> float | None:
+    return values[0] if values else None

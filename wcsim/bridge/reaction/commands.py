@@ -1,0 +1,102 @@
+"""What the street knows of a wheelchair, and what it tells its actors to do about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.core import seeding
+from wcsim.core.constants import OTHER_LEVEL_M
+from wcsim.types import F64, ActorState, ClassId, Ground
+
+ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
+LET_GO = -1.0
+
+MOST_KNOWN = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChairInStreet:
+    """What others see of a wheelchair."""
+
+    p_W_m: F64  # (2,) middle of the chair
+    v_W_mps: F64  # (2,)
+    on_road: bool  # on a carriageway or a crossing, not up on a pavement
+    half_m: tuple[float, float]  # half the length and width of its footprint
+    yaw_rad: float = 0.0
+    z_m: float = 0.0
+
+    def row(self) -> F64:
+        """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
+        return np.array([*self.p_W_m, math.cos(self.yaw_rad), math.sin(self.yaw_rad), *self.half_m, *self.v_W_mps])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActorCommand:
+    """What an actor is told for one tick; `LET_GO` as speed gives everything back to SUMO."""
+
+    actor_id: str
+    speed_mps: float
+    hard: bool = False  # harder than SUMO's service brake: the speed is taken as it is
+    keep_lane: bool = False  # no lane change of SUMO's own
+    pushy: bool = False  # a lane change that is ordered takes smaller gaps
+    lane_index: int | None = None  # change to this lane
+    aside_m: float | None = None  # move over within the lane, left positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocked:
+    """An actor that stands because of a chair."""
+
+    actor_id: str
+    for_s: float
+    could_pass: bool  # there is room beside the chair, or another lane
+
+
+def in_street(chair: ActorState, ground: Ground) -> ChairInStreet:
+    """A wheelchair as the street sees it."""
+    x, y, z = chair.p_W_m.tolist()
+    return ChairInStreet(
+        p_W_m=chair.p_W_m[:2],
+        v_W_mps=chair.v_W_mps[:2],
+        on_road=ground.class_here(x, y) in ROADWAY,
+        yaw_rad=chair.yaw_rad,
+        z_m=z,
+        half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
+    )
+
+
+def on_level(actors: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
+    """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
+    heights_m = [chair.z_m for chair in chairs]
+    kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
+    return actors if len(kept) == len(actors) else kept
+
+
+def is_person(actor: ActorState) -> bool:
+    """Whether SUMO moves this actor as a person, whatever its class."""
+    return actor.id.startswith("p:")
+
+
+class Attention:
+    """Who looks out for wheelchairs: a property of the actor and of the seed."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        self._share = share
+        self._seed = seed
+        self._known: dict[str, bool] = {}
+
+    def looks(self, actor_id: str) -> bool:
+        """Whether this actor notices wheelchairs at all."""
+        if self._share >= 1.0:
+            return True
+        known = self._known.get(actor_id)
+        if known is None:
+            if len(self._known) > MOST_KNOWN:  # of those who have left long ago; the draw can be made again
+                self._known.clear()
+            draw = seeding.generator(self._seed, "attention", actor_id).random()
+            known = self._known[actor_id] = bool(draw < self._share)
+        return known

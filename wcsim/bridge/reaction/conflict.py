@@ -1,0 +1,137 @@
+"""One driver who looks at one wheelchair: whether the way ahead touches it, and how fast it may be driven."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wcsim.bridge.reaction.overlap import SweptOverlap, first_touches
+from wcsim.bridge.reaction.swept_path import AHEAD_M, STEP_M, Tube
+from wcsim.core import frames
+from wcsim.core.boxes import box_of, boxes_touch
+from wcsim.types import F64, ActorState
+
+STOP_SHORT_M = 2.0  # drivers stop this far before a chair
+LAST_GAP_M = 0.5  # an emergency brake may leave only this
+NO_TOUCH_M, SIDE_GAP_M = 0.1, 0.4  # never nearer sideways; and nearer than the second only when alongside already
+SLOW_PASS = ((0.8, 3.0), (1.4, 8.0))  # passing a chair nearer than this (m), a vehicle is no faster than that (m/s)
+LANE_GAP_M = 3.2  # who is this near sideways does not change lanes before a chair
+ON_ROAD_M = np.array([NO_TOUCH_M, SIDE_GAP_M, *(gap for gap, _ in SLOW_PASS), LANE_GAP_M])
+ON_PAVEMENT_M = np.array([0.5 * NO_TOUCH_M, NO_TOUCH_M])
+SLOW_CHAIR_MPS = 2.0  # a chair that is faster, or that moves across, is not passed
+DRIFTING_MPS = 0.3
+SOONER_S = 0.5  # going before a chair that comes across takes this much time to spare,
+HARD_MPS2 = 6.0  # unless it would take a harder brake to let it go first
+MOST_SKEW_RAD = 0.6
+
+
+@dataclass(slots=True, kw_only=True)
+class ConflictCheck:
+    """One vehicle that looks at one chair. Made for every vehicle near one in every tick."""
+
+    actor: ActorState
+    tube: Tube
+    front_m: float
+    speed_mps: float
+    row: F64
+
+    now: int = field(init=False)  # index of the pose that the body has reached
+    _here: list[float] = field(init=False)  # that pose
+    _stands: bool = field(init=False)  # the chair
+
+    def __post_init__(self) -> None:
+        """Find the vehicle on its way."""
+        self.now = int((self.front_m - self.tube.first_m) / STEP_M)
+        self._here = self._pose(self.now)
+        vx, vy = self.row[6:].tolist()
+        self._stands = vx == vy == 0.0
+
+    def _pose(self, at: int) -> list[float]:
+        return self.tube.poses[min(max(at, 0), len(self.tube.poses) - 1)].tolist()  # type: ignore[no-any-return]
+
+    def front_of(self, at: int) -> float:
+        """The front bumper's place on the line at a pose."""
+        return self.tube.first_m + at * STEP_M
+
+    def distance_m(self, at: int) -> float:
+        """How far the vehicle can go before the pose at which it touches."""
+        return max(0.0, self.front_of(at - 1) - self.front_m)
+
+    @property
+    def skew(self) -> float:
+        """Tangent of the angle between the body and its line: a vehicle that changes lanes drags its tail behind."""
+        _, _, cos, sin = self._here
+        turned_rad = self.actor.yaw_rad - math.atan2(sin, cos)
+        return math.tan(max(-MOST_SKEW_RAD, min(MOST_SKEW_RAD, frames.wrap(turned_rad))))
+
+    def touch(self, left_m: float, gaps_m: F64, straight: bool = False) -> SweptOverlap:
+        """Where its way touches the chair when it drives `left_m` left of the middle of its lane."""
+        long_m, width_m, _ = self.actor.size_lwh_m
+        last = min(len(self.tube.poses), self.now + int(look_m(self.speed_mps, 3.0) / STEP_M) + 2)
+        pace = (self.front_m - self.tube.first_m) / STEP_M, STEP_M / max(self.speed_mps, 0.5)
+        half_m = 0.5 * long_m, 0.5 * width_m
+        span, skew = (max(0, self.now), last), 0.0 if straight else self.skew
+        careful = first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace, SOONER_S)
+        if self._stands or self._can_stop(careful.at[1]):
+            return careful
+        return first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace)
+
+    def _can_stop(self, at: int) -> bool:
+        """Whether there is room to brake, or nothing to brake for; who cannot stop may still be gone in time."""
+        return at < 0 or self.speed_mps**2 <= 2.0 * HARD_MPS2 * self.distance_m(at)
+
+    def limit(self, touch: SweptOverlap, left_m: float, brake_mps2: float, tick_s: float) -> float:
+        """The speed at which it may still stop short of the chair, or pass it at the pace that its gap allows."""
+        alongside = touch.at[1] <= self.now + 1  # it came this near already: on, unless it would touch
+        at = touch.at[0] if alongside else touch.at[1]
+        limit_mps = math.inf
+        if at >= 0:
+            room_m = self.distance_m(at) - (0.0 if alongside else STOP_SHORT_M)
+            limit_mps = approach_mps(room_m, brake_mps2, tick_s, self._goes_on_mps(at))
+        for (_, pace_mps), at in zip(SLOW_PASS, touch.at[2:4], strict=False):
+            if at >= 0 and self.passable(at):
+                limit_mps = min(limit_mps, approach_mps(self.distance_m(at), brake_mps2, tick_s, pace_mps))
+        return limit_mps
+
+    def passable(self, at: int) -> bool:
+        """Whether the chair there stands, or rolls slowly along the way; one that moves across is waited for."""
+        if self._stands:
+            return True
+        vx, vy = self.row[6:].tolist()
+        _, _, cos, sin = self._pose(at)
+        return bool(math.hypot(vx, vy) < SLOW_CHAIR_MPS and abs(vy * cos - vx * sin) < DRIFTING_MPS)
+
+    def _goes_on_mps(self, at: int) -> float:
+        """How fast a chair moves on in front of the vehicle; 0 for one beside it, which a turning body closes in on."""
+        if self._stands:
+            return 0.0
+        x, y, cos, sin = self._here
+        if (self.row[0] - x) * cos + (self.row[1] - y) * sin < 0.5 * self.actor.size_lwh_m[0]:
+            return 0.0
+        _, _, cos, sin = self._pose(at)
+        return max(0.0, float(self.row[6] * cos + self.row[7] * sin))
+
+
+def lands_on(actor: ActorState, row: F64, tick_s: float) -> bool:
+    """Whether an actor's body covers the chair, or will before it can be told anything."""
+    x, y, cos, sin, long_m, wide_m = box_of(actor, NO_TOUCH_M)
+    ahead_m = tick_s * math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+    middle = x + 0.5 * ahead_m * cos, y + 0.5 * ahead_m * sin
+    return boxes_touch(*middle, cos, sin, long_m + 0.5 * ahead_m, wide_m, *row[:6].tolist())
+
+
+def look_m(speed_mps: float, brake_mps2: float) -> float:
+    """How far ahead a driver at this speed looks for wheelchairs."""
+    return min(AHEAD_M, speed_mps**2 / brake_mps2 + 1.4 * speed_mps + STOP_SHORT_M + 8.0)
+
+
+def approach_mps(room_m: float, brake_mps2: float, tick_s: float, end_mps: float = 0.0) -> float:
+    """The speed from which one can brake to `end_mps` within the room, decided anew each tick.
+
+    >>> approach_mps(0.0, 4.5, 0.1)
+    0.0
+    """
+    b = brake_mps2 * tick_s
+    return max(0.0, math.sqrt(b * b + 2.0 * brake_mps2 * max(0.0, room_m) + end_mps**2) - b)

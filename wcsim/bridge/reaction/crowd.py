@@ -1,0 +1,163 @@
+"""Who is near a wheelchair, and what drives beside them: the plain numbers that the deflection reckons with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from wcsim.bridge.reaction.commands import ChairInStreet, is_person
+from wcsim.core.boxes import Box, box_of
+from wcsim.types import F64, ActorState
+
+CROWD_M = 7.0  # people this near a chair are looked at
+PEOPLE_AHEAD_M = 2.5
+NEAR_VEHICLE_M = 4.0
+MOVES_M = 3.0  # more than anybody's offset changes within a tick
+SWEEP_S = 1.5  # people beside a moving vehicle mind where it will be for so long
+MOVING_MPS = 0.1
+CHAIR, VEHICLE = "", "v:"  # what somebody stands before, when it is nobody on foot
+
+Offsets = Mapping[str, tuple[float, float]]
+
+
+@dataclass(slots=True)
+class Walker:
+    """One person near a chair, during one tick."""
+
+    id: str
+    x: float  # SUMO's place
+    y: float
+    cos: float
+    sin: float
+    speed_mps: float
+    radius_m: float
+    p_W_m: F64
+    ox: float  # the offset
+    oy: float
+    chair_m: float = math.inf  # to the nearest chair: who is nearer goes first
+
+    @property
+    def left_m(self) -> float:
+        """The offset's part to the left of where the person looks."""
+        return self.oy * self.cos - self.ox * self.sin
+
+    @property
+    def at(self) -> tuple[float, float]:
+        """Where it really is."""
+        return self.x + self.ox, self.y + self.oy
+
+    @property
+    def aside(self) -> bool:
+        """Whether it is anywhere but where SUMO has it."""
+        return self.ox != 0.0 or self.oy != 0.0
+
+
+class Vehicle(NamedTuple):
+    """Something that stands or drives beside the people near a chair."""
+
+    reach_m: float  # how far around it one minds it
+    box: Box
+    sweep: Box  # what its body covers until it has driven on for a while
+    moves: bool
+
+
+def crowd_of(
+    actors: Sequence[ActorState], chairs: Sequence[ChairInStreet], offsets: Offsets, shifted: bool
+) -> list[Walker]:
+    """The persons near a chair, those that are still aside, and who is near these, in the actors' order.
+
+    Args:
+        actors: Everybody near the chairs, sorted.
+        chairs: The wheelchairs.
+        offsets: Of those who have stepped aside, by name.
+        shifted: The actors are where they really walk, not where SUMO has them.
+    """
+    if not (chairs or offsets):
+        return []
+    places = [chair.p_W_m.tolist() for chair in chairs]
+    far: dict[str, tuple[float, float]] = {}  # aside, and away from the chairs by now
+    crowd, others = [], []
+    for actor in actors:
+        if not is_person(actor):
+            continue
+        x, y, _ = actor.p_W_m.tolist()
+        chair_m = min([math.hypot(x - px, y - py) for px, py in places], default=math.inf)
+        offset = offsets.get(actor.id)
+        if chair_m > CROWD_M and offset is None:
+            others.append((actor, x, y, chair_m))
+            continue
+        ox, oy = offset or (0.0, 0.0)
+        x, y = (x - ox, y - oy) if shifted else (x, y)
+        crowd.append(_walker(actor, x, y, ox, oy, chair_m))
+        if offset is not None and chair_m > CROWD_M - PEOPLE_AHEAD_M:
+            far[actor.id] = x + ox, y + oy
+    if far:
+        beside = [
+            _walker(actor, x, y, 0.0, 0.0, chair_m)
+            for actor, x, y, chair_m in others
+            if any(abs(x - fx) + abs(y - fy) < 2.0 * PEOPLE_AHEAD_M for fx, fy in far.values())
+        ]
+        crowd = sorted(crowd + beside, key=lambda walker: walker.id)
+    return crowd
+
+
+def _walker(actor: ActorState, x: float, y: float, ox: float, oy: float, chair_m: float) -> Walker:
+    vx, vy, _ = actor.v_W_mps.tolist()
+    return Walker(
+        id=actor.id,
+        x=x,
+        y=y,
+        cos=math.cos(actor.yaw_rad),
+        sin=math.sin(actor.yaw_rad),
+        speed_mps=math.hypot(vx, vy),
+        radius_m=0.5 * max(actor.size_lwh_m[:2]),
+        p_W_m=actor.p_W_m,
+        ox=ox,
+        oy=oy,
+        chair_m=chair_m,
+    )
+
+
+def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list[Vehicle]:
+    """The boxes of those vehicles that are near to anybody in the crowd, each with how far it is looked at."""
+    found = []
+    places = [walker.at for walker in crowd]
+    for actor in actors:
+        if is_person(actor):
+            continue
+        x, y, _ = actor.p_W_m.tolist()
+        reach_m = actor.size_lwh_m[0] + NEAR_VEHICLE_M
+        vx, vy, _ = actor.v_W_mps.tolist()
+        wide_m = reach_m + MOVES_M + SWEEP_S * (abs(vx) + abs(vy))
+        if any([abs(x - wx) + abs(y - wy) < wide_m for wx, wy in places]):
+            found.append(_vehicle(actor, reach_m))
+    return found
+
+
+def _vehicle(actor: ActorState, reach_m: float) -> Vehicle:
+    box = box_of(actor)
+    vx, vy, _ = actor.v_W_mps.tolist()
+    speed_mps = math.hypot(vx, vy)
+    x, y, cos, sin, long_m, wide_m = box
+    half_m = 0.5 * SWEEP_S * speed_mps
+    sweep = x + half_m * cos, y + half_m * sin, cos, sin, long_m + half_m, wide_m
+    return Vehicle(reach_m=reach_m + 2.0 * half_m, box=box, sweep=sweep, moves=speed_mps > MOVING_MPS)
+
+
+def near(vehicles: Sequence[Vehicle], x: float, y: float) -> list[Vehicle]:
+    """Those of the vehicles that somebody at (x, y) minds."""
+    return [v for v in vehicles if abs(v.box[0] - x) + abs(v.box[1] - y) < v.reach_m]
+
+
+def queue_behind(behind: dict[str, str], ends: set[str]) -> set[str]:
+    """Who stands behind one of `ends`, or behind somebody who does; `behind` names for each the one before it."""
+    queue: set[str] = set()
+    for first in behind:
+        name, way = first, {first}
+        while (name := behind.get(name, CHAIR)) and name not in way and name not in ends and name not in queue:
+            way.add(name)
+        if name in ends or name in queue:
+            queue |= way
+    return queue

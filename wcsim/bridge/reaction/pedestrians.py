@@ -1,0 +1,350 @@
+"""People step aside for a wheelchair: an offset beside SUMO's pose, because SUMO itself does not know the chair.
+
+The offset is a vector in W, so that it stays continuous when a person turns; it moves by at most 0.8 m/s, only onto
+walkable ground that is clear of solid things and of others, and goes back to nothing after the person has passed. Who
+cannot pass stops short, and people near a chair keep clear of those who stepped aside, of whom SUMO knows nothing
+either: who is nearer to the chair goes first, the others make room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Attention, Blocked, ChairInStreet
+from wcsim.bridge.reaction.crowd import (
+    CHAIR,
+    PEOPLE_AHEAD_M,
+    VEHICLE,
+    Vehicle,
+    Walker,
+    crowd_of,
+    near,
+    queue_behind,
+    vehicles_near,
+)
+from wcsim.bridge.reaction.gap_search import FURTHEST_M, Block, block_of, block_of_disc, ways_round
+from wcsim.bridge.reaction.walkable import can_stand, way_is_open
+from wcsim.core.boxes import Box, gap_to_box
+from wcsim.types import ActorState, Ground
+
+SIDESTEP_MPS = 0.8
+LOOK_AHEAD_M = 4.0
+CHAIR_GAP_M, TIGHT_GAP_M = 0.25, 0.08  # beside a chair, and when there is no more room for long
+PERSON_GAP_M = 0.12  # what a way round keeps to people and vehicles
+TIGHT_PERSON_GAP_M = 0.07
+BRUSH_M = 0.06  # nearer than this one stands, and does not step
+BEHIND_M = 0.2  # clear of its rear before one steps back
+STOP_SHORT_M = 0.45
+PATIENCE_S = 3.0
+BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
+FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
+
+
+class PedestrianAvoidance:
+    """Offsets of all persons near a wheelchair, and who of them has to stand for now."""
+
+    def __init__(self, ground: Ground, tick_s: float, attention: Attention) -> None:
+        self._ground = ground
+        self._tick_s = tick_s
+        self._attention = attention
+        self._offsets: dict[str, tuple[float, float]] = {}  # by actor id
+        self._standing_s: dict[str, float] = {}  # who is held, and for how long
+        self._stuck: set[str] = set()  # who found no way past a chair
+        self._seen: set[str] = set()  # everybody near a chair a tick ago
+        self._queueing: set[str] = set()  # who stands behind somebody that cannot go on, or will not in SUMO
+        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago,
+        self._bare: dict[str, tuple[float, float]] = {}  # and where SUMO had them
+        self._speeds: dict[str, float] = {}  # as SUMO has them
+        self._halted: set[str] = set()  # whom SUMO does not move, whatever speed it tells
+
+    def shifted(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
+        """The actors where they really walk; `deflect_m` is the offset's part to their left."""
+        if not self._offsets:
+            return tuple(actors)
+        return tuple(self._shift(actor) if actor.id in self._offsets else actor for actor in actors)
+
+    def blocked(self) -> tuple[Blocked, ...]:
+        """The persons that stand because of a chair, or of somebody who steps aside for one."""
+        return tuple(
+            Blocked(actor_id=name, for_s=for_s, could_pass=name not in self._stuck and name not in self._queueing)
+            for name, for_s in self._standing_s.items()
+        )
+
+    def holds(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> tuple[ActorCommand, ...]:
+        """Who has to stand during this tick, and who walks on again; `actors` where and as they really move."""
+        crowd = crowd_of(actors, chairs, self._offsets, shifted=True)
+        if not (crowd or self._standing_s):
+            return ()
+        for walker in crowd:
+            walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
+        boxes = [_chair_box(chair, self._tick_s) for chair in chairs]
+        vehicles = vehicles_near(actors, crowd) if self._offsets else []
+        still = {
+            walker.id
+            for walker in crowd
+            if (walker.speed_mps < 0.1 or walker.id in self._halted) and walker.id not in self._standing_s
+        }
+        standing_s: dict[str, float] = {}
+        behind: dict[str, str] = {}
+        for walker in crowd:
+            holder = self._held_by(walker, boxes, crowd, vehicles)
+            if holder is not None:
+                standing_s[walker.id] = self._standing_s.get(walker.id, 0.0) + self._tick_s
+                behind[walker.id] = holder
+        self._queueing = queue_behind(behind, still | self._stuck | {VEHICLE})
+        go_on = [name for name in self._standing_s if name not in standing_s]
+        self._standing_s = standing_s
+        orders = [ActorCommand(actor_id=name, speed_mps=0.0) for name in standing_s]
+        return (*orders, *(ActorCommand(actor_id=name, speed_mps=LET_GO) for name in go_on))
+
+    def update(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
+        """Move every offset by one tick; `actors` as SUMO has them, without offsets."""
+        crowd = crowd_of(actors, chairs, self._offsets, shifted=False)
+        boxes = [_chair_box(chair, 0.0) for chair in chairs] if crowd else []
+        vehicles = vehicles_near(actors, crowd) if crowd else []
+        self._stuck.intersection_update([walker.id for walker in crowd])
+        bare = {walker.id: (walker.x, walker.y) for walker in crowd}
+        self._halted = {name for name, place in bare.items() if self._bare.get(name) == place}
+        self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
+        for walker in crowd:
+            self._stay_clear(walker, boxes, crowd, vehicles)
+        for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
+            wish_m = self._wish(walker, boxes, crowd, vehicles)
+            self._move(walker, wish_m, boxes, crowd, vehicles)
+        self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
+        self._places = {walker.id: walker.at for walker in crowd}
+        self._seen = {actor.id for actor in actors}
+
+    def _stay_clear(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> None:
+        """SUMO lets people jump a little at the ends of lanes; a body does not jump into a chair or another body."""
+        before = self._places.get(walker.id)
+        jumped = before is not None and math.dist(before, walker.at) > FURTHEST_M
+        if jumped:  # SUMO has put it elsewhere
+            walker.ox = walker.oy = 0.0
+        if before is None or jumped:
+            fresh = jumped or walker.id not in self._seen
+            if fresh and self._overlaps(walker, walker.at, chairs, crowd, vehicles):
+                self._begin_beside(walker, chairs, crowd, vehicles)
+            return
+        hits = self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+        if hits and not self._overlaps(walker, before, chairs, crowd, vehicles):
+            walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
+
+    def _begin_beside(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> None:
+        """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
+        for left_m in BEGIN_BESIDE_M:
+            walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
+            free = not self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+            if free and self._walkable(walker, *walker.at):
+                return
+        walker.ox = walker.oy = 0.0
+
+    def _overlaps(
+        self,
+        walker: Walker,
+        at: tuple[float, float],
+        chairs: Sequence[Box],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
+    ) -> bool:
+        if self._attention.looks(walker.id) and any(gap_to_box(*at, *box) < walker.radius_m for box in chairs):
+            return True
+        if walker.aside and any(
+            gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
+        ):
+            return True
+        return any(
+            math.dist(at, other.at) < walker.radius_m + other.radius_m
+            for other in crowd
+            if other.id != walker.id and (other.aside or walker.aside)
+        )
+
+    def _held_by(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> str | None:
+        """What a step ahead would bring this person against: CHAIR, VEHICLE or somebody's id; None if nothing.
+
+        Of people only those count that SUMO does not see where they are.
+        """
+        x, y = walker.at
+        reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
+        nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
+        if self._attention.looks(walker.id):
+            for box in chairs:
+                gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
+                if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
+                    side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
+                    if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
+                        return CHAIR
+        for other in crowd:
+            if other.id == walker.id or not (other.aside or walker.aside):
+                continue
+            ax, ay = other.at
+            near_m = math.hypot(nx - ax, ny - ay)
+            apart_m = walker.radius_m + other.radius_m + BRUSH_M
+            if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
+                return other.id
+        hits = walker.aside and any(
+            gap_to_box(nx, ny, *vehicle.box) < min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *vehicle.box))
+            for vehicle in near(vehicles, x, y)
+            if gap_to_box(walker.x, walker.y, *vehicle.box) > 0.0  # else SUMO itself leads it through
+        )
+        return VEHICLE if hits else None
+
+    def _wish(
+        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+    ) -> float:
+        """How far left of its line this person would like to be now."""
+        now_m = walker.left_m
+        tight = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
+        blocks = self._blocks(walker, chairs, TIGHT_GAP_M if tight else CHAIR_GAP_M)
+        people = self._people(walker, crowd, TIGHT_PERSON_GAP_M if tight else PERSON_GAP_M)
+        if not walker.aside and not any([block.blocks(0.0) for block in (*blocks, *people)]):
+            self._stuck.discard(walker.id)
+            return 0.0
+        stand, drive = self._riders(walker, vehicles)
+        people += stand + drive
+        ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*blocks, *people)), default=0.0)
+        for left_m in ways_round((*blocks, *people), now_m):
+            if left_m == 0.0 or self._open_way(walker, left_m, ahead_m):
+                self._stuck.discard(walker.id)
+                return left_m
+        if any(block.blocks(now_m) for block in blocks):
+            self._stuck.add(walker.id)
+        # No way past the chair: wait, but out of the way of those who have one.
+        for left_m in ways_round(people, now_m):
+            if left_m == 0.0 or self._open_way(walker, left_m, 0.0):
+                return left_m
+        run_over = any(block.beside and block.blocks(now_m) for block in drive)
+        return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
+
+    def _blocks(self, walker: Walker, chairs: Sequence[Box], gap_m: float) -> list[Block]:
+        if not self._attention.looks(walker.id):
+            return []
+        seen = [
+            block_of(
+                walker.x, walker.y, walker.cos, walker.sin, box, walker.radius_m + gap_m, walker.radius_m + BEHIND_M
+            )
+            for box in chairs
+        ]
+        return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
+
+    def _people(self, walker: Walker, crowd: Sequence[Walker], gap_m: float) -> list[Block]:
+        """Those who are where SUMO does not see them, or in whose way this person is, and who go first."""
+        found = []
+        for other in crowd:
+            if other.id == walker.id or not (other.aside or walker.aside):
+                continue
+            if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
+                continue
+            along = walker.cos * other.cos + walker.sin * other.sin
+            same_way = along > 0.5 and other.speed_mps > 0.5 * walker.speed_mps > 0.0
+            x, y = other.at
+            dx, dy = x - walker.x, y - walker.y
+            block = block_of_disc(
+                dx * walker.cos + dy * walker.sin,
+                dy * walker.cos - dx * walker.sin,
+                walker.radius_m + other.radius_m + gap_m,
+            )
+            if block.far_m > 0.0 and block.near_m < (0.3 if same_way else PEOPLE_AHEAD_M):
+                found.append(block)
+        return found
+
+    def _riders(self, walker: Walker, vehicles: Sequence[Vehicle]) -> tuple[list[Block], list[Block]]:
+        """The vehicles beside that stand, and where those that move are going to be."""
+        gap_m, now_m = walker.radius_m + PERSON_GAP_M, walker.left_m
+        stand, drive = [], []
+        for vehicle in near(vehicles, *walker.at):
+            block = block_of(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
+            if block.far_m <= 0.0 or block.near_m >= PEOPLE_AHEAD_M:
+                continue
+            if vehicle.moves:
+                drive.append(block)
+            elif not (block.beside and block.blocks(now_m)):  # else one is in the gap already, and may move along it
+                stand.append(block)
+        return stand, drive
+
+    def _move(
+        self,
+        walker: Walker,
+        wish_m: float,
+        chairs: Sequence[Box],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
+    ) -> None:
+        """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
+        wx, wy = -wish_m * walker.sin - walker.ox, wish_m * walker.cos - walker.oy
+        length_m = math.hypot(wx, wy)
+        if length_m < 1e-9:
+            if not wish_m:
+                walker.ox = walker.oy = 0.0
+            return
+        share = min(1.0, SIDESTEP_MPS * self._tick_s / length_m)
+        x, y = walker.at
+        nx, ny = x + share * wx, y + share * wy
+        back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
+        if self._crowded(walker, (x, y), (nx, ny), chairs, crowd, vehicles):
+            return
+        leaves = not self._walkable(walker, nx, ny) and self._walkable(walker, x, y)
+        if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
+            return
+        walker.ox, walker.oy = (
+            (-wish_m * walker.sin, wish_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
+        )
+        if share >= 1.0 and not wish_m:
+            walker.ox = walker.oy = 0.0
+
+    def _crowded(
+        self,
+        walker: Walker,
+        here: tuple[float, float],
+        there: tuple[float, float],
+        chairs: Sequence[Box],
+        crowd: Sequence[Walker],
+        vehicles: Sequence[Vehicle],
+    ) -> bool:
+        """Whether a sideways step comes too near to a chair, a vehicle or a person, and nearer than before."""
+        for other in crowd:
+            if other.id != walker.id:
+                ax, ay = other.at
+                near_m = math.hypot(there[0] - ax, there[1] - ay)
+                apart_m = walker.radius_m + other.radius_m + BRUSH_M
+                if near_m < apart_m and near_m < math.hypot(here[0] - ax, here[1] - ay):
+                    return True
+        beside = [vehicle.box for vehicle in near(vehicles, *here)]
+        for boxes, gap_m in ((chairs, 0.5 * TIGHT_GAP_M), (beside, BRUSH_M)):
+            for box in boxes:
+                near_m = gap_to_box(*there, *box)
+                if near_m < walker.radius_m + gap_m and near_m < gap_to_box(*here, *box):
+                    return True
+        return False
+
+    def _open_way(self, walker: Walker, left_m: float, ahead_m: float) -> bool:
+        """Whether the ground beside the line is walkable, from here to where the way round ends."""
+        grid = self._ground.around(walker.p_W_m)
+        there = walker.x - left_m * walker.sin, walker.y + left_m * walker.cos
+        return way_is_open(grid, walker.at, there, (walker.cos, walker.sin), max(ahead_m, 0.0), walker.radius_m)
+
+    def _walkable(self, walker: Walker, x: float, y: float) -> bool:
+        """Whether this person can stand there with both shoulders."""
+        return can_stand(self._ground.around(walker.p_W_m), x, y, walker.cos, walker.sin, walker.radius_m)
+
+    def _shift(self, actor: ActorState) -> ActorState:
+        ox, oy = self._offsets[actor.id]
+        x, y, z = actor.p_W_m.tolist()
+        left_m = oy * math.cos(actor.yaw_rad) - ox * math.sin(actor.yaw_rad)
+        return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
+
+
+def _chair_box(chair: ChairInStreet, ahead_s: float) -> Box:
+    """The chair's footprint, where it is going to be; it turns so little in that time that its heading stays."""
+    x, y = (chair.p_W_m + ahead_s * chair.v_W_mps).tolist()
+    return x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m

@@ -1,0 +1,109 @@
+"""A trace as SUMO's floating car data: what sumo-gui and SUMO's tools show, with the wheelchairs in it.
+
+Net coordinates, front bumpers, headings in degrees clockwise from north, as in SUMO's own `--fcd-output`. People are
+where the bridge showed them to the wheelchair, stepped aside where they did.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TextIO
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from wcsim.bridge.recording.trace import TickRecord, TraceHeader
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.core import frames
+from wcsim.errors import WcsimError
+from wcsim.types import F64, ActorKind
+
+CHAIR_TYPE = ActorKind.WHEELCHAIR.value
+_SCHEMA = "http://sumo.dlr.de/xsd/fcd_file.xsd"
+_HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
+
+<fcd-export xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{_SCHEMA}">
+"""
+
+
+def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
+    """Write one epoch of a trace as an FCD file; returns the number of its time steps.
+
+    Raises:
+        WcsimError: it is no trace, has no such epoch, or was recorded before traces knew sizes.
+    """
+    header, records = read_trace(trace)
+    chosen = [record for record in records if record.epoch == epoch]
+    if not records:
+        raise WcsimError(
+            f"{trace}: holds no whole tick: it was cut off, or its run ended before the first one; expected a whole "
+            "trace: copy it again, or record it again"
+        )
+    if not chosen:
+        epochs = ", ".join(str(number) for number in sorted({record.epoch for record in records}))
+        raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}")
+    sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
+    if not sized or any(record.actor_ids and not record.bodies for record in chosen):
+        raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors and chairs; record it again")
+    return write_steps(header, chosen, out)
+
+
+def write_steps(header: TraceHeader, records: Iterable[TickRecord], out: Path) -> int:
+    """Write ticks of one epoch as an FCD file; returns their number."""
+    steps = 0
+    with out.open("w", encoding="utf-8") as file:
+        file.write(_HEAD)
+        for record in records:
+            _write_step(file, header, record)
+            steps += 1
+        file.write("</fcd-export>\n")
+    return steps
+
+
+def _write_step(file: TextIO, header: TraceHeader, record: TickRecord) -> None:
+    """One time step: SUMO's schema wants all vehicles, the chairs among them, before all persons."""
+    begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
+    file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
+    lines = list(_actor_lines(header, record))
+    lines += [("vehicle", text) for text in _chair_lines(header, record)]
+    for wanted in ("vehicle", "person"):
+        for tag, text in lines:
+            if tag == wanted:
+                file.write(f"        <{tag} {text}/>\n")
+    file.write("    </timestep>\n")
+
+
+def _actor_lines(header: TraceHeader, record: TickRecord) -> Iterator[tuple[str, str]]:
+    for body, row in zip(record.bodies, record.actors, strict=True):
+        if body.piece:
+            continue  # what is articulated is one vehicle to SUMO, whose front is that of its first piece
+        domain, _, name = body.id.partition(":")
+        speed_mps = float(np.linalg.norm(row[5:8]))
+        text = _line(
+            name, body.kind.value, row[:3], float(row[3]), float(row[4]), body.size_lwh_m[0], speed_mps, header
+        )
+        yield "person" if domain == "p" else "vehicle", text
+
+
+def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
+    length_m, middle_m = header.chair_box_m or (0.0, 0.0)
+    for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
+        x, y, z, w = row[3:7]
+        yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        middle_W_m = row[:3] + middle_m * frames.forward(yaw_rad, 0.0)
+        speed_mps = float(np.hypot(row[7], row[8]))
+        name = f"{CHAIR_TYPE}.{seat}"
+        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
+
+
+def _line(
+    name: str, kind: str, p_W_m: F64, yaw_rad: float, pitch_rad: float, length_m: float, speed: float, head: TraceHeader
+) -> str:
+    front_m = frames.net_from_world(frames.front_from_centre(p_W_m, yaw_rad, pitch_rad, length_m), head.origin_m)
+    return (
+        f'id={quoteattr(name)} x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" z="{front_m[2] + head.origin_z_m:.2f}" '
+        f'angle="{frames.sumo_from_yaw(yaw_rad):.2f}" type="{kind}" speed="{speed:.2f}" '
+        f'slope="{frames.deg(pitch_rad):.2f}"'
+    )

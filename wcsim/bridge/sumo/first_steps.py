@@ -1,0 +1,39 @@
+"""`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS`: a scenario's first steps.
+
+In a process that may die of them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession
+from wcsim.errors import WcsimError
+
+BEGUN_ANEW = "begun anew"
+
+
+def main() -> int:
+    """Run the scenario that the command line names."""
+    options = SumoOptions(sumocfg=Path(sys.argv[1]), origin_m=(0.0, 0.0), step_s=float(sys.argv[2]), seed=1)
+    try:
+        with SumoSession(options) as session:
+            _steps(session, int(sys.argv[3]))
+            sys.stdout.write(f"{BEGUN_ANEW}\n")
+            sys.stdout.flush()
+            session.rebuild(seed=2)  # a world does so too, and what SUMO keeps of the first time may kill it
+            _steps(session, int(sys.argv[3]) // 10)
+    except WcsimError as error:  # SUMO's own words, for whoever asked knows of which scenario
+        sys.stderr.write(f"Error: {error.__context__ or error}\n")
+        return 1
+    return 0
+
+
+def _steps(session: SumoSession, count: int) -> None:
+    for _ in range(count):
+        session.step()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

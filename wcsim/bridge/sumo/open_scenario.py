@@ -1,0 +1,139 @@
+"""Where a world runs its scenario: filtered copies in a folder, tried out in a child before SUMO opens them here."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import sys
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from xml.etree import ElementTree
+
+from wcsim.bridge.sumo.first_steps import BEGUN_ANEW
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.cache.street_cache import cache_folder, write_whole
+from wcsim.towns.scenario.overrides import Settings
+from wcsim.towns.scenario.stage import Scenario, stage_scenario
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
+
+log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
+
+SUMO_FOLDER = "sumo"
+TRIAL_STEPS = 50
+_LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
+_SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
+_LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPlace:
+    """Where the outputs of a world go, and what else its user asks of SUMO."""
+
+    folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
+    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
+    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
+
+
+def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitStack) -> Scenario:
+    """The scenario ready for SUMO, in `place` or in a temporary folder that `held` removes.
+
+    Raises:
+        TownError: a file is missing or broken, or SUMO refuses the scenario or dies of it.
+    """
+    if place.folder is None:
+        folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-sumo-", ignore_cleanup_errors=True)))
+    else:
+        folder = _fresh(place.folder)
+    scenario = stage_scenario(town, settings, folder, place.outputs)
+    for note in scenario.notes:
+        log.info("%s: %s", town.name, note)
+    for row in scenario.overrides:
+        log.info("%s: %s is %s, not %s: %s", town.name, row.option, row.wcsim, row.author or "the default", row.why)
+    try_scenario(town, settings, scenario.digest)
+    return scenario
+
+
+def try_scenario(town: Town, settings: Settings, digest: str) -> None:
+    """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
+    key = hashlib.sha256(f"{digest} {version('libsumo')} {TRIAL_STEPS} {BEGUN_ANEW}".encode()).hexdigest()[:32]
+    verdict = cache_folder() / f"scenario-{key}.ok"
+    if verdict.is_file():
+        return
+    with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
+        staged = stage_scenario(town, replace(settings, seed=1), Path(work))
+        try:
+            run = _trial(staged.sumocfg, settings.step_s)
+        except SumoError as error:
+            raise TownError(
+                f"{town.sumocfg}: SUMO could not run its first {TRIAL_STEPS} steps ({error}); give it less to do: "
+                "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
+            ) from None
+        culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
+    if run.died and BEGUN_ANEW in run.output:
+        raise TownError(
+            f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process ({run.reason()}); that is known "
+            "of devices that send (btsender): remove them, here and from the routes"
+        )
+    if run.returncode:
+        raise TownError(
+            f"{culprit}: SUMO cannot run this scenario ({run.reason()}); correct the file; SUMO alone: "
+            f"sumo -c {town.sumocfg}"
+        )
+    write_whole(verdict, lambda path: path.write_text("ok\n", encoding="utf-8"))
+
+
+def _trial(sumocfg: Path, step_s: float) -> ToolRun:
+    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(TRIAL_STEPS)]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
+    return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
+
+
+def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
+    """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
+    files = (*town.additional, *town.routes)
+    end_s = staged.begin_s + TRIAL_STEPS * settings.step_s
+
+    def fails(count: int) -> bool:
+        words = ["-c", str(_with_fewer(staged.sumocfg, count)), "--end", repr(end_s)]
+        try:
+            return run_tool("sumo", words, staged.sumocfg.parent, _SEARCH_LIMITS).returncode != 0
+        except SumoError:  # it takes long
+            return True
+
+    if not fails(len(files)):
+        return town.sumocfg
+    low, high = -1, len(files)  # with `high` files it fails; with `low` it runs
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return files[high - 1] if high else town.sumocfg
+
+
+def _with_fewer(staged: Path, count: int) -> Path:
+    """A copy beside a staged configuration that names only the first of its additional and route files."""
+    tree = ElementTree.parse(staged)  # noqa: S314 - written by this process
+    for name in _LISTS:
+        for element in tree.iter(name):
+            files = element.get("value", "").split(",")
+            element.set("value", ",".join(files[:count]))
+            count = max(0, count - len(files))
+    for topic in tree.getroot():
+        for element in [item for item in topic if item.tag in _LISTS and not item.get("value")]:
+            topic.remove(element)
+    path = staged.with_name(f"fewer-{staged.name}")
+    tree.write(path, encoding="utf-8")
+    return path
+
+
+def _fresh(run: Path) -> Path:
+    """A folder for SUMO's files in a run; what an earlier sitting of the run left there stays."""
+    folder, number = run / SUMO_FOLDER, 1
+    while folder.is_dir() and any(folder.iterdir()):
+        number += 1
+        folder = run / f"{SUMO_FOLDER}-{number}"
+    return folder

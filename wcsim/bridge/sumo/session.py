@@ -1,0 +1,181 @@
+"""SUMO inside this process: the only file that speaks to libsumo.
+
+libsumo holds one simulation a process; a second `start` silently resets the first one, so a session refuses to start
+while another one is loaded. Whole-world reset is one drain step, then `libsumo.load` (bit-identical; `loadState` is
+not). Nothing but `ActorState` and `SignalState` leaves this file.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import libsumo
+
+from wcsim.bridge.sumo.actors import ActorReader, SignalReader
+from wcsim.bridge.sumo.step_hook import open_hook
+from wcsim.bridge.sumo.vehicle_control import VehicleControl
+from wcsim.errors import SumoError, WorldInUseError
+from wcsim.towns.scenario.overrides import Settings, forced
+from wcsim.types import F64, ActorState, SignalState
+
+log = logging.getLogger("wcsim.bridge.sumo.session")
+
+
+def world_in_this_process() -> bool:
+    """Whether a SUMO simulation is loaded in this process."""
+    return bool(libsumo.isLoaded())
+
+
+def refuse_second_world() -> None:
+    """Raise WorldInUseError while a simulation is loaded in this process."""
+    if world_in_this_process():
+        raise WorldInUseError(
+            "this process holds a SUMO world already, and libsumo allows one a process; "
+            "close it first, or put this world in a process of its own (wcsim.server.links.child_world)"
+        )
+
+
+def pair_of(collider: str, victim: str) -> tuple[str, str]:
+    """Who collided, the same whichever of them SUMO blames."""
+    return (collider, victim) if collider <= victim else (victim, collider)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SumoOptions:
+    """What a session runs, and what a world overrides of a scenario's own options."""
+
+    sumocfg: Path
+    origin_m: tuple[float, float]
+    step_s: float
+    seed: int
+    demand_scale: float = 1.0
+    jam_teleport_s: float | None = None  # None keeps the scenario's own
+    z_origin_m: float = 0.0  # the net's own height of W's z = 0
+    author_scale: float = 1.0  # the scenario's own, which demand_scale multiplies
+    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
+
+    def arguments(self) -> list[str]:
+        """The command line for libsumo; the scenario's own configuration comes first and is overridden by the rest."""
+        settings = Settings(
+            step_s=self.step_s, seed=self.seed, demand_scale=self.demand_scale, jam_teleport_s=self.jam_teleport_s
+        )
+        words = ["sumo", "--configuration-file", str(self.sumocfg)]
+        for name, value in forced(settings, self.author_scale):
+            words += [f"--{name}", value]
+        return words
+
+
+class SumoSession:
+    """The one SUMO simulation of this process."""
+
+    def __init__(self, options: SumoOptions) -> None:
+        """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
+        refuse_second_world()
+        self._options = options
+        self._teleports = 0
+        self._come: frozenset[str] = frozenset()
+        self._colliding: frozenset[tuple[str, str]] = frozenset()
+        self._collisions = 0
+        self._open = True
+        self.pilot = VehicleControl(libsumo, options.origin_m)
+        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.step_s)
+        self._guarded(lambda: libsumo.start(options.arguments()))
+        try:
+            self._hook = open_hook(options.hook, libsumo)
+            self._signals = SignalReader(libsumo, options.origin_m)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def teleports(self) -> int:
+        """Vehicles that SUMO took out of a jam during the last step."""
+        return self._teleports
+
+    @property
+    def come(self) -> frozenset[str]:
+        """Who came into being in the last step, as in `ActorState.id`: departed, or ended a teleport."""
+        return self._come
+
+    def step(self) -> None:
+        """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved."""
+        if self._hook is not None:
+            self._hook.before_step(self.time_s())
+        self._guarded(libsumo.simulationStep)
+        if self._hook is not None:
+            self._hook.after_step(self.time_s())
+        jammed = libsumo.simulation.getStartingTeleportIDList()
+        landed = libsumo.simulation.getEndingTeleportIDList()
+        vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
+        self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
+        self._teleports = len(jammed)
+        pairs = frozenset(pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+        self._collisions = len(pairs - self._colliding)
+        self._colliding = pairs
+        self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
+        for name in sorted(jammed):
+            log.warning("jam: %s stood too long and was teleported", name)
+
+    def rebuild(self, seed: int) -> None:
+        """Start the scenario again from its beginning with another seed."""
+        self._guarded(libsumo.simulationStep)  # a drain step: libsumo can crash when it is loaded over pending commands
+        self._options = replace(self._options, seed=seed)
+        self._reader.forget()
+        self.pilot.forget()
+        self._teleports, self._come = 0, frozenset()
+        self._collisions, self._colliding = 0, frozenset()
+        self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
+        self._hook = open_hook(self._options.hook, libsumo)
+
+    def time_s(self) -> float:
+        """Simulated seconds since the scenario's beginning."""
+        return float(libsumo.simulation.getTime())
+
+    def actors(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
+        """Every vehicle and person within `radius_m` of any of the chairs (n, 2), sorted by id; once a step."""
+        return self._reader.near(near_W_m, radius_m)
+
+    def actors_at(self, place_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
+        """The same around a place (1, 2) that somebody asks for once."""
+        return self._reader.at(place_W_m, radius_m)
+
+    def turn_away(self, actor_id: str) -> None:
+        """Take an actor out of the street that SUMO has just put on top of somebody."""
+        self.pilot.turn_away(actor_id)
+        self._reader.forget_actor(actor_id)
+
+    def collisions(self) -> int:
+        """Collisions among SUMO's own vehicles and persons that began in the last step, each told once."""
+        return self._collisions
+
+    def counts(self) -> tuple[int, int]:
+        """Vehicles and persons that are in the street now."""
+        return len(libsumo.vehicle.getIDList()), len(libsumo.person.getIDList())
+
+    def signals(self, near_W_m: F64, radius_m: float) -> tuple[SignalState, ...]:
+        """The colours of every traffic light with a stop line within `radius_m` of any of the points, sorted by id."""
+        return self._signals.near(near_W_m, radius_m)
+
+    def close(self) -> None:
+        """End SUMO; a second call does nothing."""
+        if self._open:
+            self._open = False
+            libsumo.close()
+
+    def __enter__(self) -> SumoSession:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _guarded(self, call: Any) -> None:
+        """Run a libsumo call and turn its exceptions into SumoError."""
+        try:
+            call()
+        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            raise SumoError(
+                f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; open it in sumo-gui to see more"
+            ) from None

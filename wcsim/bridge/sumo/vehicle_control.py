@@ -1,0 +1,171 @@
+"""Reads a vehicle's lanes from SUMO, and tells actors what to do; gives everything back when it is told so.
+
+The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
+from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane
+from wcsim.core import frames
+
+log = logging.getLogger("wcsim.bridge.sumo.vehicle_control")
+
+NO_DECEL_BOUND = ~4  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
+ONLY_ORDERED = 512  # lane-change mode: none of SUMO's own, ordered ones only into gaps
+ONLY_ORDERED_PUSHY = 256  # the same, but into any gap that is not a collision
+LANE_HOLD_S = 1.0
+FURTHEST_LINKS = 12
+
+
+class VehicleControl:
+    """What the reaction asks and commands; implements `lanes.Roads`. Actors are named as in `ActorState.id`."""
+
+    def __init__(self, libsumo: Any, origin_m: tuple[float, float]) -> None:
+        self._api = libsumo
+        self._origin_m = origin_m
+        self._lanes: dict[str, LaneShape] = {}
+        self._modes: dict[str, tuple[int, int]] = {}  # speed and lane-change mode before the first order
+        self._sublanes: bool | None = None
+
+    def forget(self) -> None:
+        """SUMO was loaded anew: nobody is under orders."""
+        self._modes.clear()
+
+    @property
+    def sublanes(self) -> bool:
+        """Whether vehicles can move sideways within their lanes."""
+        if self._sublanes is None:
+            self._sublanes = float(self._api.simulation.getOption("lateral-resolution")) > 0.0
+        return self._sublanes
+
+    def on_lane(self, actor_id: str) -> OnLane | None:
+        """Where a vehicle is now; None when it is on no lane (teleported, gone), or stopped by its own plan."""
+        name, vehicle = actor_id.partition(":")[2], self._api.vehicle
+        try:
+            lane_id = vehicle.getLaneID(name)
+            if not lane_id or vehicle.isStopped(name):
+                return None
+            along_m, left_m = vehicle.getLanePosition(name), vehicle.getLateralLanePosition(name)
+        except self._api.TraCIException:
+            return None
+        return OnLane(lane_id=lane_id, along_m=along_m, left_m=left_m)
+
+    def lanes_ahead(self, actor_id: str, ahead_m: float) -> tuple[str, ...]:
+        """The lane of a vehicle and those that its route leads to, those inside junctions among them."""
+        name = actor_id.partition(":")[2]
+        lanes = self._through_junction(self._api.vehicle.getLaneID(name), "")
+        known_m = -float(self._api.vehicle.getLanePosition(name)) + sum(self.lane(lane).length_m for lane in lanes)
+        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:FURTHEST_LINKS]:
+            if known_m > ahead_m:
+                break
+            if target in lanes:
+                continue
+            more = [lane for lane in (self._through_junction(via, target) if via else [target]) if lane not in lanes]
+            lanes += more
+            known_m += sum(self.lane(lane).length_m for lane in more)
+        return tuple(lanes)
+
+    def lane(self, lane_id: str) -> LaneShape:
+        """A lane's shape."""
+        known = self._lanes.get(lane_id)
+        if known is None:
+            api = self._api.lane
+            edge_id, _, index = lane_id.rpartition("_")
+            points = np.array([point[:2] for point in api.getShape(lane_id)], np.float64)
+            known = self._lanes[lane_id] = LaneShape(
+                id=lane_id,
+                edge_id=edge_id,
+                index=int(index),
+                points_W_m=frames.world_from_net(points, self._origin_m),
+                length_m=api.getLength(lane_id),
+                width_m=api.getWidth(lane_id),
+                internal=lane_id.startswith(":"),
+                shared="pedestrian" in api.getAllowed(lane_id),
+            )
+        return known
+
+    def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
+        """Indices of the lanes directly left and right of a vehicle's, the left one first.
+
+        Only those that its class may use, and on which its route leads on so far.
+        """
+        name, vehicle = actor_id.partition(":")[2], self._api.vehicle
+        here = self.lane(vehicle.getLaneID(name))
+        kind, need_m = vehicle.getVehicleClass(name), float(vehicle.getLanePosition(name)) + ahead_m
+        reach_m = {best[0]: best[1] for best in vehicle.getBestLanes(name)}  # from each lane's start, without a change
+        beside = ((index, f"{here.edge_id}_{index}") for index in (here.index + 1, here.index - 1))
+        return tuple(index for index, lane in beside if reach_m.get(lane, 0.0) >= need_m and self._permits(lane, kind))
+
+    def brakes(self, actor_id: str) -> Brakes:
+        """A vehicle's brakes."""
+        name, vehicle = actor_id.partition(":")[2], self._api.vehicle
+        service = float(vehicle.getDecel(name))
+        return Brakes(service_mps2=service, emergency_mps2=max(service, float(vehicle.getEmergencyDecel(name))))
+
+    def allowed_mps(self, actor_id: str) -> float:
+        """The speed that a vehicle would drive on a free road."""
+        return float(self._api.vehicle.getAllowedSpeed(actor_id.partition(":")[2]))
+
+    def apply(self, order: ActorCommand) -> None:
+        """Carry an order out; an actor that has left meanwhile is passed over."""
+        domain, _, name = order.actor_id.partition(":")
+        try:
+            if domain == "p":
+                self._api.person.setSpeed(name, order.speed_mps)
+            else:
+                self._steer(name, order)
+        except self._api.TraCIException:
+            self._modes.pop(name, None)
+            log.debug("%s has left before it could be told anything", order.actor_id)
+
+    def turn_away(self, actor_id: str) -> None:
+        """Take an actor out of the simulation that SUMO put where a chair stands."""
+        domain, _, name = actor_id.partition(":")
+        try:
+            (self._api.person if domain == "p" else self._api.vehicle).remove(name)
+        except self._api.TraCIException:
+            log.debug("%s has left already", actor_id)
+        self._modes.pop(name, None)
+        log.info("%s came into being on top of a wheelchair and was taken out", actor_id)
+
+    def _steer(self, name: str, order: ActorCommand) -> None:
+        vehicle = self._api.vehicle
+        modes = self._modes.get(name)
+        if modes is None:
+            modes = self._modes[name] = (vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name))
+        speed_mode, lane_mode = modes
+        if order.hard:
+            speed_mode &= NO_DECEL_BOUND
+        if order.keep_lane:
+            lane_mode = ONLY_ORDERED_PUSHY if order.pushy else ONLY_ORDERED
+        vehicle.setSpeed(name, order.speed_mps)
+        if vehicle.getSpeedMode(name) != speed_mode:
+            vehicle.setSpeedMode(name, speed_mode)
+        if vehicle.getLaneChangeMode(name) != lane_mode:
+            vehicle.setLaneChangeMode(name, lane_mode)
+        if order.lane_index is not None:
+            vehicle.changeLane(name, order.lane_index, LANE_HOLD_S)
+        if order.aside_m is not None:
+            vehicle.changeSublane(name, order.aside_m)
+        if order.speed_mps == LET_GO and not order.keep_lane:
+            del self._modes[name]
+
+    def _through_junction(self, lane_id: str, target: str) -> list[str]:
+        """A lane and, when it lies inside a junction, those that follow it there and out of it."""
+        lanes = [lane_id]
+        while lanes[-1].startswith(":") and len(lanes) < FURTHEST_LINKS:
+            links = self._api.lane.getLinks(lanes[-1])
+            if not links:
+                break
+            lanes.append(links[0][4] or links[0][0])
+        return lanes if not target or lanes[-1] == target else [*lanes, target]
+
+    def _permits(self, lane_id: str, kind: str) -> bool:
+        allowed = self._api.lane.getAllowed(lane_id)
+        return kind in allowed if allowed else kind not in self._api.lane.getDisallowed(lane_id)

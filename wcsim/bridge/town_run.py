@@ -1,0 +1,241 @@
+"""Let a town's traffic run, with wheelchairs that follow their users' wish, record it, and check it every tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.traffic import TownTraffic
+from wcsim.bridge.world import World, as_users_wish
+from wcsim.config import RunConfig
+from wcsim.errors import SumoError
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.stage import Scenario, require_files
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.street import load_street
+from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
+
+TRACE = "trace"
+BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
+GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
+Progress = Callable[[int, int], None]  # (ticks done, all ticks)
+Stage = Callable[[str], None]  # what begins now, in words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordOrder:
+    """What to run."""
+
+    seconds: float
+    seed: int
+    chairs: int
+    folder: Path
+    outputs: tuple[str, ...] = ()
+    hook: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrashFact:
+    """A crash of a wheelchair."""
+
+    seat: int
+    reason: str  # as in `Events`
+    time_s: float  # SUMO's own time
+    at_m: tuple[float, float]  # in the net's coordinates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrafficFacts:
+    """What happened."""
+
+    ticks: int
+    begin_s: float  # SUMO's own time
+    end_s: float
+    vehicles: int  # different ones that were in the street
+    persons: int
+    mirrored: int  # different ones that were near a wheelchair
+    mirrored_most: int  # at once
+    teleports: int
+    collisions: int  # that SUMO saw among its own, each once however long it lasts
+    episodes: int
+    crashes: int  # of wheelchairs
+    crashed: tuple[CrashFact, ...] = ()  # the same, one by one
+
+
+def record_town(
+    town: Town,
+    config: RunConfig,
+    order: RecordOrder,
+    opened: Callable[[Scenario], None],
+    progress: Progress | None = None,
+    stage: Stage = lambda told: None,
+) -> TrafficFacts:
+    """Run and record a town; without a chair no street is built.
+
+    Args:
+        town: The town.
+        config: Its world and chairs.
+        order: What to run; `folder` gets a trace, and SUMO's outputs in its subfolder sumo/.
+        opened: Called once the scenario runs, before the first tick.
+        progress: Called after every tick.
+        stage: Called with what begins now, before anything that may take long.
+
+    Raises:
+        TownError: the scenario cannot be run.
+        SumoError: the mirror shows somebody who is not there, or misses somebody who is.
+    """
+    place = RunPlace(folder=order.folder, outputs=order.outputs, hook=order.hook)
+    ticks = round(order.seconds / config.world.tick_s)
+    stage(f"looking through the files of {town.name}")
+    require_files(town, config)
+    if not order.chairs:
+        stage("opening the net, and starting SUMO")
+        with TownTraffic(town, config, order.seed, place) as traffic:
+            opened(traffic.scenario)
+            with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
+                return _run_alone(traffic, ticks, writer, progress)
+    stage(f"building the street of {town.name}, unless that was done before")
+    validate_net(town.net, border=town.border)
+    load_street(town, lambda told: None)  # it was said just now
+    spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
+    warmup_s = config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
+    stage(f"starting SUMO, and warming its traffic up for {warmup_s:g} s")
+    with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
+        opened(world.scenario)
+        with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_z_m)) as writer:
+            return _run(world, ticks, writer, progress)
+
+
+def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> TraceHeader:
+    return TraceHeader(
+        name=town.name,
+        seed=order.seed,
+        tick_s=config.world.tick_s,
+        seats=order.chairs,
+        fingerprint=fingerprint(),
+        origin_m=town.file.origin_m,
+        origin_z_m=net_z_m,
+        chair_box_m=chair_box_m(config.chair),
+    )
+
+
+def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+    meter = _Meter(world.snapshot.time_s, world.town.file.origin_m)
+    for tick in range(ticks):
+        commands = as_users_wish(world.snapshot)
+        after = world.tick(commands)
+        everyone = world.everyone()
+        places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
+        if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
+            check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
+        writer.append(record_of(after, commands, as_recorded(after, everyone)))
+        meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
+        meter.add_chairs(after.clients, after.time_s)
+        if progress is not None:
+            progress(tick + 1, ticks)
+    return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
+
+
+def _run_alone(traffic: TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+    meter = _Meter(traffic.snapshot.time_s)
+    for tick in range(ticks):
+        after = traffic.tick()
+        everyone = traffic.everyone()
+        writer.append(record_of(after, (), as_recorded(after, everyone)))
+        meter.add(everyone, (), traffic.mishaps())
+        if progress is not None:
+            progress(tick + 1, ticks)
+    return meter.facts(ticks, traffic.snapshot.time_s, 0)
+
+
+def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
+    """Everybody in town: near a wheelchair as they are shown to it, elsewhere as SUMO has them; rounded."""
+    shown = {actor.id: actor for actor in snapshot.actors if not actor.piece}
+    return [_rounded(shown.get(actor.id, actor)) for actor in everyone]
+
+
+def check_mirrored(
+    mirrored: Sequence[ActorState], everyone: Sequence[ActorState], chairs_W_m: F64, radius_m: float
+) -> None:
+    """Compare who is mirrored with who SUMO has near the chairs (n, 2).
+
+    Raises:
+        SumoError: a ghost, mirrored but not there, or somebody there who is not mirrored.
+    """
+    shown = {actor.id for actor in mirrored if not actor.piece}
+    there = {actor.id for actor in everyone}
+    near = {
+        actor.id for actor in everyone if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - BORDER_M
+    }
+    ghosts, missing = sorted(shown - there), sorted(near - shown)
+    if ghosts or missing:
+        raise SumoError(
+            f"the mirror differs from SUMO: shown but not there: {', '.join(ghosts[:5]) or 'nobody'}; "
+            f"there but not shown: {', '.join(missing[:5]) or 'nobody'}; this is a fault of wcsim: report it"
+        )
+
+
+def _gap_m(actor: ActorState, chairs_W_m: F64) -> float:
+    return float(np.hypot(*(chairs_W_m - actor.p_W_m[:2]).T).min(initial=np.inf))
+
+
+def _rounded(actor: ActorState) -> ActorState:
+    return replace(
+        actor,
+        p_W_m=np.round(actor.p_W_m / GRID_M) * GRID_M,
+        v_W_mps=np.round(actor.v_W_mps / GRID_M) * GRID_M,
+        yaw_rad=round(actor.yaw_rad / GRID_M) * GRID_M,
+    )
+
+
+class _Meter:
+    """Counts what the facts say."""
+
+    def __init__(self, begin_s: float, origin_m: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._begin_s = begin_s
+        self._origin_m = origin_m
+        self._crashed: list[CrashFact] = []
+        self._seen: set[str] = set()
+        self._mirrored: set[str] = set()
+        self._most = self._teleports = self._collisions = self._ended = 0
+
+    def add(self, everyone: Sequence[ActorState], mirrored: Sequence[str], mishaps: tuple[int, int]) -> None:
+        """One tick of the traffic."""
+        self._seen.update(actor.id for actor in everyone)
+        self._mirrored.update(mirrored)
+        self._most = max(self._most, len(mirrored))
+        self._teleports += mishaps[0]
+        self._collisions += mishaps[1]
+
+    def add_chairs(self, clients: Sequence[ClientSnapshot], time_s: float) -> None:
+        """One tick of the chairs, at SUMO's own time."""
+        self._ended += sum(client.first is not None for client in clients)
+        for client in (client for client in clients if client.events.crashed):
+            x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
+            at_m = (round(x_m, 2), round(y_m, 2))
+            reason = client.events.crash_reason
+            self._crashed.append(CrashFact(seat=client.seat, reason=reason, time_s=time_s, at_m=at_m))
+
+    def facts(self, ticks: int, end_s: float, chairs: int) -> TrafficFacts:
+        """The sums."""
+        persons = sum(name.startswith("p:") for name in self._seen)
+        return TrafficFacts(
+            ticks=ticks,
+            begin_s=self._begin_s,
+            end_s=end_s,
+            vehicles=len(self._seen) - persons,
+            persons=persons,
+            mirrored=len(self._mirrored),
+            mirrored_most=self._most,
+            teleports=self._teleports,
+            collisions=self._collisions,
+            episodes=self._ended + chairs,
+            crashes=len(self._crashed),
+            crashed=tuple(self._crashed),
+        )

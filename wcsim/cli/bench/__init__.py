@@ -1,0 +1,1 @@
+"""`wcsim bench ...`: each measurement as a table and as JSON."""

@@ -1,0 +1,52 @@
+"""`wcsim bench barrier`: what the barrier and the messages of several clients cost a tick."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from wcsim.bench.barrier.barrier_cost import BarrierCost, measure_barrier
+from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.config import load_run_config
+
+
+@dataclass
+class BarrierOptions:
+    """Several client processes in one world without simulators or networks, beside a bare echo of their messages."""
+
+    clients: int = 6
+    """Client processes."""
+    ticks: int = 2000
+    """Ticks to measure for each way of transport."""
+    width: int = 320
+    """Camera width in pixels; the height is three quarters of it."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: BarrierOptions) -> int:
+    """Run the bench."""
+    in_bounds("--clients", options.clients, 1, 32)
+    in_bounds("--ticks", options.ticks, 10, 1_000_000)
+    in_bounds("--width", options.width, 16, 2048)
+    sizes = (f"cameras.0.width_px={options.width}", f"cameras.0.height_px={options.width * 3 // 4}")
+    config = load_run_config("quick", sizes)
+    costs: dict[str, BarrierCost] = {}
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        for name in ("ipc", "tcp"):
+            task = bar.add_task(name, total=options.ticks)
+
+            def seen(done: int, task: TaskID = task) -> None:
+                bar.update(task, completed=done)
+
+            costs[name] = measure_barrier(config, options.clients, options.ticks, name == "tcp", seen)
+    for name, cost in costs.items():
+        print(
+            f"{options.clients} clients over {name}: {cost.median_ms:.2f} ms a tick, 99 % under {cost.p99_ms:.2f}; "
+            f"bare echo {cost.echo_median_ms:.2f}, 99 % under {cost.echo_p99_ms:.2f}"
+        )
+    if options.json is not None:
+        write_json(options.json, {"clients": options.clients, **{name: asdict(cost) for name, cost in costs.items()}})
+    return 0

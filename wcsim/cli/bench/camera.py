@@ -1,0 +1,103 @@
+"""`wcsim bench camera`: the rasteriser beside TinyRenderer and Embree on the same frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Column, Table
+
+from wcsim.bench.camera.compare import Agreement, ComparedPicture, RendererComparison, compare_renderers, pooled
+from wcsim.bench.camera.random_scenes import scatter
+from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.config import CameraConfig
+from wcsim.physics.renderer.geometry import GeometryStore
+from wcsim.physics.renderer.instances import instances_of
+from wcsim.physics.sensors.camera import pinhole
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.street import load_street
+
+
+@dataclass
+class CameraOptions:
+    """The rasteriser beside PyBullet's TinyRenderer on the same frames, interleaved, in CPU time."""
+
+    towns: str = "helsinki,monaco,manhattan"
+    """Towns to take camera poses from, joined by commas."""
+    poses: int = 32
+    """Camera poses, shared out among the towns."""
+    actors: int = 60
+    """Actors around them in each town."""
+    rounds: int = 3
+    """How often each picture is drawn."""
+    seed: int = 0
+    """Seed of the poses and the traffic."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: CameraOptions) -> int:
+    """Measure and print."""
+    for option, fewest in (("poses", 1), ("actors", 0), ("rounds", 1)):
+        in_bounds(f"--{option}", getattr(options, option), fewest, 1000)
+    camera = CameraConfig()
+    names = some_words("--towns", options.towns)
+    pictures = {name: _compare(name, camera, count, options) for name, count in _shares(names, options.poses).items()}
+    every = pooled([picture for some in pictures.values() for picture in some])
+    rows = {name: pooled(some) for name, some in pictures.items()}
+    Console().print(_table({**rows, "all": every} if len(rows) > 1 else rows))
+    if options.json is not None:
+        write_json(options.json, {**_as_json(every), "towns": {name: _as_json(row) for name, row in rows.items()}})
+    return 0
+
+
+def _shares(names: tuple[str, ...], poses: int) -> dict[str, int]:
+    """Poses of each town, as even as may be; a town without any is left out."""
+    even, more = divmod(poses, len(names))
+    counts = {name: even + (i < more) for i, name in enumerate(names)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _compare(name: str, camera: CameraConfig, poses: int, options: CameraOptions) -> tuple[ComparedPicture, ...]:
+    """One town, all of its street loaded."""
+    street = load_street(find_town(name))
+    scene = scatter(street, camera, poses, options.actors, options.seed)
+    return compare_renderers(
+        GeometryStore(street.mesh), pinhole(camera), scene.poses, instances_of(scene.actors), options.rounds
+    )
+
+
+def _table(rows: dict[str, RendererComparison]) -> Table:
+    table = Table(
+        Column("\ntown", overflow="fold", min_width=12), "raster\nms", "colour\n+ ms", "Tiny\nms", "\nratio",
+        "Tiny\nclass", "Tiny\ndepth", "Embree\nclass", "Embree\ndepth",
+        box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+    )  # fmt: skip
+    for name, row in rows.items():
+        cells = (row.ms_median, row.rgb_extra_ms, row.tiny_ms_median, row.ratio_vs_tiny)
+        table.add_row(name, *(f"{cell:.2f}" for cell in cells), *_shares_of(row.tiny), *_shares_of(row.embree))
+    return table
+
+
+def _shares_of(agreement: Agreement | None) -> tuple[str, str]:
+    if agreement is None:
+        return "-", "-"
+    return f"{agreement.same_class:.2%}", f"{agreement.same_depth:.2%}"
+
+
+def _as_json(row: RendererComparison) -> dict[str, Any]:
+    return {
+        "ms_median": row.ms_median,
+        "ratio_vs_tiny": row.ratio_vs_tiny,
+        "embree": None if row.embree is None else _pair(row.embree),
+        "tiny": _pair(row.tiny),
+        "rgb_extra_ms": row.rgb_extra_ms,
+        "tiny_ms_median": row.tiny_ms_median,
+        "pictures": row.pictures,
+    }
+
+
+def _pair(agreement: Agreement) -> dict[str, float]:
+    return {"class": agreement.same_class, "depth": agreement.same_depth}

@@ -1,0 +1,232 @@
+"""`wcsim bench crashes`: every crash of a policy with its class, place and cause; and where chairs lost control."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
+from wcsim.cli.shared.common import (
+    MAX_SEED,
+    OutFile,
+    OutFolder,
+    Repeated,
+    check_folder,
+    in_bounds,
+    some_words,
+    write_json,
+)
+from wcsim.config import RunConfig, load_run_config
+from wcsim.errors import ConfigError
+from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.bench.crashes.drives import CrashDrive
+    from wcsim.bench.crashes.records import Crash, LostControl
+
+MAX_CHAIRS = 64
+MAX_STEPS = 10_000_000
+LISTED = 60
+PER_STEPS = (8_000, 30_000)
+
+
+@dataclass
+class CrashesOptions:
+    """Class, place and cause of every crash of baselines on the same starts; stretches of lost control."""
+
+    town: str = "monaco"
+    """Towns to drive in, joined by commas."""
+    policy: str = "follow"
+    """Baselines, joined by commas; each meets the same starts and users."""
+    profile: str = "inattentive"
+    """User profile; recorded:FILE.csv replays a recorded joystick."""
+    noise: str = "typical"
+    """Noise of the cameras: typical or none."""
+    delay: int = 2
+    """Ticks from an action to the chair that obeys it; 2 are 200 ms."""
+    steps: int = 8000
+    """Steps for each policy and town, of all chairs together."""
+    chairs: int = 4
+    """Wheelchairs in the world at the same time."""
+    preset: str = "quick"
+    """Settings."""
+    set: Repeated = ()
+    """section.key=value, laid over them; may be given several times."""
+    seed: int = 0
+    """Seed of the worlds."""
+    out: OutFolder = None
+    """Write what each policy met in each town into this folder, as TOWN-POLICY.json, as soon as it is known."""
+    json: OutFile = None
+    """Write everything to this file."""
+
+
+def run(options: CrashesOptions) -> int:
+    """Run the bench."""
+    from wcsim.users.recorded import find_user
+
+    in_bounds("--chairs", options.chairs, 1, MAX_CHAIRS)
+    in_bounds("--steps", options.steps, options.chairs, MAX_STEPS)
+    in_bounds("--seed", options.seed, 0, MAX_SEED)
+    if options.out is not None:
+        check_folder("--out", options.out / "x")
+    names, config = _policies(options.policy), _config(options)
+    find_user(options.profile)
+    towns = [find_town(name) for name in some_words("--town", options.town)]
+    drives: list[CrashDrive] = []
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        for town in towns:
+            for name in names:
+                drives.append(_driven(options, config, town.address, name, bar))
+                if options.out is not None:
+                    write_json(options.out / f"{town.name}-{name}.json", as_json(drives[-1]))
+    console = Console()
+    console.print(_classes(drives), _control(drives))
+    for line in _lines(drives):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    if options.json is not None:
+        write_json(options.json, [as_json(drive) for drive in drives])
+    return 0
+
+
+def as_json(drive: CrashDrive) -> dict[str, Any]:
+    """One policy in one town: every number of the tables, every crash, stretch and episode."""
+    return {
+        **asdict(drive),
+        "classes": dict(Counter(crash.kind for crash in drive.crashes)),
+        "crashes_per_km": _rate(drive, len(drive.crashes)),
+        "own_per_km": _rate(drive, sum(crash.fault == "own" for crash in drive.crashes)),
+        "lost_share": drive.lost_steps / drive.steps,
+        "lost_per_steps": {str(steps): len(drive.lost) * steps / drive.steps for steps in PER_STEPS},
+    }
+
+
+def _policies(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(some_words("--policy", text)))
+    for name in names:
+        if not is_baseline(name):
+            raise ConfigError(f"--policy {name!r}: expected baselines, such as: {', '.join((*NAMES, *UPPER_BOUNDS))}")
+    return names
+
+
+def _config(options: CrashesOptions) -> RunConfig:
+    if options.noise not in ("typical", "none"):
+        raise ConfigError(f"--noise {options.noise!r}: expected typical or none")
+    words = (f"world.action_delay_ticks={options.delay}", f"cameras.0.noise={options.noise}")
+    return load_run_config(options.preset, (*words, *options.set))
+
+
+def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
+    from wcsim.agents.policies.baselines import baseline
+    from wcsim.bench.crashes.drives import drive_crashes
+    from wcsim.core.seeding import derive
+
+    found = find_town(town)
+    ticks = -(-options.steps // options.chairs)
+    task = bar.add_task(f"{found.name}, {policy}", total=ticks * options.chairs)
+    drivers = [baseline(policy, config, derive(options.seed, "driver", seat)) for seat in range(options.chairs)]
+
+    def seen(done: int) -> None:
+        bar.update(task, completed=done)
+
+    visible = policy == VISIBLE_BOUND
+    return drive_crashes(found, config, policy, drivers, options.profile, ticks, options.seed, visible, seen)
+
+
+def _rate(drive: CrashDrive, events: int) -> tuple[float, float, float] | None:
+    from wcsim.bench.crashes.drives import Rate
+
+    return Rate(events=events, km=drive.km).per_km
+
+
+def _classes(drives: Sequence[CrashDrive]) -> Table:
+    """Crashes by class, a column for each policy and town."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("crashes", overflow="fold")
+    for drive in drives:
+        table.add_column(f"{drive.policy}\n{drive.town}", justify="right")
+    counts = [Counter(crash.kind for crash in drive.crashes) for drive in drives]
+    for kind in sorted({kind for count in counts for kind in count}):
+        table.add_row(kind, *(str(count[kind]) for count in counts))
+    table.add_section()
+    own = [sum(crash.fault == "own" for crash in drive.crashes) for drive in drives]
+    table.add_row("all", *(str(len(drive.crashes)) for drive in drives))
+    table.add_row("own fault", *(str(count) for count in own))
+    table.add_row("kilometres", *(f"{drive.km:.2f}" for drive in drives))
+    table.add_row("all per km", *(_per_km(drive, len(drive.crashes)) for drive in drives))
+    table.add_row("own per km", *(_per_km(drive, count) for drive, count in zip(drives, own, strict=True)))
+    table.add_row("after a fall", *(str(sum(crash.after_fall for crash in drive.crashes)) for drive in drives))
+    table.add_row("in the picture", *(_share([c.in_picture for c in drive.crashes]) for drive in drives))
+    table.add_row("user looked away", *(_share([_away(c) for c in drive.crashes]) for drive in drives))
+    table.add_row("a safe action 1 s before", *(_share([c.safe_before for c in drive.crashes]) for drive in drives))
+    table.add_row("falls off a kerb", *(str(drive.falls) for drive in drives))
+    return table
+
+
+def _control(drives: Sequence[CrashDrive]) -> Table:
+    """Lost control of each policy and town."""
+    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in PER_STEPS), "of steps")
+    table = Table(*heads, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for drive in drives:
+        scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in PER_STEPS)
+        share = f"{drive.lost_steps / drive.steps:.2%}"
+        table.add_row(f"{drive.policy}, {drive.town}", f"{drive.steps:,}", str(len(drive.lost)), *scaled, share)
+    return table
+
+
+def _lines(drives: Sequence[CrashDrive]) -> Iterator[str]:
+    """Every crash and every stretch of lost control on a line, up to LISTED of each."""
+    crashes = [(drive, crash) for drive in drives for crash in drive.crashes]
+    lost = [(drive, item) for drive in drives for item in drive.lost]
+    yield from (_crash_line(drive, crash) for drive, crash in crashes[:LISTED])
+    if len(crashes) > LISTED:
+        yield f"and {len(crashes) - LISTED} crashes more: --json FILE has all"
+    yield from (_lost_line(drive, item) for drive, item in lost[:LISTED])
+    if len(lost) > LISTED:
+        yield f"and {len(lost) - LISTED} stretches more: --json FILE has all"
+
+
+def _crash_line(drive: CrashDrive, crash: Crash) -> str:
+    seen = {True: "in the picture", False: "not in the picture", None: "picture not known"}[crash.in_picture]
+    safe = {True: "a safe action 1 s before", False: "no safe action 1 s before", None: "too short"}[crash.safe_before]
+    away = "away not known" if crash.away_share is None else f"away {crash.away_share:.0%}"
+    fall = "" if crash.fell_s is None else f", fell {crash.fell_s:.1f} s before"
+    what = " ".join(word for word in (crash.kind, f"({crash.thing})" if crash.thing else "") if word)
+    return (
+        f"{drive.town} {drive.policy} seat {crash.seat} episode {crash.episode} tick {crash.tick} {_at(crash)}: "
+        f"{what}, {crash.reason}, {crash.fault}, {crash.speed_mps:.2f} m/s, {seen}, {away}, {safe}{fall}"
+    )
+
+
+def _lost_line(drive: CrashDrive, item: LostControl) -> str:
+    how = " and ".join(word for word, is_so in (("turned", item.turned), ("rolled on", item.rolled)) if is_so)
+    return (
+        f"{drive.town} {drive.policy} seat {item.seat} episode {item.episode} tick {item.tick} {_at(item)}: {how} "
+        f"for {item.seconds:.1f} s, {item.speed_mps:.2f} m/s, {item.turn_radps:.2f} rad/s, "
+        f"roll {item.roll_deg:.1f} pitch {item.pitch_deg:.1f} deg"
+    )
+
+
+def _at(item: Crash | LostControl) -> str:
+    return f"({item.p_W_m[0]:.1f}, {item.p_W_m[1]:.1f}) {item.way}".rstrip()
+
+
+def _per_km(drive: CrashDrive, events: int) -> str:
+    rate = _rate(drive, events)
+    return "-" if rate is None else f"{rate[0]:.1f} ({rate[1]:.1f}-{rate[2]:.1f})"
+
+
+def _away(crash: Crash) -> bool | None:
+    return None if crash.away_share is None else crash.away_share > 0.0
+
+
+def _share(answers: Sequence[bool | None]) -> str:
+    """How many of the known answers are yes."""
+    known = [answer for answer in answers if answer is not None]
+    return f"{sum(known)} of {len(known)}" if known else "-"

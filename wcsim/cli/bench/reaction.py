@@ -1,0 +1,71 @@
+"""`wcsim bench reaction`: chairs that stand in the way of the traffic, and chairs that roll out before it."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.bench.reaction.battery import Battery, run_battery
+from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+
+
+@dataclass
+class ReactionOptions:
+    """Whether the street brakes for wheelchairs and goes round them: contacts, waits, people that step aside."""
+
+    town: str = "helsinki"
+    """Town with real streets to use beside the built ones; "" for these alone."""
+    minutes: float = 10.0
+    """Simulated minutes that a chair stands at each place."""
+    trials: int = 40
+    """Times that a chair rolls out before traffic, at each share of attention."""
+    streets: int = 3
+    """How many of the built streets to use, 1 to 3."""
+    places: int = 1
+    """Places of each kind in the town."""
+    seed: int = 0
+    """Seed of traffic, places and trials."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: ReactionOptions) -> int:
+    """Run the bench."""
+    in_bounds("--minutes", options.minutes, 0.1, 120)
+    in_bounds("--trials", options.trials, 1, 1000)
+    in_bounds("--streets", options.streets, 1, 3)
+    in_bounds("--places", options.places, 1, 20)
+    console = Console()
+    with tempfile.TemporaryDirectory(prefix="wcsim-bench-") as work:
+        battery = run_battery(
+            options.town,
+            Path(work),
+            seed=options.seed,
+            standing_s=60.0 * options.minutes,
+            trials=options.trials,
+            streets=options.streets,
+            places=options.places,
+            progress=lambda text: console.print(text, style="dim", highlight=False, markup=False),
+        )
+    console.print(_table(battery))
+    if options.json is not None:
+        write_json(options.json, asdict(battery))
+    return 0
+
+
+def _table(battery: Battery) -> Table:
+    table = Table("what", "result", box=box.SIMPLE_HEAD)
+    for kind, contacts in battery.standing.items():
+        table.add_row(f"contacts with a chair that stands: {kind}", str(contacts))
+    rolled, trials = battery.roll_out, battery.roll_out["trials"]
+    table.add_row("rolling out, all attentive: trials with contact", f"{rolled['attention_1']} of {trials}")
+    table.add_row("rolling out, nobody attentive: trials with contact", f"{rolled['attention_0']} of {trials}")
+    table.add_row("passed, of those that had room", f"{battery.passed_share:.1%}")
+    table.add_row("people deflected into something", str(battery.deflect_overlaps))
+    table.add_row("longest wait of one that had room", f"{battery.blocked_s_max:.1f} s")
+    return table

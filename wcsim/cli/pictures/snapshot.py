@@ -1,0 +1,45 @@
+"""`wcsim snapshot TOWN --seed S --out x.png`: colours, classes and depth from a chair's camera, with actors in view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from wcsim.cli.shared.common import check_output, in_bounds, parse, write_whole
+from wcsim.view.filming import open_stage
+from wcsim.view.pictures import triptych, write_png
+
+MAX_SECONDS = 3600.0
+
+
+@dataclass
+class Options:
+    """Take a picture from a chair's camera in the traffic of a town: colours, classes and depth side by side."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    """A town's name or folder."""
+    seed: int = 0
+    """Seed of the traffic and of the chair's place."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")
+    """The picture (PNG)."""
+    width: int = 640
+    """Width of each of the three images, in pixels."""
+    seconds: float = 20.0
+    """How long the chair may drive until most is in view."""
+
+
+def run(words: list[str]) -> int:
+    """Take the picture at the moment when most actors are in view."""
+    options = parse(Options, words, "snapshot")
+    check_output("--out", options.out, ".png")
+    in_bounds("--seconds", options.seconds, 0.0, MAX_SECONDS)
+    with open_stage(options.town, options.seed, options.width) as stage:
+        shot = stage.busiest_moment(options.seconds)
+    picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
+    write_whole(options.out, lambda part: write_png(part, picture))
+    place = f"{options.town}, seed {options.seed}, after {shot.after_s:.1f} s"
+    print(f"{options.out}: {place}, {shot.in_view} actors in view")
+    return 0

@@ -1,0 +1,1 @@
+"""What subcommands share: parsing, bounds, result files, exit codes."""

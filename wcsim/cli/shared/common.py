@@ -1,0 +1,183 @@
+"""What the subcommands share: parsing, bounds, files that results go to."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+import tyro
+
+from wcsim.core.reading import is_folder, shown
+from wcsim.errors import ConfigError
+
+T = TypeVar("T")
+Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
+"""An option that may be given several times, once for each value."""
+
+OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+"""A file that is written only when it is named."""
+
+OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+"""A folder that is made, with a default of its own."""
+
+MAX_SEED = (1 << 31) - 1
+
+
+def parse(options: type[T], words: list[str], command: str) -> T:
+    """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
+
+    Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
+    hear of it before the work than after it.
+    """
+    parsed = tyro.cli(
+        options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers()
+    )
+    in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
+    check_output("--json", getattr(parsed, "json", None))
+    return parsed
+
+
+def _numbers() -> tyro.constructors.ConstructorRegistry:
+    """How options that are numbers are read: what is none is refused in words, not in those of Python's types."""
+    known = tyro.constructors.ConstructorRegistry()
+
+    @known.primitive_rule
+    def number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+        kinds = {item for item in (get_args(info.type) or (info.type,)) if item is not type(None)}
+        if kinds not in ({int}, {float}):
+            return None
+        whole = kinds == {int}
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="INT" if whole else "FLOAT",
+            instance_from_str=lambda words: _whole(words[0]) if whole else _number(words[0]),
+            is_instance=lambda value: value is None or isinstance(value, int if whole else (int, float)),
+            str_from_instance=lambda value: [str(value)],
+        )
+
+    return known
+
+
+def _whole(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a whole number, such as 1000") from None
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"got {shown(word, 40)!r}, expected a number, such as 2.5") from None
+
+
+def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str:
+    """The second word of a command that has several, or "" after its help was printed.
+
+    Args:
+        words: What follows the command.
+        command: Its name.
+        known: Second words, each with its class of options.
+
+    Raises:
+        ConfigError: The word is missing or unknown.
+    """
+    if words and words[0] in known:
+        return words[0]
+    if words and words[0] in ("-h", "--help"):
+        lines = [f"  {name:<10}{(kind.__doc__ or '').strip()}" for name, kind in known.items()]
+        print("\n".join([f"usage: wcsim {command} {'|'.join(known)} [options]", "", *lines]))
+        return ""
+    got = f"unknown {command} command {words[0]!r}" if words else f"{command} needs a command"
+    raise ConfigError(f"{got}; expected one of: {', '.join(known)} (wcsim {command} --help)")
+
+
+def words_of(text: str) -> tuple[str, ...]:
+    """The items of a comma-separated option; empty ones are left out.
+
+    >>> words_of("monaco, manhattan")
+    ('monaco', 'manhattan')
+    """
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def some_words(option: str, text: str) -> tuple[str, ...]:
+    """The items of a comma-separated option. Raises ConfigError when there is none."""
+    found = words_of(text)
+    if not found:
+        raise ConfigError(f"{option} {text!r} names nothing; expected one or more, joined by commas")
+    return found
+
+
+def in_bounds(option: str, value: float, low: float, high: float) -> None:
+    """Raise ConfigError unless low <= value <= high; NaN is never in bounds."""
+    if not low <= value <= high:
+        expected = f"{low} or more" if math.isinf(high) else f"{low} to {high}"
+        raise ConfigError(f"{option} {value}: expected {expected}")
+
+
+def check_output(option: str, path: Path | None, suffix: str = "") -> None:
+    """Make sure that a result can be written there before the work begins; missing folders are made later.
+
+    Raises ConfigError that says what is in the way.
+    """
+    if path is None:
+        return
+    if suffix and path.suffix.lower() != suffix:
+        raise ConfigError(f"{option} {path}: expected a file name that ends in {suffix}")
+    if is_folder(path):
+        raise ConfigError(f"{option} {path} is a folder; expected the name of a file")
+    check_folder(option, path.parent)
+
+
+def check_folder(option: str, folder: Path) -> None:
+    """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
+    place = folder.absolute()
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"{option}: {shown(place)} is not a folder that can be written; choose another place")
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a result file at once or not at all; NaN and infinity never appear in it."""
+    try:
+        text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    except ValueError as error:
+        raise ConfigError(f"{path}: a result is not a finite number ({error})") from None
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
+    """Let `fill` write a file beside `path` and rename it, so that the file appears whole or not at all.
+
+    Raises ConfigError when the place cannot be written.
+    """
+    missing = missing_folder(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
+            part = Path(work) / path.name
+            fill(part)
+            part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    tell_made(missing)
+
+
+def missing_folder(path: Path) -> Path | None:
+    """The outermost folder above a file that is not there yet; None when they all are."""
+    return next((folder for folder in reversed(path.parents) if not folder.exists()), None)
+
+
+def tell_made(folder: Path | None) -> None:
+    """Say that a folder was made for a result: a mistyped one is noticed so."""
+    if folder is not None:
+        print(f"note: made the folder {shown(folder)}", file=sys.stderr)

@@ -1,0 +1,99 @@
+"""How the commands that train make the configuration of a run from their options."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from wcsim.agents.networks.names import is_own, require_network
+from wcsim.agents.runs.own_terms import find_reward_term
+from wcsim.bridge.sumo.step_hook import find_hook
+from wcsim.config import RunConfig, with_overrides
+from wcsim.core import seeding
+from wcsim.errors import ConfigError
+from wcsim.towns.scenario.overrides import Override, settings_of
+from wcsim.towns.scenario.stage import scenario_overrides
+from wcsim.towns.scenario.town import Town
+from wcsim.users.profiles import HELD_OUT
+
+
+def with_steps(config: RunConfig, steps: int | None) -> RunConfig:
+    """The configuration for so many steps in all; None for its own.
+
+    A first phase of more than half of them shrinks in proportion, and so does a wait for the first update.
+
+    >>> learn = with_steps(RunConfig(), 60).learn
+    >>> learn.total_steps, learn.phase1_steps, learn.learning_starts
+    (60, 15, 2)
+
+    Raises:
+        ConfigError: There are none.
+    """
+    if steps is None:
+        return config
+    if steps < 1:
+        raise ConfigError(f"--steps {steps}: expected 1 or more")
+    learn = config.learn
+    first, starts = (_shrunk(part, learn.total_steps, steps) for part in (learn.phase1_steps, learn.learning_starts))
+    changed = (f"learn.total_steps={steps}", f"learn.phase1_steps={first}", f"learn.learning_starts={starts}")
+    return with_overrides(config, changed)
+
+
+def _shrunk(part: int, total: int, steps: int) -> int:
+    return part if part <= steps / 2 else round(steps * min(0.5, part / total))
+
+
+def steps_note(config: RunConfig, steps: int | None) -> str:
+    """What `with_steps` made of a number of steps, in words; "" when none was given."""
+    learn = config.learn
+    if steps is None:
+        return ""
+    return f"{steps} steps: {learn.phase1_steps} in the first phase, updates from step {learn.learning_starts} on"
+
+
+def learning(config: RunConfig) -> RunConfig:
+    """The configuration as it is learned with: episodes of the learner's length, the truth when it is advised."""
+    env = {"max_steps": config.learn.episode_steps, "truth": config.learn.aid == "oracle"}
+    return config.model_copy(update={"env": config.env.model_copy(update=env)})
+
+
+def require_trained_user(config: RunConfig) -> None:
+    """Raise ConfigError for a simulated user that is kept for tests."""
+    if config.env.profile in HELD_OUT:
+        raise ConfigError(
+            f"profile {config.env.profile} is held out of training, so that tests can ask how a network does with a "
+            "user it has never met; expected another env.profile"
+        )
+
+
+def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:
+    """Refuse names that stand for nothing before torch and the simulators are loaded; "" is none.
+
+    Raises:
+        PolicyError: There is no such network, or no such class.
+        ConfigError: A reward term is none.
+        HookError: The step hook is none.
+    """
+    if network:
+        require_network(network)
+    for name in rewards:
+        find_reward_term(name)
+    if hook:
+        find_hook(hook)
+
+
+def how_to_test(run: Path, network: str, trained_in: str = "") -> str:
+    """The command that tests a run, as it can be typed.
+
+    >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", "monaco")
+    "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
+    """
+    named = ["--network", network] if is_own(network) else []
+    unseen = "manhattan" if trained_in == "monaco" else "monaco"
+    return shlex.join(["wcsim", "test", str(run), *named, "--town", unseen])
+
+
+def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
+    """What a run overrides of a town's own SUMO options."""
+    return tuple(scenario_overrides(town, settings_of(config, seeding.derive(seed, "sumo"))))

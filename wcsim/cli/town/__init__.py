@@ -1,0 +1,1 @@
+"""Commands about towns: import, check, pave, run, tour."""

@@ -1,0 +1,221 @@
+"""`wcsim town import`: from a map, from the internet, or from somebody's ready scenario."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.town.report import print_report, report_json
+from wcsim.errors import ConfigError
+from wcsim.towns.checks.check import TownReport, check_town
+from wcsim.towns.importing.adopt import adopt_scenario
+from wcsim.towns.importing.elevation import Heights
+from wcsim.towns.importing.importer import ImportOrder, import_town
+from wcsim.towns.osm.area import Box
+from wcsim.towns.osm.download import download
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.street import load_street
+from wcsim.types import Street
+
+_ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass
+class ImportOptions:
+    """Import a town: streets, pavements, buildings, trees, parked cars and endless traffic, or a ready scenario."""
+
+    name: str
+    """The town's name."""
+    osm: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
+    bbox: str = ""
+    """What to keep of it, in degrees: west,south,east,north; without --osm that area is downloaded."""
+    sumocfg: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Instead of a map: somebody's ready scenario; its files are copied as they are."""
+    allow_outside: Flag = False
+    """Copy what a ready scenario names outside of its own folder too."""
+    url: str = ""
+    """Overpass server to download from; default those that SUMO knows."""
+    split: Literal["train", "test"] = "train"
+    """Whether networks may be trained in it, or only tested."""
+    out: OutFolder = None
+    """Where to put it; default ./scenarios/sumo/NAME."""
+    lefthand: Flag = False
+    """Traffic drives on the left; default: as it does in that country."""
+    righthand: Flag = False
+    """Traffic drives on the right."""
+    per_hour: str = ""
+    """Departures an hour by SUMO vehicle class, as passenger=900,bicycle=300; other classes keep their density."""
+    traffic: float = 1.0
+    """All traffic times this; 0 for none."""
+    parked: float = 0.7
+    """Share of the parking spaces on the map that has a car in it."""
+    dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """GeoTIFF of the land's heights in metres."""
+    hill: float = 0.0
+    """Height in metres of a made-up hill instead."""
+    max_grade: float = 0.12
+    """No street is steeper than this rise over run: the land is smoothed and lowered."""
+    keep_service: Flag = False
+    """Keep driveways and yards, each with a crossing of its own."""
+    seed: int = 42
+    """Seed of the demand, the parked cars and the hill."""
+    source: str = ""
+    """Where the extract or the scenario comes from, for the licence notice."""
+    replace: Flag = False
+    """Build a town again that somebody has worked on: what was changed or added there is lost."""
+    json: OutFile = None
+    """Write the result of the check to this file."""
+
+
+def run(options: ImportOptions) -> int:
+    """Import, check, and say what came out; 0 when the town was written."""
+    started_s = time.monotonic()
+    out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
+    check_folder("--out", out)
+    result = options.json.resolve() if options.json is not None else None  # this folder itself may be built anew
+    with _fresh_folders(out.parent):
+        report, more = (_adopt(options, options.sumocfg, out), {}) if options.sumocfg else _build(options, out)
+    print_report(report)
+    if result is not None:
+        write_json(result, {**report_json(report, time.monotonic() - started_s), **more})
+    return 0
+
+
+def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
+    given = [f.name for f in fields(options) if getattr(options, f.name) != f.default]
+    idle = [f"--{name.replace('_', '-')}" for name in given if name not in _ADOPTED]
+    if idle:
+        raise ConfigError(
+            f"--sumocfg takes a scenario as it is, and {', '.join(idle)} cannot be joined with it: leave one out"
+        )
+    if options.allow_outside:
+        print(
+            f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it"
+        )
+    town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
+    try:
+        report = check_town(town)
+    except BaseException:  # what cannot be read is no town
+        shutil.rmtree(town.folder, ignore_errors=True)
+        raise
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
+    return report
+
+
+def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
+    """The check of a town that was built, and what else the result file says of it."""
+    if options.osm is None and not options.bbox:
+        raise ConfigError(
+            "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, or --sumocfg FILE"
+        )
+    if options.allow_outside:
+        raise ConfigError("--allow-outside is for --sumocfg: a map names no files; leave it out")
+    box = _bbox(options.bbox) if options.bbox else None
+    if options.osm is not None and not options.osm.is_file():
+        raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract")
+    if options.osm is not None and options.url:
+        raise ConfigError("--url is for a download and cannot be joined with --osm; leave one out")
+    _check_numbers(options)
+    with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
+        osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
+        made = import_town(_order(options, osm, box, out), _built_in_silence, _stage)
+    print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
+    print(f"traffic keeps to the {made.side}")
+    report = check_town(made.town, made.walkable_share)
+    counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
+    more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
+    return replace(report, notes=(*made.notes, *report.notes)), more
+
+
+def _built_in_silence(town: Town) -> Street:
+    return load_street(town, lambda told: None)  # the import says its own stages
+
+
+def _stage(told: str) -> None:
+    Console(stderr=True, highlight=False).print(told, style="dim", markup=False, soft_wrap=True)
+
+
+def _needed(box: Box | None) -> Box:
+    if box is None:
+        raise ConfigError("a download needs --bbox W,S,E,N")
+    return box
+
+
+def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
+    return ImportOrder(
+        osm=osm,
+        bbox=box,
+        name=options.name,
+        split=options.split,
+        out=out,
+        lefthand=options.lefthand if options.lefthand or options.righthand else None,
+        seed=options.seed,
+        traffic=options.traffic,
+        per_hour=_per_hour(options.per_hour),
+        parked=options.parked,
+        relief=Heights(dem=options.dem, hill_m=options.hill, max_grade=options.max_grade),
+        keep_service=options.keep_service,
+        source=options.source,
+        overwrite=options.replace,
+    )
+
+
+def _check_numbers(options: ImportOptions) -> None:
+    if options.lefthand and options.righthand:
+        raise ConfigError("--lefthand and --righthand exclude each other; leave one out")
+    if options.dem is not None and options.hill:
+        raise ConfigError("--dem and --hill exclude each other; leave one out")
+    in_bounds("--traffic", options.traffic, 0.0, 10.0)
+    in_bounds("--parked", options.parked, 0.0, 1.0)
+    in_bounds("--hill", options.hill, 0.0, 200.0)
+    in_bounds("--max-grade", options.max_grade, 0.01, 0.25)
+
+
+def _per_hour(text: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for word in words_of(text):
+        name, _, number = word.partition("=")
+        try:
+            rate = float(number)
+        except ValueError:
+            rate = math.nan
+        if not name or not math.isfinite(rate) or name.strip() in found:
+            raise ConfigError(f"--per-hour {word!r} is not CLASS=NUMBER, once for each class, as passenger=900")
+        found[name.strip()] = rate
+    return found
+
+
+def _bbox(text: str) -> Box:
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--bbox {text!r} is not west,south,east,north in degrees, as 24.9,60.1,25.0,60.2") from None
+    if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
+        raise ConfigError(f"--bbox {text!r} is empty or leaves the globe; expected west < east and south < north")
+    return west, south, east, north
+
+
+@contextmanager
+def _fresh_folders(folder: Path) -> Iterator[None]:
+    """Leave no empty folders behind when the block fails."""
+    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        yield
+    except BaseException:
+        for place in fresh:
+            if place.is_dir() and not any(place.iterdir()):
+                place.rmdir()
+        raise

@@ -1,0 +1,81 @@
+"""`wcsim town pave`: a copy of a scenario whose net has got pavements and crossings."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
+from wcsim.cli.town.report import print_report, report_json
+from wcsim.config import load_run_config
+from wcsim.towns.checks.check import check_town
+from wcsim.towns.checks.cures import FASTEST_MPS
+from wcsim.towns.pave.pavements import Paved, pave_town
+from wcsim.towns.scenario.town import Town, find_town
+
+TOLD = 5
+
+
+@dataclass
+class PaveOptions:
+    """Copy a scenario without pavements into a folder, add pavements and crossings, and move what lies by lane."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    """A .sumocfg, or a town's name or folder; it stays as it is."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """A new folder for the copy."""
+    max_speed: float = FASTEST_MPS
+    """Streets faster than this, in m/s, get no pavement."""
+    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Copy what a .sumocfg names outside of its own folder too."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: PaveOptions) -> int:
+    """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy was written."""
+    started_s = time.monotonic()
+    in_bounds("--max-speed", options.max_speed, 1.0, 100.0)
+    check_folder("--out", options.out)
+    told = Console(stderr=True, highlight=False, style="dim")
+    told.print(f"building pavements into {options.out}", markup=False)
+    paved = pave_town(find_town(options.town, outside=options.allow_outside), options.out, options.max_speed)
+    town = find_town(str(paved.sumocfg))
+    told.print("letting SUMO run its first steps")
+    _try(town)
+    told.print("building the street of it, and checking it")
+    report = check_town(town)
+    _print(paved)
+    print_report(report)
+    if options.json is not None:
+        done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
+        write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
+    return 0
+
+
+def _try(town: Town) -> None:
+    from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+    from wcsim.towns.scenario.overrides import settings_of
+
+    with ExitStack() as held:
+        open_scenario(town, settings_of(load_run_config("quick"), 1), RunPlace(), held)
+
+
+def _print(paved: Paved) -> None:
+    print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {paved.sumocfg}")
+    print(
+        f"{paved.streets} streets have a pavement now, with {paved.crossings} crossings; {paved.placed} stops, "
+        f"detectors, ... by lane were looked at, and {paved.programs} signal programs"
+    )
+    if paved.moved_m:
+        print(f"{len(paved.moved_m)} places gave way to a junction that has grown; the farthest, in m along the lane:")
+        for name, along_m in paved.moved_m[:TOLD]:
+            print(f"  {name}: {along_m:.2f}")
+    for note in paved.notes:
+        print(f"note: {note}")

@@ -1,0 +1,182 @@
+"""`wcsim town run`: a town's traffic as it is, or with wheelchairs that follow their users' wish."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.shared.overrides import Verbose, print_overrides
+from wcsim.config import RunConfig, load_run_config
+from wcsim.core import seeding
+from wcsim.errors import ConfigError
+from wcsim.towns.checks.cures import walkers_cure
+from wcsim.towns.scenario.town import Town, content_hash, find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.bridge.town_run import CrashFact, TrafficFacts
+    from wcsim.towns.scenario.stage import Scenario
+
+MANIFEST = "manifest.json"
+MAX_CHAIRS = 64
+TOLD_CRASHES = 5
+
+
+@dataclass
+class RunOptions:
+    """Run a town's traffic, with or without wheelchairs, and keep what happened in a folder."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    """A town's name or folder, or anybody's .sumocfg."""
+    seconds: float = 600.0
+    """Simulated time."""
+    seed: int = 0
+    """Seed of traffic, users and starts."""
+    out: OutFolder = None
+    """Run folder; default runs/TOWN-run-SEED."""
+    chairs: int = 1
+    """Wheelchairs, each doing what its user asks for; with 0 the traffic is that of plain sumo."""
+    outputs: str = ""
+    """More of SUMO's outputs than the scenario asks for, joined by commas: fcd, tripinfo, summary, ..."""
+    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let a .sumocfg name files outside of its own folder, which SUMO then reads."""
+    hook: str = ""
+    """Your own step hook as module:Class; it gets the libsumo module, and before_step(time_s), after_step(time_s)."""
+    preset: str = "quick"
+    """Settings to begin with: quick or paper."""
+    set: Repeated = ()
+    """section.key=value, laid over the preset; may be given several times."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: RunOptions, words: Sequence[str]) -> int:
+    """Run, print a summary, and leave the run folder; `words` are the command line, for the manifest."""
+    in_bounds("--seconds", options.seconds, 0.1, 1e7)
+    in_bounds("--chairs", options.chairs, 0, MAX_CHAIRS)
+    config = _config(options)
+    town = find_town(options.town, outside=options.allow_outside)
+    out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
+    check_folder("--out", out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"--out {out} exists and is not empty; choose another folder, or remove it")
+    facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
+    console = Console()
+    console.print(_table(town.name, facts))
+    for line in crash_lines(facts.crashed):
+        print(line)
+    if not facts.persons:
+        console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
+    print(f"run folder: {out}    replay it: wcsim replay {out} --fcd FILE.xml")
+    if options.json is not None:
+        write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
+    return 0
+
+
+def _config(options: RunOptions) -> RunConfig:
+    """The settings; without a wheelchair nobody waits for the traffic to warm up, as in plain sumo."""
+    config = load_run_config(options.preset, options.set)
+    asked = any(word.partition("=")[0].strip() == "world.warmup_s" for word in options.set)
+    if options.chairs or asked:
+        return config
+    return config.model_copy(update={"world": config.world.model_copy(update={"warmup_s": 0.0})})
+
+
+def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:
+    from wcsim.bridge.town_run import RecordOrder, record_town
+
+    console = Console(stderr=True, highlight=False)
+    if not options.chairs and town.file.warmup_s is not None:
+        town = replace(town, file=town.file.model_copy(update={"warmup_s": None}))
+    manifest = _manifest(options, town, config, command)
+    out.mkdir(parents=True, exist_ok=True)
+
+    def opened(scenario: Scenario) -> None:
+        print_overrides(
+            Console(highlight=False), town.name, scenario.overrides, scenario.notes, verbose=options.verbose, kept=True
+        )
+        manifest.update(
+            overrides=[asdict(row) for row in scenario.overrides],
+            notes=list(scenario.notes),
+            scenario_sha256=scenario.digest,
+            outputs=[str(path.relative_to(out.absolute())) for path in scenario.outputs],
+        )
+        write_json(out / MANIFEST, manifest)
+
+    def show(done: int, all_ticks: int) -> None:
+        if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
+            console.print(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s", style="dim")
+
+    def stage(told: str) -> None:
+        console.print(told, style="dim", markup=False, soft_wrap=True)
+
+    order = RecordOrder(
+        seconds=options.seconds,
+        seed=options.seed,
+        chairs=options.chairs,
+        folder=out,
+        outputs=words_of(options.outputs),
+        hook=options.hook,
+    )
+    try:
+        facts = record_town(town, config, order, opened, show, stage)
+    except BaseException:
+        if (out / MANIFEST).is_file():
+            write_json(out / MANIFEST, {**manifest, "status": "interrupted"})
+        else:  # nothing had begun
+            shutil.rmtree(out, ignore_errors=True)
+        raise
+    write_json(out / MANIFEST, {**manifest, "status": "done", "facts": asdict(facts)})
+    return facts
+
+
+def _manifest(options: RunOptions, town: Town, config: RunConfig, command: tuple[str, ...]) -> dict[str, Any]:
+    from wcsim.agents.runs.run_folder import make_manifest
+
+    made = make_manifest(config, options.seed, town.name, content_hash(town), (), command)
+    return {
+        **asdict(made),
+        "kind": "town run",
+        "sumo_seed": seeding.derive(options.seed, "sumo"),
+        "chairs": options.chairs,
+        "seconds": options.seconds,
+        "hook": options.hook,
+        "config": config.model_dump(mode="json"),
+    }
+
+
+def _table(name: str, facts: TrafficFacts) -> Table:
+    table = Table(f"town {name}", "")
+    table.add_row("simulated", f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time")
+    table.add_row("vehicles in the street", str(facts.vehicles))
+    table.add_row("persons in the street", str(facts.persons))
+    table.add_row("taken out of a jam by SUMO", str(facts.teleports))
+    table.add_row("collisions that SUMO saw among its own", str(facts.collisions))
+    if facts.episodes:
+        table.add_row("mirrored near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
+        table.add_row("episodes, crashes of wheelchairs", f"{facts.episodes}, {facts.crashes}")
+    return table
+
+
+def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
+    """Up to five crashes of wheelchairs, each with its reason, second and place."""
+    lines = []
+    for crash in crashed[:TOLD_CRASHES]:
+        x_m, y_m = crash.at_m
+        what = f"crash of wheelchair {crash.seat}: {crash.reason}"
+        lines.append(f"{what}, at {crash.time_s:.1f} s, at x {x_m:.1f} y {y_m:.1f} in the net")
+    more = len(crashed) - TOLD_CRASHES
+    return [*lines, f"and {more} more crashes; all of them are in the manifest"] if more > 0 else lines
+
+
+def _no_persons(town: Town) -> str:
+    return f"nobody walked: the demand has no persons, or none in this time; {walkers_cure(town)}"

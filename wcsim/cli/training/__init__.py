@@ -1,0 +1,1 @@
+"""Commands that train: train, join, demo, several clients."""

@@ -1,0 +1,74 @@
+"""What the commands that train one network show of it, and what they leave behind when it fails."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from wcsim.errors import DiskFullError
+
+if TYPE_CHECKING:
+    from wcsim.agents.learning.callbacks import TrainProgress  # loads torch
+
+
+@contextmanager
+def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
+    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved.
+
+    It stays after a full disk: with room, --resume goes on.
+    """
+    fresh = not run.exists()
+    made = [folder for folder in run.parents if not folder.exists()]
+    try:
+        yield
+    except (DiskFullError, OSError):
+        raise
+    except BaseException:
+        metrics = run / "metrics.csv"
+        episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+        saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
+        if fresh and episodes < 1 and not saved:
+            shutil.rmtree(run, ignore_errors=True)
+            for folder in made:
+                with suppress(OSError):  # somebody else has put something there
+                    folder.rmdir()
+        raise
+
+
+class TrainBar:
+    """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
+
+    def __init__(self, total: int) -> None:
+        self.console = Console(stderr=True, highlight=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
+        silent = not self.console.is_terminal
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=self.console, disable=silent)
+        self._task = self._bar.add_task("loading the town", total=total, says="")
+        self._total, self._tenths = total, 0
+
+    def show(self, now: TrainProgress) -> None:
+        """Say how far it has come."""
+        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
+        says = f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
+        phase = f"phase {now.phase}"
+        self._bar.update(self._task, completed=now.step, description=phase, says=says)
+        tenths = 10 * now.step // self._total
+        if not self.console.is_terminal and tenths > self._tenths:
+            self._tenths = tenths
+            self.console.print(f"{phase}: {says}", soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self._bar.stop()

@@ -1,0 +1,393 @@
+"""`wcsim train --clients A,B,...`: several networks learn at once in one world, each in a process of its own."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from wcsim.agents.clients.clients_folder import (
+    ClientsFolder,
+    create_clients_folder,
+    open_clients_folder,
+    write_client_configs,
+)
+from wcsim.agents.learning.extend import extend
+from wcsim.agents.networks.names import NETWORK_NAMES, client_name
+from wcsim.agents.runs.run_folder import MANIFEST, make_manifest, open_run
+from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.exit_codes import Exit, NothingKept
+from wcsim.cli.shared.overrides import print_overrides
+from wcsim.cli.shared.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.cli.training.report import TickRate, print_report, report_of
+from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
+from wcsim.config import RunConfig, load_run_config, with_file
+from wcsim.core import seeding
+from wcsim.core.files import locked
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
+from wcsim.server.journal.journal import JOURNAL, JournalWriter
+from wcsim.server.journal.ledger import LedgerWriter
+from wcsim.server.journal.torn import told_torn
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.launch.stop_signals import StopSignals
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.limits import require_files
+from wcsim.server.specs import ClientSpec, Recovery, SeatRequest, WorldSpec, seat_spec, to_line
+from wcsim.server.transport.world_folder import endpoint_in, workplace
+from wcsim.towns.scenario.overrides import Override
+from wcsim.towns.scenario.town import Town, streets_hash
+from wcsim.users.profiles import recordings
+from wcsim.users.recorded import find_user
+from wcsim.view.live_table import LiveTable
+
+MOST_CLIENTS = 64
+GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
+RECONNECT_S = 330.0  # longer than a world may take to load again
+ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
+CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
+_NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
+_TAKEN = ("world", "logs", "ledgers", "configs", "journal")  # names in a run folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """What is asked for."""
+
+    networks: str  # joined by commas
+    preset: str
+    file: Path | None = None
+    overrides: tuple[str, ...] = ()
+    steps: int | None = None
+    config_for: tuple[str, ...] = ()  # NAME=FILE
+    rewards: tuple[str, ...] = ()
+    hook: str = ""
+    seed: int = 0
+    out: Path = field(default_factory=Path)
+    resume: bool = False
+    lease_s: float = 120.0
+    recovery: Recovery = "new_epoch"
+    command: tuple[str, ...] = ()
+    verbose: bool = False
+    json: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Client:
+    """One of them, resolved."""
+
+    name: str
+    seat: int
+    config: RunConfig
+
+
+def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
+    """Train them all; returns the exit code: FAILED when a client was given up, or the world.
+
+    Raises:
+        InterruptedRunError: The user stopped it.
+        NothingKept: ... before anything was done.
+        WcsimError: Something that was asked for cannot be used.
+    """
+    in_bounds("--lease", group.lease_s, 1.0, 86_400.0)
+    check_folder("--out", group.out)
+    require_files(len(clients))
+    overrides = overrides_of(town, clients[0].config, group.seed)
+    with StopSignals() as signals, ExitStack() as held:
+        folder = held.enter_context(_opened(group, town, clients, overrides))
+        place = held.enter_context(workplace())
+        left = tuple(client for client in clients if not folder.done(client.name, client.config.learn.total_steps))
+        plans = [_plan(group, town, folder, place, client, overrides) for client in left]
+        order = _world_order(group, town, folder, place, clients, len(left))
+        rate = TickRate()
+        with LiveTable() as table:
+
+            def show(state: LaunchState) -> None:
+                if rate.add(state):
+                    note = steps_note(clients[0].config, group.steps)
+                    notes = (note,) if note else ()
+                    print_overrides(table.console, town.name, overrides, notes, verbose=group.verbose, kept=True)
+                table.show(state)
+
+            rules = LaunchRules(client_lease_s=max(30.0, group.lease_s))
+            launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
+            outcome = launcher.run() if left else ALL_DONE
+        return _told(group, folder, clients, outcome, rate)
+
+
+def resolved(group: Group) -> tuple[Client, ...]:
+    """The clients with their names, seats and configurations.
+
+    Raises:
+        ConfigError: A name or an option cannot be used, or they do not fit into one world.
+    """
+    networks = some_words("--clients", group.networks)
+    if len(networks) > MOST_CLIENTS:
+        raise ConfigError(f"--clients: {len(networks)} of them; expected {MOST_CLIENTS} at most")
+    names = client_names(networks)
+    files = _files(group.config_for, names)
+    clients: list[Client] = []
+    for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
+        config = load_run_config(group.preset, (*group.overrides, f'learn.network="{network}"'), group.file)
+        config = with_file(config, files[name]) if name in files else config
+        config = with_steps(config, group.steps)
+        require_trained_user(config)
+        find_user(config.env.profile)
+        clients.append(Client(name=name, seat=seat, config=learning(config)))
+    worlds = {client.config.world_digest(): client.name for client in clients}
+    if len(worlds) > 1:
+        raise ConfigError(
+            f"clients {' and '.join(worlds.values())} ask for different worlds; expected one world, chair, camera, "
+            "IMU and reward for all: only [learn] and what [env] shows may differ (--config-for)"
+        )
+    return tuple(clients)
+
+
+def client_names(networks: Sequence[str]) -> tuple[str, ...]:
+    """A name for each client: its network's, numbered where it comes again.
+
+    >>> client_names(("fig6", "own_file:OwnNet", "fig6"))
+    ('fig6', 'OwnNet', 'fig6-2')
+
+    Raises:
+        ConfigError: A network cannot be named so.
+    """
+    used, names = set(_TAKEN), []
+    for network in networks:
+        if not _NETWORK.fullmatch(network):
+            raise ConfigError(f"--clients: {network[:80]!r} is neither the name of a network nor module:Class")
+        if ":" not in network and network not in NETWORK_NAMES:
+            known = ", ".join(NETWORK_NAMES)
+            raise ConfigError(f"--clients: unknown network {network!r}; expected {known}, or module:Class")
+        base = client_name(network)
+        name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
+        used.add(name)
+        names.append(name)
+    return tuple(names)
+
+
+def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
+    files = {}
+    for text in config_for:
+        name, equals, path = text.partition("=")
+        if not equals or name not in names:
+            raise ConfigError(f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}")
+        files[name] = Path(path)
+    return files
+
+
+def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...], Town]:
+    """What a run goes on with, by what its folder says.
+
+    Raises:
+        PolicyError: It is no such run, or an option says otherwise.
+        ConfigError: An option cannot be used.
+        TownError: Its town is not there.
+    """
+    folder = open_clients_folder(group.out)
+    manifest = folder.manifest
+    if group.networks and client_names(some_words("--clients", group.networks)) != folder.clients:
+        raise PolicyError(
+            f"--clients {group.networks}: {group.out} was made with another clients ({', '.join(folder.clients)}); "
+            "resume with its own, or leave that option out"
+        )
+    require_same(group.out, manifest, typed)
+    networks = [folder.client_config(name).learn.network for name in folder.clients]
+    require_own_classes(group.out, manifest, networks, typed, group.networks.split(","))
+    town = town_of(group.out, manifest, typed)
+    own = _files(group.config_for, folder.clients)
+    clients = []
+    for seat, name in enumerate(folder.clients):
+        config = folder.client_config(name)
+        steps = steps_of(group.out, config, typed)
+        require_same_config(group.out, config, typed, [own[name]] if name in own else [])
+        longer = config.model_copy(update={"learn": config.learn.model_copy(update={"total_steps": steps})})
+        clients.append(Client(name=name, seat=seat, config=longer))
+    again = replace(
+        group, seed=manifest.seed, rewards=manifest.rewards, hook=manifest.hook, command=manifest.command, steps=None
+    )
+    return again, tuple(clients), town
+
+
+def networks_of(clients: Sequence[Client]) -> tuple[str, ...]:
+    """The networks that the clients learn with."""
+    return tuple(client.config.learn.network for client in clients)
+
+
+@contextmanager
+def _opened(
+    group: Group, town: Town, clients: Sequence[Client], overrides: tuple[Override, ...]
+) -> Iterator[ClientsFolder]:
+    """The run folder, new or gone on with, for this process alone; a new one is removed when nothing came of it."""
+    configs = {client.name: client.config for client in clients}
+    if group.resume:
+        with locked(group.out):
+            folder = open_clients_folder(group.out)
+            _mend(folder)
+            for name, config in configs.items():
+                _lengthen(folder.path / name, config.learn.total_steps)
+            write_client_configs(folder.path, configs)
+            yield folder.with_status("running", folder.manifest.steps)
+        return
+    wanted = make_manifest(
+        clients[0].config,
+        group.seed,
+        town.name,
+        streets_hash(town),
+        group.rewards,
+        group.command,
+        group.hook,
+        overrides,
+        networks_of(clients),
+    )
+    made = not group.out.exists()
+    if made:
+        group.out.mkdir(parents=True)
+    with locked(group.out):
+        try:
+            folder = create_clients_folder(group.out, clients[0].config, wanted, configs)
+        except WcsimError:
+            if made:
+                shutil.rmtree(group.out, ignore_errors=True)
+            raise
+        try:
+            yield folder
+        except (WcsimError, NothingKept) as error:
+            if not isinstance(error, DiskFullError) and folder.fruitless():
+                shutil.rmtree(folder.path, ignore_errors=True)
+            raise
+
+
+def _lengthen(run: Path, steps: int) -> None:
+    """Let a client's own run be of so many steps, where there is one."""
+    if (run / MANIFEST).is_file() and open_run(run).config.learn.total_steps != steps:
+        extend(run, steps)
+
+
+def _mend(folder: ClientsFolder) -> None:
+    """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
+    path = folder.path / JOURNAL
+    ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
+    if not path.exists() and any(file.stat().st_size for file in ledgers):
+        raise JournalError(f"{path}: is missing, and the ledgers tell of ticks; restore it, or begin a new run")
+    if path.exists():
+        with JournalWriter.append_to(path) as journal:
+            _say_torn(path, journal.cut_bytes)
+    for path in ledgers:
+        with LedgerWriter(path) as ledger:
+            _say_torn(path, ledger.cut_bytes)
+
+
+def _say_torn(path: Path, cut_bytes: int) -> None:
+    if cut_bytes:
+        print(f"wcsim: {told_torn(path, cut_bytes)}", file=sys.stderr)
+
+
+def _world_order(
+    group: Group, town: Town, folder: ClientsFolder, place: Path, clients: Sequence[Client], expected: int
+) -> WorldSpec:
+    rules = Rules(
+        capacity=len(clients),
+        config=folder.config.world_digest(),
+        expected=expected,
+        gather_s=GATHER_S,
+        lease_s=group.lease_s,
+        recordings=recordings(client.config.env.profile for client in clients),
+    )
+    return WorldSpec(
+        town=town.address,
+        config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
+        seed=group.seed,
+        rules=rules,
+        endpoint=endpoint_in(place),
+        ring=str(place / "ring"),
+        name=folder.path.name,
+        run=str(folder.path.absolute()),
+        hook=group.hook,
+        recovery=group.recovery,
+    )
+
+
+def _plan(
+    group: Group, town: Town, folder: ClientsFolder, place: Path, client: Client, overrides: tuple[Override, ...]
+) -> ClientPlan:
+    """A client's order, and how its process is started."""
+    config, env = client.config, client.config.env
+    out = (folder.path / client.name).absolute()
+    order = ClientSpec(
+        join=SeatRequest(
+            endpoint=endpoint_in(place),
+            name=client.name,
+            claim=folder.claim(client.name),
+            spec=seat_spec(env),
+            seat=client.seat,
+            config=config.world_digest(),
+            ledger=str(folder.ledger(client.name).absolute()),
+            patience=Patience(reconnect_s=RECONNECT_S),
+        ),
+        config_json=config.model_dump_json(),
+        seed=seeding.derive(group.seed, "client", client.seat),
+        out=str(out),
+        town=town.name,
+        town_sha256=streets_hash(town),
+        rewards=group.rewards,
+        command=group.command,
+        hook=group.hook,
+        overrides=overrides,
+    )
+    file = place / f"{client.name}.json"
+    return ClientPlan(
+        name=client.name,
+        seat=client.seat,
+        argv=(*CLIENT_ARGV, str(file)),
+        log=folder.log(client.name),
+        folder=out,
+        resume=group.resume,
+        order=to_line(order),
+        order_file=file,
+    )
+
+
+def _told(
+    group: Group, folder: ClientsFolder, clients: Sequence[Client], outcome: LaunchOutcome, rate: TickRate
+) -> int:
+    """Write down how it ended and say so; returns the exit code.
+
+    Raises:
+        InterruptedRunError: It was stopped.
+        NothingKept: ... before anything was done.
+        ConfigError: A client or the world could not use what was asked for.
+    """
+    if folder.fruitless() and not group.resume:
+        if outcome.stopped:
+            raise NothingKept("stopped before anything was learned; nothing is kept")
+        if outcome.code == Exit.REFUSED:
+            raise ConfigError(outcome.message)
+    steps = sum(client.status.step for client in outcome.clients if client.status is not None)
+    done = all(folder.done(client.name, client.config.learn.total_steps) for client in clients)
+    try:
+        folder = folder.with_status("done" if done else "interrupted", steps or folder.manifest.steps)
+    except DiskFullError as error:  # the work is there all the same
+        print(f"wcsim: {error}", file=sys.stderr)
+    if outcome.code == Exit.REFUSED:
+        raise ConfigError(outcome.message)
+    report = report_of(folder, group.seed, rate)
+    print_report(Console(highlight=False), report)
+    for kept in folder.kept_torn():
+        print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
+    if group.json is not None:
+        write_json(group.json, report.as_json())
+    if outcome.stopped:
+        raise InterruptedRunError(f"stopped; {folder.path} holds what was learned so far; continue with --resume")
+    if outcome.code:
+        print(f"wcsim: {outcome.message}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
+        return Exit.FAILED
+    print(f"run folder: {folder.path}    test one: wcsim test {folder.path / folder.clients[0]} --town monaco")
+    return Exit.DONE

@@ -1,0 +1,168 @@
+"""`wcsim join`: one client by hand, in a world that somebody serves."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from wcsim.agents.networks.names import client_name
+from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
+from wcsim.cli.shared.run_config import (
+    how_to_test,
+    learning,
+    require_known,
+    require_trained_user,
+    steps_note,
+    with_steps,
+)
+from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
+from wcsim.config import RunConfig, load_run_config, parse_json
+from wcsim.config.plant import known_plants
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError, ServerGoneError
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.messages import ANY_SEAT
+from wcsim.server.specs import SeatRequest, seat_spec
+from wcsim.types import CLIENT_NAME
+from wcsim.users.recorded import find_user
+
+if TYPE_CHECKING:
+    from wcsim.server.links.socket import SocketSeat, WorldOffer
+
+WORLD_PARTS = ("world", "chair", "cameras", "imu", "reward", "vary")
+"""Parts of a configuration that are the world's, not the client's."""
+
+
+@dataclass
+class Options:
+    """Train one network in a running world (`wcsim serve`); world, chair and camera are as the server has them."""
+
+    endpoint: Annotated[str, tyro.conf.Positional]
+    """Where the world is, as `wcsim serve` prints it: ipc://FILE or tcp://HOST:PORT."""
+    out: OutFolder = None
+    """Run folder; default runs/joined-NETWORK-SEED."""
+    network: str = ""
+    """Network by name, or your own as module:Class; the same as --set learn.network=..."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps in all, as --set learn.total_steps=N; a first phase of over half of them shrinks in proportion."""
+    seat: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
+    """Seat to take; by default the first that is free."""
+    name: str = ""
+    """Name to be known by; default the network's."""
+    keys: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder with the server's public key and the secret one of this client."""
+    preset: str = "quick"
+    """Settings to begin with: quick or paper."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file laid over the preset."""
+    set: Repeated = ()
+    """section.key=value, laid over both; may be given several times."""
+    reward: Repeated = ()
+    """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    seed: int = 0
+    """Seed of network, exploration and replay; that of the world is the server's."""
+    wait: Annotated[float, tyro.conf.arg(metavar="S")] = 20.0
+    """Seconds to wait for a server that does not answer."""
+    resume: bool = False
+    """Continue an interrupted run from its newest checkpoint."""
+
+
+def run(words: list[str]) -> int:
+    """Join, learn, leave a run folder."""
+    options = parse(Options, words, "join")
+    in_bounds("--wait", options.wait, 0.1, 3600.0)
+    in_bounds("--seat", options.seat or 0, 0, 63)
+    if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
+        raise ConfigError(f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as serve prints it")
+    if options.name and not re.fullmatch(CLIENT_NAME, options.name):
+        raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
+    overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
+    config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
+    require_trained_user(config)
+    require_known(config.learn.network, options.reward)
+    find_user(config.env.profile)
+    network = config.learn.network.rpartition(":")[2]
+    out = options.out if options.out is not None else Path("runs") / f"joined-{network}-{options.seed}"
+    check_folder("--out", out)
+    folder = _joined(options, learning(config), out, ("wcsim", "join", *words))
+    if options.steps is not None:
+        print(steps_note(config, options.steps))
+    print(f"run folder: {folder}    test it: {how_to_test(folder, config.learn.network)}")
+    return 0
+
+
+def fitted(config: RunConfig, world: RunConfig) -> RunConfig:
+    """A client's configuration for a world of another one: what belongs to the world is the world's."""
+    env = config.env.model_copy(update={"actions": world.env.actions})
+    return config.model_copy(update={**{part: getattr(world, part) for part in WORLD_PARTS}, "env": env})
+
+
+def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
+    # torch is loaded here, before there is a seat for which others would wait
+    from wcsim.agents.envs.seated_env import SeatedEnv
+    from wcsim.agents.learning.build import checked_device, with_window
+    from wcsim.agents.learning.train import train
+    from wcsim.agents.runs.own_terms import find_reward_term
+    from wcsim.server.links.socket import open_seat
+
+    checked_device(config.learn.device)
+    config = with_window(config)
+    terms = tuple(find_reward_term(name) for name in options.reward)
+    with open_seat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
+        world = _world(options, seat)
+        offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
+        _require_known_plant(offered, options.endpoint)
+        fit = fitted(config, offered)
+        env = SeatedEnv(seat, fit, world.town, terms)
+        with TrainBar(config.learn.total_steps) as bar:
+            return train(
+                fit,
+                lambda: env,
+                out,
+                options.seed,
+                bar.show,
+                town=world.town,
+                rewards=options.reward,
+                command=command,
+                resume=options.resume,
+            )
+
+
+def _require_known_plant(offered: RunConfig, endpoint: str) -> None:
+    """Open no file of this machine because a server names it. Raises ConfigError."""
+    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
+        raise ConfigError(
+            f"the world of {endpoint} drives a wheelchair of a file ({shown(offered.chair.plant, 80)!r}); expected "
+            f"{' or '.join(known_plants())} over the network: join on the world's own machine"
+        )
+
+
+def _order(options: Options, config: RunConfig) -> SeatRequest:
+    env = config.env
+    return SeatRequest(
+        endpoint=options.endpoint,
+        name=options.name or client_name(config.learn.network),
+        claim=secrets.token_hex(16),
+        spec=seat_spec(env),
+        seat=ANY_SEAT if options.seat is None else options.seat,
+        keys="" if options.keys is None else str(options.keys.absolute()),
+        patience=Patience(reconnect_s=options.wait),
+    )
+
+
+def _world(options: Options, seat: SocketSeat) -> WorldOffer:
+    """Take the seat, and hear what the world is; from then on the server may be silent for longer."""
+    try:
+        seat.join()
+    except ServerGoneError:
+        raise ConfigError(
+            f"{options.endpoint}: nobody answered within {options.wait:g} s; is `wcsim serve` running there? "
+            "(--wait S waits longer)"
+        ) from None
+    seat.core.patience = Patience()
+    return seat.world

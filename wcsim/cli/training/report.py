@@ -1,0 +1,124 @@
+"""What comes of a run with several clients: which ticks each one saw, and the proof that none was lost or doubled."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.agents.clients.clients_folder import ClientsFolder
+from wcsim.errors import WcsimError
+from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
+from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
+from wcsim.server.launch.states import LaunchState
+
+
+class TickRate:
+    """Ticks a second over a run, restarts of the world included, loading at the beginning left out."""
+
+    def __init__(self) -> None:
+        self._ticks = 0  # in all
+        self._last = 0  # of this life of the world
+        self._begun_s = self._ended_s = -1.0
+        self._at_begin = 0
+
+    def add(self, state: LaunchState) -> bool:
+        """Take in how things are; True when the world has just begun to tick."""
+        now = 0 if state.world is None else state.world.ticks
+        self._ticks += now - self._last if now >= self._last else now
+        self._last = now
+        if self._ticks == 0:
+            return False
+        first = self._begun_s < 0.0
+        if first:
+            self._begun_s, self._at_begin = state.elapsed_s, self._ticks
+        if not state.stopping:
+            self._ended_s = state.elapsed_s
+        return first
+
+    @property
+    def ticks_per_s(self) -> float:
+        """The mean; 0 when it is not known."""
+        spent_s = self._ended_s - self._begun_s
+        return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientReport:
+    """The steps of one client, counted in its ledger and compared with the journal."""
+
+    name: str
+    first_tick: int  # of its first frame, -1 when it never had one
+    last_tick: int
+    ticks: int
+    missing: int  # steps that the world did with its action and that it never saw
+    duplicated: int  # steps that it saw twice, or that the world never did
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientsReport:
+    """How a run ended."""
+
+    run: str
+    town: str
+    seed: int
+    status: str
+    clients: tuple[ClientReport, ...]
+    ticks: int  # of the world
+    journal_hash: str  # equal for equal runs
+    ticks_per_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """As a result file."""
+        return asdict(self)
+
+
+def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport:
+    """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
+    path = folder.path / JOURNAL
+    journal = path if path.is_file() else None
+    return ClientsReport(
+        run=str(folder.path),
+        town=folder.manifest.town,
+        seed=seed,
+        status=folder.manifest.status,
+        clients=tuple(_client(name, seat, folder.ledger(name), journal) for seat, name in enumerate(folder.clients)),
+        ticks=0 if journal is None else audit(iter_journal(journal), ()).ticks,
+        journal_hash="" if journal is None else journal_digest(path),
+        ticks_per_s=rate.ticks_per_s,
+    )
+
+
+def _client(name: str, seat: int, ledger: Path, journal: Path | None) -> ClientReport:
+    entries = read_ledger(ledger) if ledger.is_file() else ()
+    facts = ledger_facts(entries)
+    if journal is None and entries:
+        raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} beside its folder")
+    against = audit(() if journal is None else iter_journal(journal), ((seat, entries),))
+    return ClientReport(
+        name=name,
+        first_tick=facts.first_tick,
+        last_tick=facts.last_tick,
+        ticks=facts.ticks,
+        missing=max(facts.missing, against.lost),
+        duplicated=facts.doubled + against.phantom,
+    )
+
+
+def print_report(console: Console, report: ClientsReport) -> None:
+    """The report as a table."""
+    table = Table(
+        "client", "first tick", "last tick", "ticks", "missing", "duplicated", box=box.SIMPLE_HEAD, pad_edge=False
+    )
+    for client in report.clients:
+        table.add_row(*(str(value) for value in asdict(client).values()))
+    console.print(table)
+    console.print(
+        f"{report.ticks} ticks of the world, {report.ticks_per_s:.1f} a second; journal {report.journal_hash}",
+        markup=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,258 @@
+"""`wcsim train`: learn to assist, in a town."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
+from wcsim.cli.shared.run_config import (
+    how_to_test,
+    learning,
+    overrides_of,
+    require_known,
+    require_trained_user,
+    steps_note,
+    with_steps,
+)
+from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
+from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
+from wcsim.config import RunConfig, load_run_config
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scenario.town import Town, find_town, streets_hash
+
+
+@dataclass
+class Options:
+    """Train a network: first to follow the user (action driven learning), then when not to (agent driven learning)."""
+
+    town: str = "helsinki"
+    """Town to train in; its split must be train."""
+    preset: str = "quick"
+    """Settings to begin with: quick or paper."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file laid over the preset."""
+    set: Repeated = ()
+    """section.key=value, laid over both; may be given several times."""
+    network: str = ""
+    """Network by name, or your own as module:Class; the same as --set learn.network=..."""
+    reward: Repeated = ()
+    """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps in all, as --set learn.total_steps=N; a first phase of over half of them shrinks in proportion."""
+    clients: Annotated[str | None, tyro.conf.arg(metavar="A,B,...")] = None
+    """Networks that learn in one world at once, each in a process of its own; by name or as module:Class."""
+    config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
+    """TOML file laid over all for one of the clients; may be given several times."""
+    lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
+    """Seconds without a sign of progress after which a client is given up and started again."""
+    recovery: Literal["new_epoch", "replay"] = "new_epoch"
+    """After the world of several clients died: begin a new one, or make the same one again, step by step."""
+    seed: int = 0
+    """Seed of everything: equal seeds give equal weights."""
+    out: OutFolder = None
+    """Run folder; default runs/TOWN-PRESET-SEED."""
+    resume: bool = False
+    """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
+    allow_test_town: bool = False
+    """Train in a town that is meant for tests."""
+    verbose: Verbose = False
+    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    json: OutFile = None
+    """Write where the run is to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Train and leave a run folder."""
+    options = parse(Options, words, "train")
+    if options.resume and options.clients is None and options.out is not None and is_of_clients(options.out):
+        return _train_clients(options, words)
+    if options.clients is not None:
+        return _train_clients(options, words)
+    if options.resume:
+        return _resume(options, words)
+    overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
+    config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
+    require_trained_user(config)
+    town = checked_town(options.town, options.allow_test_town)
+    out = _out(options, town)
+    command = ("wcsim", "train", *words)
+    folder = train_in(
+        town,
+        config,
+        out,
+        options.seed,
+        rewards=options.reward,
+        command=command,
+        hook=options.hook,
+        note=steps_note(config, options.steps),
+        verbose=options.verbose,
+    )
+    return _told(options, folder, town, options.seed, config.learn.network)
+
+
+def _resume(options: Options, words: list[str]) -> int:
+    """Go on with a run of one network, by what its folder says."""
+    out = options.out
+    if out is None:
+        out = _out(options, checked_town(options.town, True))
+    check_folder("--out", out)
+    manifest, config, town = resumed(out, typed(options, words))
+    folder = train_in(
+        town,
+        config,
+        out,
+        manifest.seed,
+        rewards=manifest.rewards,
+        resume=True,
+        command=manifest.command,
+        hook=manifest.hook,
+        verbose=options.verbose,
+    )
+    return _told(options, folder, town, manifest.seed, config.learn.network)
+
+
+def typed(options: Options, words: list[str]) -> Typed:
+    """The options that were typed, and say something of a run."""
+    names = given(words)
+    return Typed(
+        town=options.town if "town" in names else None,
+        preset=options.preset if "preset" in names else None,
+        config=options.config,
+        set=options.set,
+        network=options.network or None,
+        reward=options.reward,
+        hook=options.hook if "hook" in names else None,
+        steps=options.steps,
+        seed=options.seed if "seed" in names else None,
+    )
+
+
+def _told(options: Options, folder: Path, town: Town, seed: int, network: str) -> int:
+    print(f"run folder: {folder}    test it: {how_to_test(folder, network, town.name)}")
+    if options.json is not None:
+        write_json(options.json, {"run": str(folder), "town": town.name, "seed": seed})
+    return Exit.DONE
+
+
+def _out(options: Options, town: Town) -> Path:
+    return options.out if options.out is not None else Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
+
+
+def _train_clients(options: Options, words: list[str]) -> int:
+    """Several networks in one world."""
+    from wcsim.cli.training.clients import Group, resolved, resumed_group, train_clients
+
+    if options.network:
+        raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
+    group = Group(
+        networks=options.clients or "",
+        preset=options.preset,
+        file=options.config,
+        overrides=options.set,
+        steps=options.steps,
+        config_for=options.config_for,
+        rewards=options.reward,
+        hook=options.hook,
+        seed=options.seed,
+        resume=options.resume,
+        lease_s=options.lease,
+        recovery=options.recovery,
+        command=("wcsim", "train", *words),
+        verbose=options.verbose,
+        json=options.json,
+    )
+    if options.resume:
+        out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
+        return train_clients(*resumed_group(replace(group, out=out), typed(options, words)))
+    clients = resolved(group)
+    town = checked_town(options.town, options.allow_test_town)
+    return train_clients(replace(group, out=_out(options, town)), clients, town)
+
+
+def checked_town(name: str, allow_test_town: bool) -> Town:
+    """The town to train in. Raises TownError for one that is kept for tests."""
+    town = find_town(name)
+    validate_net(town.net)
+    if town.split == "test" and not allow_test_town:
+        raise TownError(
+            f"{town.name} is a test town; networks that were trained in it cannot be tested honestly. "
+            "Train in a town of split train (wcsim town list), or say --allow-test-town"
+        )
+    return town
+
+
+def train_in(
+    town: Town,
+    config: RunConfig,
+    out: Path,
+    seed: int,
+    *,
+    rewards: tuple[str, ...] = (),
+    resume: bool = False,
+    command: tuple[str, ...] = (),
+    hook: str = "",
+    note: str = "",
+    verbose: bool = False,
+) -> Path:
+    """Train with a progress bar; returns the run folder."""
+    from wcsim.users.recorded import find_user
+
+    check_folder("--out", out)
+    require_known(config.learn.network, rewards, hook)
+    find_user(config.env.profile)
+
+    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+    from wcsim.agents.learning.build import with_window  # torch is loaded here: not for --help, nor for a refusal
+    from wcsim.agents.learning.callbacks import TrainProgress
+    from wcsim.agents.learning.train import train
+    from wcsim.agents.networks.registry import find_network
+    from wcsim.agents.runs.own_terms import find_reward_term
+
+    find_network(config.learn.network)
+    config = with_window(config)
+    terms = tuple(find_reward_term(name) for name in rewards)
+    overrides = overrides_of(town, config, seed)
+    learned = learning(config)
+    notes = (note,) if note else ()
+    with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(out):
+        place = beside(bar.console)
+        announce = _once(
+            lambda: print_overrides(place, town.name, overrides, notes, verbose=verbose, kept=True)
+        )
+
+        def show(now: TrainProgress) -> None:
+            announce()
+            bar.show(now)
+
+        return train(
+            learned,
+            lambda: WheelchairEnv(town.address, config=learned, reward_terms=terms, run=out, hook=hook),
+            out,
+            seed,
+            show,
+            town=town.name,
+            town_sha256=streets_hash(town),
+            rewards=rewards,
+            command=command,
+            resume=resume,
+            hook=hook,
+            overrides=overrides,
+            say=lambda text: print(f"wcsim: {text}", file=sys.stderr),
+        )
+
+
+def _once(call: Callable[[], None]) -> Callable[[], None]:
+    """The same, but only the first time."""
+    left = [call]
+    return lambda: left.pop()() if left else None

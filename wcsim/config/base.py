@@ -1,0 +1,79 @@
+"""The base of every file model, the kinds of numbers in them, and the words for a value that is out of bounds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wcsim.core.reading import shown
+
+LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
+Positive = Annotated[float, Field(gt=0.0, le=LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Word = Annotated[str, Field(max_length=400)]
+Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
+
+_BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+_UNITS = {
+    "m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "kg": "kg", "hz": "Hz", "mps": "m/s", "mps2": "m/s2",
+    "mps3": "m/s3", "radps": "rad/s", "radps2": "rad/s2", "Nm": "Nm", "Ns": "Ns", "N": "N", "db": "dB", "mg": "mg",
+    "ticks": "ticks", "ug": "ug", "Npm": "N/m", "Nspm": "Ns/m", "kgm2": "kg m2",
+}  # fmt: skip
+_OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
+
+
+class Model(BaseModel):
+    """Base of all models: frozen, and unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def fault(model: type[BaseModel], item: Any) -> str:
+    """One error of pydantic in words: the key, what is wrong, what was got with its unit, and its bounds."""
+    key = shown(".".join(str(part) for part in item["loc"]), 200) or "(file)"
+    if item["type"] == "extra_forbidden":
+        return f"unknown key {key!r}: remove it or correct its name"
+    got = json.dumps(item["input"], default=str)[:80]
+    if item["type"] in ("tuple_type", "list_type"):
+        return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"
+    if item["type"] not in _OUT_OF_BOUNDS:
+        return f"{key}: {item['msg']}, got {got}"
+    names = [part for part in item["loc"] if isinstance(part, str)]
+    unit = _UNITS.get(names[-1].rpartition("_")[2], "") if names else ""
+    limits = [f"{_BOUNDS[name]} {limit:g}" for name, limit in _bounds(model, item["loc"])]
+    bounds = " and ".join(limits) or "a finite number"
+    return f"{key}: {item['msg']}, got {got} {unit}".rstrip() + f"; expected {bounds} {unit}".rstrip()
+
+
+def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:
+    """The bounds (their name in pydantic, the limit) of the number at `loc` of a model; empty when there are none."""
+    here: Any = model
+    for part in loc:
+        if isinstance(part, int):
+            fixed = next((get_args(kind) for kind in _parts(here) if get_origin(kind) is tuple), ())
+            here = fixed[part] if part < len(fixed) and Ellipsis not in fixed else here
+            continue
+        fields: dict[str, Any] = next((kind.model_fields for kind in _parts(here) if _is_model(kind)), {})
+        if part in fields:
+            here = fields[str(part)]
+    held = [note for kind in _parts(here) for note in getattr(kind, "metadata", getattr(kind, "__metadata__", ()))]
+    notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
+    found = {name: getattr(note, name) for note in notes for name in _BOUNDS if getattr(note, name, None) is not None}
+    return list(found.items())
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """A type (or a field) and, one after the other, all types inside it."""
+    yield kind
+    inner = getattr(kind, "annotation", None)
+    for part in get_args(kind) if inner is None else (inner,):
+        yield from _parts(part)
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)

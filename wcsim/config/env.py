@@ -1,0 +1,66 @@
+"""Sections `[env]` and `[reward]`: episodes, what is seen, what is paid."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Text
+
+JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
+
+LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
+
+
+class RewardConfig(Model):
+    """Windows of Tables 1 and 2 of the paper, and the share of contacts that counts as a crash."""
+
+    base: Finite = 1.0
+    max_follow_distance: JoystickDistance = 0.1768  # sqrt(0.125^2 + 0.125^2)
+    max_distance: JoystickDistance = 2.0
+    penalty: NotNegative = 2.0
+    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)
+    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)
+    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
+    crash: NotNegative = 100.0
+    body_on_ground_Ns: NotNegative = 20.0
+    drop: bool = True  # beyond the paper: a wheel that falls off a kerb is a crash
+
+    @model_validator(mode="after")
+    def _windows_are_open(self) -> RewardConfig:
+        windows = (self.accel_window_mps2, self.roll_window_deg, self.pitch_window_deg)
+        if any(high - low < LEAST_WINDOW for low, high in (*windows, (self.max_follow_distance, self.max_distance))):
+            raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
+        return self
+
+Window = Annotated[int, Field(ge=1, le=16)]
+
+
+class EnvConfig(Model):
+    """What the agent sees and does."""
+
+    observation: Literal["compact", "table3"] = "compact"
+    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    observe_gyro: bool = False  # beyond the paper: the turn rates among what the agent sees
+    observe_yaw: bool = False  # and the heading
+    window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
+    actions: Literal["square81", "disc69"] = "square81"
+    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    profile: Text = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
+    truth: bool = False
+    truth_visible: bool = False  # the truth, and what the oracle says that knows only whom the cameras showed lately
+
+    @model_validator(mode="after")
+    def _window_is_compact(self) -> EnvConfig:
+        if self.observation != "compact" and self.frames > 1:
+            raise ValueError(
+                f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
+                "set env.window=1, or env.observation=compact"
+            )
+        return self
+
+    @property
+    def frames(self) -> int:
+        """Images in an observation: `window`, or one as long as no network was asked."""
+        return 1 if self.window is None else self.window

@@ -1,0 +1,118 @@
+"""Configuration from presets, files and `section.key=value`; every fault says what was got and what was expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from wcsim.config.base import Model, fault
+from wcsim.config.run import RunConfig
+from wcsim.core import reading
+from wcsim.core.reading import FileKind, shown
+from wcsim.errors import ConfigError
+
+CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
+
+_JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
+
+_VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
+
+_FAULTS = 12  # that are told of one file
+
+_PARTS = 16  # of a key of `--set`
+
+M = TypeVar("M", bound=Model)
+
+
+def read_toml(path: Path, model: type[M]) -> M:
+    """Read a TOML file as `model`. Raises ConfigError with its faults and their places."""
+    return parse(model, reading.read_toml(path, CONFIG_FILE), shown(path))
+
+
+def parse(model: type[M], data: dict[str, Any], where: str) -> M:
+    """Check `data` against `model`. Raises ConfigError that names `where`, the key, what was got and expected."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        found = error.errors()
+        told = [fault(model, item) for item in found[:_FAULTS]]
+        more = [f"and {len(found) - _FAULTS} more"] if len(found) > _FAULTS else []
+        raise ConfigError(f"{where}: " + "; ".join([*told, *more])) from None
+
+
+def parse_json(model: type[M], text: str, where: str) -> M:
+    """Check JSON text as `parse` does its data."""
+    return parse(model, reading.parse_json(text, where, _JSON), where)
+
+
+def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
+    """A preset by name, a TOML file over it, then `section.key=value` overrides (value in TOML syntax or a word)."""
+    folder = Path(__file__).parent / "presets"
+    path = folder / f"{preset}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(item.stem for item in folder.glob("*.toml")))
+        raise ConfigError(f"unknown preset {shown(preset)!r}; expected one of: {known}")
+    data = reading.read_toml(path, CONFIG_FILE)
+    where = f"preset {preset}"
+    if file is not None:
+        data, where = _merged(data, reading.read_toml(file, CONFIG_FILE)), shown(file)
+    return _overridden(data, overrides, where)
+
+
+def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
+    """A resolved configuration with `section.key=value` laid over it. Raises ConfigError as `load_run_config` does."""
+    return _overridden(config.model_dump(mode="json"), overrides, "configuration")
+
+
+def with_file(config: RunConfig, file: Path) -> RunConfig:
+    """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
+    return parse(RunConfig, _merged(config.model_dump(mode="json"), reading.read_toml(file, CONFIG_FILE)), shown(file))
+
+
+def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
+    for text in overrides:
+        data, where = _merged(data, _override(text)), f"--set {shown(text)}"
+    return parse(RunConfig, data, where)
+
+
+def _override(text: str) -> dict[str, Any]:
+    key, equals, value = text.partition("=")
+    parts = key.strip().split(".")
+    where = f"--set {shown(text)}"
+    if not equals or not all(parts) or len(parts) > _PARTS:
+        raise ConfigError(f"--set {shown(text)!r} is not section.key=value, for example learn.total_steps=2000")
+    try:
+        table = reading.parse_toml(f"value = {value}", where, _VALUE)
+    except ConfigError:
+        if value.strip()[:1] in ("[", "{", '"', "'"):
+            raise
+        table = {"value": value}  # a word, as in env.profile=competent
+    parsed: Any = table["value"] if len(table) == 1 else value
+    for part in reversed(parts):
+        parsed = {part: parsed}
+    return dict(parsed)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
+    return {**base, **{key: _laid(base.get(key), value, key) for key, value in over.items()}}
+
+
+def _laid(old: Any, value: Any, key: str) -> Any:
+    if isinstance(old, dict) and isinstance(value, dict):
+        return _merged(old, value)
+    if isinstance(old, list) and isinstance(value, dict):
+        strange = [shown(item, 40) for item in value if item not in map(str, range(len(old)))]
+        if strange:
+            raise ConfigError(_no_such_item(key, strange[0], len(old)))
+        return [_laid(item, value[str(i)], str(i)) if str(i) in value else item for i, item in enumerate(old)]
+    return value
+
+
+def _no_such_item(key: str, item: str, count: int) -> str:
+    """What is wrong with `key.item` of a list."""
+    known = f"{key}.0" if count == 1 else f"{key}.0 to {key}.{count - 1}"
+    more = f"; a FILE for --config that holds [[{key}]] once for each makes more" if key == "cameras" else ""
+    return f"{key}.{item}: there is no such item, the list {key} has {count}; expected {known}{more}"

@@ -1,0 +1,222 @@
+"""A wheelchair's parameter file: everything that a plant is, as frozen models; an unknown key is refused.
+
+Lengths are in the body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle.
+Wheels, casters and anti-tips come in pairs, left and right alike. The files of wcsim lie in `wcsim/config/plants/`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
+from wcsim.core import reading
+from wcsim.errors import ConfigError
+
+Friction = Annotated[float, Field(ge=0.0, le=2.0)]  # times that of the ground, which is 1
+PartKg = Annotated[float, Field(ge=0.1, le=30.0)]
+Metre = Annotated[float, Field(ge=-1.5, le=1.5)]
+Vec3 = tuple[Metre, Metre, Metre]
+Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max_length=64)]
+
+
+class MassPart(Model):
+    """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
+
+    chair_kg: Annotated[float, Field(ge=50.0, le=200.0)]
+    user_kg: Annotated[float, Field(ge=25.0, le=150.0)]
+    com_x_m: Annotated[float, Field(ge=-0.5, le=0.6)]  # of chair and user, ahead of the drive axle
+    com_z_m: Annotated[float, Field(ge=0.3, le=0.9)]
+    inertia_box_m: tuple[  # frame and user resist turning like a box of this size
+        Annotated[float, Field(ge=0.2, le=1.5)],
+        Annotated[float, Field(ge=0.2, le=1.5)],
+        Annotated[float, Field(ge=0.2, le=2.0)],
+    ]
+
+
+class WheelPart(Model):
+    """The two drive wheels."""
+
+    radius_m: Annotated[float, Field(ge=0.12, le=0.32)]
+    width_m: Annotated[float, Field(ge=0.02, le=0.15)]
+    mass_kg: PartKg
+    track_m: Annotated[float, Field(ge=0.40, le=0.75)]
+    friction: Friction
+
+
+class ArmPart(Model):
+    """A sprung arm that carries a caster up and down. `preload_N` is its push at the height where all wheels stand."""
+
+    stiffness_Npm: Annotated[float, Field(ge=1e3, le=1e5)]
+    damping_Nspm: Annotated[float, Field(ge=0.0, le=5e3)]
+    preload_N: Annotated[float, Field(ge=0.0, le=2e3)]
+    up_m: Annotated[float, Field(ge=0.0, le=0.15)]  # travel towards the frame
+    down_m: Annotated[float, Field(ge=0.0, le=0.15)]
+    mass_kg: PartKg
+
+
+class BeamPart(Model):
+    """A beam across the frame that carries both casters of a pair and rocks about a lengthwise pivot in its middle."""
+
+    pivot_z_m: Annotated[float, Field(ge=0.0, le=0.5)]
+    stop_deg: Annotated[float, Field(gt=0.0, le=15.0)]  # to either side
+    friction_Nm: Annotated[float, Field(ge=0.0, le=200.0)]
+    mass_kg: PartKg
+
+
+class CasterPart(Model):
+    """A pair of swivelling casters: rigid, each on a sprung arm, or both on a rocking beam."""
+
+    swivel_x_m: Annotated[float, Field(ge=-0.8, le=0.8)]  # from the drive axle to the swivel's axis
+    track_m: Annotated[float, Field(ge=0.30, le=0.75)]
+    radius_m: Annotated[float, Field(ge=0.05, le=0.18)]
+    width_m: Annotated[float, Field(ge=0.02, le=0.10)]
+    mass_kg: PartKg
+    trail_m: Annotated[float, Field(ge=0.02, le=0.10)]
+    fork_mass_kg: PartKg
+    fork_inertia_kgm2: Annotated[float, Field(ge=1e-4, le=0.1)]
+    swivel_friction_Nm: Annotated[float, Field(ge=0.0, le=5.0)]
+    friction: Friction
+    arm: ArmPart | None = None
+    beam: BeamPart | None = None
+
+
+class AntitipPart(Model):
+    """A pair of anti-tip wheels on the frame."""
+
+    p_m: Vec3  # the left one's middle
+    radius_m: Annotated[float, Field(ge=0.01, le=0.10)]
+    mass_kg: PartKg
+    inertia_kgm2: Annotated[float, Field(ge=1e-5, le=0.1)]
+    friction: Friction
+
+
+class BoxPart(Model):
+    """A collision box of the frame with its user."""
+
+    part: Literal["body", "footplate"]
+    centre_m: Vec3
+    size_m: tuple[
+        Annotated[float, Field(ge=0.01, le=1.5)],
+        Annotated[float, Field(ge=0.01, le=1.0)],
+        Annotated[float, Field(ge=0.01, le=1.5)],
+    ]
+
+
+class FramePart(Model):
+    """The frame with its user as others meet it."""
+
+    height_m: Annotated[float, Field(ge=0.8, le=2.0)]  # top of the user's head
+    friction: Friction
+    boxes: Annotated[tuple[BoxPart, ...], Field(min_length=1, max_length=64)]
+
+
+class MotorPart(Model):
+    """A geared permanent-magnet motor at each drive wheel, and its spring-applied parking brake."""
+
+    stall_torque_Nm: Annotated[float, Field(ge=20.0, le=300.0)]
+    no_load_radps: Annotated[float, Field(ge=5.0, le=60.0)]
+    least_torque_share: Annotated[float, Field(ge=0.0, le=1.0)]  # of the stall torque, however fast it turns
+    rotor_inertia_kgm2: Annotated[float, Field(ge=0.0, le=2.0)]  # as the wheel feels it, times the gear ratio squared
+    brake_torque_Nm: Annotated[float, Field(ge=20.0, le=500.0)]
+
+
+class LimitPart(Model):
+    """The most that the chair's controller may be set to."""
+
+    speed_mps: Annotated[float, Field(gt=0.1, le=5.0)]
+    accel_mps2: Annotated[float, Field(ge=0.2, le=6.0)]
+    decel_mps2: Annotated[float, Field(ge=0.2, le=6.0)]
+    jerk_mps3: Annotated[float, Field(ge=0.5, le=100.0)]
+    yaw_rate_radps: Annotated[float, Field(ge=0.1, le=4.0)]
+    yaw_accel_radps2: Annotated[float, Field(ge=0.1, le=20.0)]
+
+
+class ClimbPart(Model):
+    """Kerbs that the chair climbs square on, from standstill and with a run-up of 0.5 m, and kerbs that stop it."""
+
+    standstill_m: Rises
+    run_up_m: Rises
+    refused_m: Rises
+
+
+class PlantFile(Model):
+    """The whole file."""
+
+    shows: Text
+    mass: MassPart
+    wheel: WheelPart
+    casters: Annotated[tuple[CasterPart, ...], Field(min_length=1, max_length=4)]
+    antitips: Annotated[tuple[AntitipPart, ...], Field(max_length=4)] = ()
+    frame: FramePart
+    motor: MotorPart
+    limits: LimitPart
+    climbs: ClimbPart
+
+
+def known_plants() -> tuple[str, ...]:
+    """Names of the plants that come with wcsim, sorted."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
+
+
+def read_plant(plant: str) -> PlantFile:
+    """A plant by name or by the path of a `.toml` file.
+
+    Raises:
+        ConfigError: No such plant, or a parameter is missing, unknown or out of bounds.
+    """
+    if plant.endswith(".toml"):
+        return read_toml(Path(plant), PlantFile)
+    if plant not in known_plants():
+        names, got = ", ".join(known_plants()), reading.shown(plant)
+        raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
+    return read_toml(_folder() / f"{plant}.toml", PlantFile)
+
+
+def plant_text(plant: str) -> bytes:
+    """What a user's own plant file holds; nothing for a plant that comes with wcsim. Raises ConfigError as above."""
+    if not plant.endswith(".toml"):
+        return b""
+    text = reading.read_text(Path(plant), CONFIG_FILE)
+    parse(PlantFile, reading.parse_toml(text, reading.shown(plant), CONFIG_FILE), reading.shown(plant))
+    return text.encode()
+
+
+def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
+    """A plant with other values under dotted names (`wheel.friction`, `casters.0.trail_m`, `casters.*.friction`).
+
+    Raises:
+        ConfigError: A name is unknown or a value out of bounds.
+    """
+    data = file.model_dump(mode="json")
+    for name, value in values.items():
+        *path, last = name.split(".")
+        nodes: list[Any] = [data]
+        for key in path:
+            nodes = [child for node in nodes for child in _children(node, key)]
+        places = [(node, key) for node in nodes for key in _keys(node, last)]
+        if not places or any(isinstance(node[key], (dict, list)) for node, key in places):
+            raise ConfigError(
+                f"plant parameter {name!r} is unknown; expected a name like mass.user_kg or casters.*.trail_m"
+            )
+        for node, key in places:
+            node[key] = value
+    return parse(PlantFile, data, "plant")
+
+
+def _children(node: Any, key: str) -> list[Any]:
+    return [node[k] for k in _keys(node, key)]
+
+
+def _keys(node: Any, key: str) -> list[Any]:
+    """Where `key` leads in a table or a list; `*` stands for every item of a list."""
+    if isinstance(node, list):
+        return [i for i in range(len(node)) if key in ("*", str(i))]
+    return [key] if isinstance(node, dict) and key in node else []
+
+
+def _folder() -> Path:
+    return Path(__file__).parent / "plants"

@@ -1,0 +1,65 @@
+"""Section `[vary]`: what differs from episode to episode, as ranges; what is missing stays as it is set elsewhere."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Field, model_validator
+
+from wcsim.config.base import Finite, Model, Share, Word
+
+Number = TypeVar("Number", int, float)
+
+
+def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
+    low, high = span
+    if low > high:
+        raise ValueError(f"the range runs from {low} to {high}; expected [low, high] with low <= high")
+    return span
+
+
+Factor = Annotated[float, Field(ge=0.05, le=2.0)]
+Brightness = Annotated[float, Field(ge=0.1, le=4.0)]
+UserMass = Annotated[float, Field(ge=25.0, le=150.0)]
+Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
+Turn = Annotated[float, Field(ge=-45.0, le=45.0)]
+Delay = Annotated[int, Field(ge=0, le=10)]
+Span = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+Reaction = Annotated[float, Field(ge=0.0, le=60.0)]
+Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
+Watcher = Literal[Driver, "pedestrian"]
+EVERYBODY = "all"  # who has no range of its own
+Shares = Annotated[
+    dict[Literal[Watcher, "all"], Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(max_length=16)
+]
+Reactions = Annotated[
+    dict[Literal[Driver, "all"], Annotated[tuple[Reaction, Reaction], AfterValidator(_ordered)]], Field(max_length=16)
+]
+PlantSpans = Annotated[dict[Word, Span], Field(max_length=64)]  # by the dotted names of the plant's file
+
+
+class VaryConfig(Model):
+    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range.
+
+    Those of the street, `attention` and `reaction`, are drawn from once for every world and epoch: all seats share it.
+    """
+
+    light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = None  # times; colours only
+    friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = None  # times; of wheels and casters
+    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None
+    camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = None  # along x, y and z of each
+    camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
+    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
+    plant: PlantSpans = Field(default_factory=dict)
+    attention: Shares = Field(default_factory=dict)  # share of those who look, by class
+    reaction: Reactions = Field(default_factory=dict)  # seconds, by class
+
+    @model_validator(mode="before")
+    @classmethod
+    def _none_by_name(cls, data: Any) -> Any:
+        return {} if data == "none" else data
+
+    @property
+    def nothing(self) -> bool:
+        """Whether every episode's chair is like the others."""
+        return self == VaryConfig(attention=self.attention, reaction=self.reaction)

@@ -1,0 +1,83 @@
+"""A run: all sections together, and what they must agree on."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from wcsim.config.base import Model
+from wcsim.config.chair import ChairConfig
+from wcsim.config.env import EnvConfig, RewardConfig
+from wcsim.config.learn import LearnConfig
+from wcsim.config.randomization import VaryConfig
+from wcsim.config.sensors import (
+    CameraConfig,
+    ImuConfig,
+)
+from wcsim.config.world import WorldConfig
+
+MAX_SEEN_PX = 1 << 22  # of all images in an observation
+
+MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
+
+MAX_CAMERAS = 64  # as many as a frame of a served world has room for
+
+MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
+
+
+class RunConfig(Model):
+    """Everything a run needs besides its town and seed."""
+
+    world: WorldConfig = WorldConfig()
+    chair: ChairConfig = ChairConfig()
+    cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1, max_length=MAX_CAMERAS)] = (CameraConfig(),)
+    imu: ImuConfig = ImuConfig()
+    reward: RewardConfig = RewardConfig()
+    env: EnvConfig = EnvConfig()
+    learn: LearnConfig = LearnConfig()
+    vary: VaryConfig = VaryConfig()
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> RunConfig:
+        if self.imu.saturation_mps2 <= self.reward.accel_window_mps2[1]:
+            raise ValueError(
+                f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
+                f"{self.reward.accel_window_mps2}; expected a higher saturation"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _cameras_have_names_of_their_own(self) -> RunConfig:
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) != len(names):
+            raise ValueError(f"cameras are named {names}; expected each to have a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _pictures_can_be_held(self) -> RunConfig:
+        sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
+        if sum(sizes_px) > MAX_CAMERAS_PX or sizes_px[0] * self.env.frames > MAX_SEEN_PX:
+            raise ValueError(
+                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
+                f"{sizes_px[0] * self.env.frames}; expected at most {MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
+                "width_px and height_px smaller, or env.window"
+            )
+        batch = max(self.learn.batch_size, self.learn.aid_batch)
+        if sizes_px[0] * self.env.frames * batch > MAX_BATCH_PX:
+            raise ValueError(
+                f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
+                f"{MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
+            )
+        return self
+
+    def digest(self) -> str:
+        """SHA-256 over the resolved configuration."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+    def world_digest(self) -> str:
+        """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
+        shared = {"world", "chair", "cameras", "imu", "reward", "vary"}
+        text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
+        return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,113 @@
+"""What a run leaves for others, as frozen models: `manifest.json` of a run folder and `policy.json` of a policy."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, JoystickDistance, Window
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, Word
+from wcsim.core.reading import MAX_INTEGER
+from wcsim.types import CLIENT_NAME
+
+Versions = Annotated[dict[Word, Word], Field(max_length=256)]
+ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of this name is opened
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
+
+
+class PriorFile(Model):
+    """The known follow reward inside a residual network."""
+
+    base: Finite
+    max_follow_distance: JoystickDistance
+    max_distance: JoystickDistance
+    penalty: NotNegative
+    reward_scale: Positive
+
+    @model_validator(mode="after")
+    def _window_is_open(self) -> PriorFile:
+        if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
+            raise ValueError(
+                f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
+                f"{LEAST_WINDOW}; expected low < high"
+            )
+        return self
+
+
+class NetFile(Model):
+    """The shape of an action-value network."""
+
+    network: Name
+    head: Literal["residual", "plain"]
+    dueling: bool
+    hidden: Annotated[int, Field(ge=1, le=65_536)]
+    actions: Literal["square81", "disc69"]
+    classes: Literal["cityscapes", "wcsim"]
+    prior: PriorFile
+
+
+class PolicyFile(Model):
+    """`policy.json`: everything about a trained policy but its weights."""
+
+    schema_version: Literal[1]
+    algorithm: Literal["SeqDQN"]
+    net: NetFile
+    image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
+    vector_size: Annotated[int, Field(ge=3, le=1024)]
+    window: Window = 1
+    camera: CameraConfig
+    reward_scale: Positive
+    manifest_sha256: Sha256 | Literal[""]
+    weights_sha256: Sha256
+    versions: Versions = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _pictures_can_be_held(self) -> PolicyFile:
+        seen_px = self.image_hw_px[0] * self.image_hw_px[1] * self.window
+        if seen_px > MAX_SEEN_PX:
+            raise ValueError(
+                f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} pixels; "
+                f"expected at most {MAX_SEEN_PX}"
+            )
+        return self
+
+
+ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
+
+
+class OverrideFile(Model):
+    """One option of a town's own scenario that a run had with another value."""
+
+    option: Text
+    author: Text
+    wcsim: Text
+    why: Text
+
+
+class ManifestFile(Model):
+    """`manifest.json`: what a run was made with; `clients` is there in the folder of a run of several."""
+
+    seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)]
+    town: Text
+    town_sha256: Word
+    config_sha256: Word
+    rewards: Annotated[tuple[Word, ...], Field(max_length=1024)]
+    command: Annotated[tuple[Text, ...], Field(max_length=4096)]
+    versions: Versions
+    git_revision: Word
+    status: Literal["running", "done", "interrupted"] = "running"
+    steps: Annotated[int, Field(ge=0, le=10**12)] = 0
+    hook: Word = ""
+    own_code: Sha256 | Literal[""] = ""  # see agents/runs/own_code.py
+    overrides: Annotated[tuple[OverrideFile, ...], Field(max_length=4096)] = ()
+    clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
+    files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)
+    seal: Sha256 | Literal[""] = ""  # a hash over all of it, where `clients` is there
+
+    @model_validator(mode="after")
+    def _clients_have_names_of_their_own(self) -> ManifestFile:
+        if len(set(self.clients)) != len(self.clients):
+            raise ValueError(f"clients are named {list(self.clients)}; expected each to have a name of its own")
+        return self

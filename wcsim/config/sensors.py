@@ -1,0 +1,114 @@
+"""What a chair carries: cameras and the inertial sensor, and how badly they measure, as frozen models."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from wcsim.config.base import Model, Positive, Share
+
+Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
+Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
+Pixels = Annotated[int, Field(ge=8, le=2048)]
+
+
+class DepthNoiseConfig(Model):
+    """A stereo camera's errors. The defaults are those of a small active stereo camera indoors or in the shade."""
+
+    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # of the disparity
+    step_px: Annotated[float, Field(ge=0.0, le=1.0)] = 0.03125  # to which the disparity is rounded, 0 for not at all
+    matcher_width_px: Annotated[int, Field(ge=8, le=8192)] = 848  # of the images that are compared
+    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28
+    shadow: bool = True  # what only one of the two imagers sees is not measured
+    dropout: Share = 0.01  # share of the picture lost in patches
+    grazing_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 3.0  # surfaces seen flatter than this ...
+    grazing_dropout: Share = 0.3  # ... lose so much
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 3
+
+
+class ClassNoiseConfig(Model):
+    """The errors of a network that names the pixels."""
+
+    border_px: Annotated[int, Field(ge=0, le=8)] = 2  # a pixel may take the class of another so near
+    border_share: Share = 0.5
+    grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # squares that err together
+    dropout: Share = 0.01  # share of the picture without a class, in patches
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 6
+
+
+class ColourNoiseConfig(Model):
+    """The errors of a colour picture."""
+
+    snr_db: Annotated[float, Field(ge=6.0, le=80.0)] = 40.0  # 20 log10(255 / sigma)
+
+
+class CameraNoiseConfig(Model):
+    """Which pictures of a camera are disturbed, and how; a part that is missing is exact."""
+
+    depth: DepthNoiseConfig | None = None
+    classes: ClassNoiseConfig | None = None
+    rgb: ColourNoiseConfig | None = None
+
+
+class CameraConfig(Model):
+    """One camera on a chair."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "front"
+    width_px: Pixels = 320
+    height_px: Pixels = 240
+    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0
+    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
+    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    p_BC_m: tuple[Along, Along, Height] = (0.35, 0.0, 1.0)  # armrest, knee height
+    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
+    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0
+    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1
+    rgb: bool = False
+    renderer: Literal["numba", "pybullet"] = "numba"
+    noise: CameraNoiseConfig | None = None  # or "none", or "typical" for every part with its defaults
+
+    @field_validator("noise", mode="before")
+    @classmethod
+    def _noise_by_name(cls, noise: Any) -> Any:
+        named: dict[str, Any] = {"none": None, "typical": {"depth": {}, "classes": {}, "rgb": {}}}
+        return named.get(noise, noise) if isinstance(noise, str) else noise
+
+    @model_validator(mode="after")
+    def _sees_something(self) -> CameraConfig:
+        depth = self.noise.depth if self.noise is not None else None
+        nearest_m = self.near_m if depth is None else max(self.near_m, depth.z_min_m)
+        if nearest_m >= self.range_m:
+            raise ValueError(
+                f"camera {self.name!r} measures from {nearest_m} m to range_m {self.range_m} m; "
+                "expected near_m and noise.depth.z_min_m below range_m"
+            )
+        return self
+
+
+class ImuConfig(Model):
+    """The IMU and tilt sensor (definitions: docs/senses.md)."""
+
+    p_BI_m: tuple[Along, Along, Height] = (0.18, 0.0, 0.50)  # under the seat, near the centre of mass
+    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 20.0
+    saturation_mps2: Positive = 156.9  # +-16 g
+    gyro_range_deg: Annotated[float, Field(ge=250.0, le=2000.0)] = 2000.0  # +-, a second
+    # what the supervisor judges
+    accel_window: Literal["lp20_peak", "tick_mean"] = "lp20_peak"
+    gravity: Literal["included", "removed"] = "removed"
+    # what the agent sees
+    mean_gravity: Literal["included", "removed"] = "included"
+    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"
+    tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = 1.0  # how fast the accelerometer corrects the gyroscope
+    tilt_noise_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # each tick; the ideal sensor has none
+    tilt_bias_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5  # standard deviation over episodes
+    # errors of a small, calibrated part
+    noise: bool = True
+    accel_density_ug: Annotated[float, Field(ge=0.0, le=10_000.0)] = 300.0  # per root hertz
+    gyro_density_deg: Annotated[float, Field(ge=0.0, le=1.0)] = 0.005  # a second, per root hertz
+    accel_bias_mg: Annotated[float, Field(ge=0.0, le=200.0)] = 5.0  # at switching on, standard deviation
+    gyro_bias_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1  # a second
+    accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # of the drift around it
+    gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # a second
+    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0

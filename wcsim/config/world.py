@@ -1,0 +1,46 @@
+"""Section `[world]`: town, step, and how the others watch out."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from wcsim.config.base import Model, Share
+from wcsim.config.randomization import Driver, Reaction, Watcher
+
+STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.7, 1.5)}
+"""Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
+
+
+class WorldConfig(Model):
+    """Clocks, mirror and street reaction."""
+
+    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    substeps: Annotated[int, Field(ge=1, le=480)] = 24
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
+    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
+    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
+    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
+    action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = None  # how often SUMO's drivers decide
+    street: Literal["usual", "careless"] = "usual"  # a careless one sets the next two
+    attention_share: Share = 0.95
+    reaction_s: Reaction = 0.7
+    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(default_factory=dict)  # by class
+    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(default_factory=dict)  # seconds, by class
+    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
+    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
+    crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
+    action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
+    visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
+    visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more
+
+    @model_validator(mode="after")
+    def _substep_is_sane(self) -> WorldConfig:
+        substep_s = self.tick_s / self.substeps
+        if not 1 / 1000 <= substep_s <= 1 / 100:
+            raise ValueError(
+                f"tick_s {self.tick_s} / substeps {self.substeps} gives a physics step of {substep_s:.5f} s; "
+                "expected 0.001 to 0.01 s: change world.substeps"
+            )
+        return self

@@ -1,0 +1,130 @@
+"""Writing files so that nobody ever meets a half-written one."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from wcsim.core.reading import require_no_links
+from wcsim.errors import DiskFullError, PolicyError
+
+FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
+
+
+def write_bytes(path: Path, data: bytes, mode: int = FILE_MODE) -> None:
+    """Replace a file in one step: written beside it, flushed to disk, renamed. Raises DiskFullError; it stays then."""
+    beside = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.unlink(missing_ok=True)
+        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise _not_written(path, error) from None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Replace a JSON file in one step. Raises ValueError when a number is not finite, DiskFullError."""
+    write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
+    """Make a folder with all that `fill` writes in it, or nothing; an older one is replaced. Raises DiskFullError."""
+    beside = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(beside, ignore_errors=True)
+        beside.mkdir()
+        fill(beside)
+        for file in beside.iterdir():
+            file.chmod(FILE_MODE)
+            _sync(file, os.O_RDONLY)
+        sync_folder(beside)
+        _put_in_place(beside, path)
+    except BaseException as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise _not_written(path, error) from None
+        raise
+
+
+def _put_in_place(beside: Path, path: Path) -> None:
+    if path.exists():
+        # A folder cannot replace a full one: the old one steps aside and goes when the new one is in place.
+        old = path.with_name(f".{path.name}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        path.replace(old)
+        try:
+            beside.replace(path)
+        except BaseException:
+            old.replace(path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        beside.replace(path)
+    sync_folder(path.parent)
+
+
+def sync_folder(path: Path) -> None:
+    """Flush a folder's list of names to disk."""
+    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _not_written(path: Path, error: OSError) -> DiskFullError:
+    return DiskFullError(f"{path}: could not be written ({error.strerror}); make room, or choose another place")
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep a run folder to this process while open.
+
+    Raises:
+        PolicyError: Another one has it, or a link in it leads elsewhere, where nothing shall be written or removed.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PolicyError(
+                f"{path} is being trained in by another process; wait for its end, or choose another --out"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        require_no_links(path, PolicyError)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 of a text in UTF-8, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()

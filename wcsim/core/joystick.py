@@ -1,0 +1,129 @@
+"""The one law by which a chair's controller takes a joystick: dead band, shape, limits of speed, acceleration and jerk.
+
+The drive (`physics/wheelchair/drive_controller.py`) obeys it, the oracle and `dwa` reckon with it, the simulated user
+steers by its inverse. The kernels are compiled into those that call them, and numba's copies on disk do not notice a
+change here: after one, delete the `__pycache__` folders beside the callers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Protocol
+
+import numpy as np
+
+from wcsim.core.jit import exact_kernel
+from wcsim.types import F64
+
+YAW_SLOWDOWN_S_PER_M: Final = 0.6  # of every chair: its fastest turn falls as 1 / (1 + 0.6 v)
+STILL_MPS: Final = 1e-3
+
+# the limits of a drive (7,)
+V_MAX, REVERSE, ACCEL, DECEL, JERK, YAW_MAX, YAW_ACCEL = range(7)
+
+
+class DriveSettings(Protocol):
+    """What a chair's controller is programmed to, as `wcsim.config.ChairConfig` has it."""
+
+    @property
+    def v_max_mps(self) -> float: ...  # noqa: D102
+    @property
+    def reverse_share(self) -> float: ...  # noqa: D102
+    @property
+    def accel_mps2(self) -> float: ...  # noqa: D102
+    @property
+    def decel_mps2(self) -> float: ...  # noqa: D102
+    @property
+    def jerk_mps3(self) -> float: ...  # noqa: D102
+    @property
+    def yaw_rate_max_radps(self) -> float: ...  # noqa: D102
+    @property
+    def yaw_accel_radps2(self) -> float: ...  # noqa: D102
+    @property
+    def deadband(self) -> float: ...  # noqa: D102
+    @property
+    def shape_exponent(self) -> float: ...  # noqa: D102
+
+
+def limits_of(chair: DriveSettings) -> F64:
+    """The limits of a drive (7,), in the order of the names above."""
+    speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2, chair.jerk_mps3)
+    return np.array([*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2])
+
+
+def shaped_rows(joysticks: F64, chair: DriveSettings) -> F64:
+    """Joystick positions (K, 2) as the drive takes them, see `shaped`."""
+    rows = [shaped(x, y, chair.deadband, chair.shape_exponent) for x, y in joysticks.tolist()]
+    return np.array(rows, np.float64).reshape(-1, 2)
+
+
+def pushed(radius: float, chair: DriveSettings) -> float:
+    """How far a stick must be pushed out for `shaped` to give `radius`: what a practised driver knows.
+
+    >>> from wcsim.config import ChairConfig
+    >>> round(pushed(0.5, ChairConfig(deadband=0.1)), 3), pushed(0.0, ChairConfig())
+    (0.55, 0.08)
+    """
+    shape: float = radius ** (1.0 / chair.shape_exponent)
+    return min(1.0, chair.deadband + (1.0 - chair.deadband) * shape)
+
+
+@exact_kernel
+def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
+    """A joystick position inside the unit disc, without its deadband, then shaped along its radius."""
+    radius = math.sqrt(x * x + y * y)
+    if not radius > deadband:
+        return 0.0, 0.0
+    out = ((min(radius, 1.0) - deadband) / (1.0 - deadband)) ** exponent
+    return x / radius * out, y / radius * out
+
+
+@exact_kernel
+def yaw_rate_limit(v_mps: float, yaw_max_radps: float) -> float:
+    """The fastest turn at a speed, in rad/s: full in place, slower the faster the chair drives."""
+    return yaw_max_radps / (1.0 + YAW_SLOWDOWN_S_PER_M * abs(v_mps))
+
+
+@exact_kernel
+def wanted(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, float]:
+    """The speeds that a shaped joystick position asks for: forward in m/s, turn to the left in rad/s.
+
+    The faster of the speed of now and the one asked for limits the turn.
+    """
+    v = y * limits[V_MAX]
+    if y < 0.0:
+        v *= limits[REVERSE]
+    return v, 0.0 - x * yaw_rate_limit(max(abs(v), abs(v_now_mps)), limits[YAW_MAX])
+
+
+@exact_kernel
+def towards(value: float, goal: float, most: float) -> float:
+    """A value moved towards a goal, by so much at most."""
+    return value + min(max(goal - value, -most), most)
+
+
+@exact_kernel
+def follow_speed(v_mps: float, a_mps2: float, v_wanted_mps: float, limits: F64, dt_s: float) -> tuple[float, float]:
+    """Speed and acceleration `dt_s` later, within the limits of acceleration and jerk, without overshoot."""
+    jerk = limits[JERK]
+    gap = v_wanted_mps - v_mps
+    limit = limits[DECEL] if v_mps * gap < 0.0 else limits[ACCEL]
+    # sqrt(2 j |gap|) is the acceleration from which a jerk of j ends exactly at the wanted speed; one step ahead, so
+    # that the jerk has not to catch up at the end
+    ahead = gap - a_mps2 * dt_s
+    a_wanted = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
+    a_mps2 = towards(a_mps2, a_wanted, jerk * dt_s)
+    move = a_mps2 * dt_s
+    if abs(gap) <= abs(move) + STILL_MPS * dt_s and abs(a_mps2) <= 2.0 * jerk * dt_s + 0.1:
+        return v_wanted_mps, 0.0
+    return v_mps + move, a_mps2
+
+
+@exact_kernel
+def driven(
+    v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
+) -> tuple[float, float, float]:
+    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (7,)."""
+    v_wanted, w_wanted = wanted(stick_x, stick_y, v, limits)
+    v, a = follow_speed(v, a, v_wanted, limits, dt_s)
+    return v, towards(w, w_wanted, limits[YAW_ACCEL] * dt_s), a

@@ -1,0 +1,233 @@
+"""Mirror bodies: what SUMO moves, as bodies that a wheelchair can hit.
+
+A mirror body has mass 0 and gets a pose and a velocity once a tick; PyBullet carries it through the substeps. Pose
+without velocity lets a car sink half a metre into a chair before it is pushed out. Bodies are pooled per kind and size,
+made when first needed, and parked below the street while nobody needs them.
+
+A body of mass 0 cannot be pushed. That is right for a car; a person would be a wall. So a person's contact is soft: it
+gives way by some centimetres and stops a chair over a tenth of a second instead of at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import KeysView, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from wcsim.core.rotations import matrix, quaternion, rotate
+from wcsim.errors import PhysicsError
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
+from wcsim.types import F64, ActorKind, ActorState
+
+Vec3 = tuple[float, float, float]
+Bucket = tuple[ActorKind, int, int, int]
+BUCKET_M: Final = 0.05
+CLEARANCE_M: Final = 0.05  # below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle
+UPRIGHT: Final = (ActorKind.PEDESTRIAN,)
+_PARK_STEP_M: Final = 30.0
+_FRICTION: Final = 0.5
+SOFT_NPM: Final = 50_000.0  # a person's body: 190 kg at walking pace sink in by 3 cm and are hardly thrown back
+SOFT_NSPM: Final = 5_000.0
+_ZERO: Final[Vec3] = (0.0, 0.0, 0.0)
+_LEVEL: Final = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyMove:
+    """An actor's pose at the start of a tick, and the velocity that carries it to the next.
+
+    PyBullet turns the velocity of a turning body along with it. With the tick's length in `dt_s` the first velocity is
+    chosen so that the arc ends where the straight way would have ended; without it the end is up to 4 cm beside.
+    """
+
+    actor: ActorState
+    v_W_mps: F64  # (3,) the whole way of the tick by its length
+    yaw_rate_radps: float
+    dt_s: float = 0.0
+
+
+@dataclass(slots=True)
+class _Body:
+    """A pooled body; `middle_m` is the height of its middle above the actor's ground point."""
+
+    body_id: int
+    bucket: Bucket
+    middle_m: float
+    park_m: Vec3
+
+
+class BodyPool:
+    """All mirror bodies of one engine."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._used: dict[str, _Body] = {}
+        self._free: dict[Bucket, list[_Body]] = {}
+        self._made = 0
+        self._placed = 0
+
+    @property
+    def placed(self) -> int:
+        """How often the bodies were placed."""
+        return self._placed
+
+    @property
+    def count(self) -> int:
+        """Number of actors that have a body now."""
+        return len(self._used)
+
+    @property
+    def made(self) -> int:
+        """Number of bodies ever made, parked ones included."""
+        return self._made
+
+    def place(self, moves: Sequence[BodyMove]) -> None:
+        """Give every listed actor a body with its pose and velocity; everybody else's is parked.
+
+        Raises:
+            PhysicsError: An actor is listed twice, or its pose, velocity or size cannot be used.
+        """
+        wanted = {move.actor.id: move for move in sorted(moves, key=lambda move: move.actor.id)}
+        if len(wanted) != len(moves):
+            raise PhysicsError(f"{len(moves)} moves for {len(wanted)} actors; expected one move for each actor")
+        buckets = {actor_id: _bucket(move) for actor_id, move in wanted.items()}
+        for actor_id in [key for key, body in self._used.items() if buckets.get(key) != body.bucket]:
+            self._park(self._used.pop(actor_id))
+        for actor_id, move in wanted.items():
+            body = self._used.get(actor_id)
+            if body is None:
+                body = self._take(buckets[actor_id])
+                self._used[actor_id] = body
+            self._move(body, move)
+        self._placed += 1
+
+    def names(self) -> KeysView[str]:
+        """Ids of the actors that have a body now."""
+        return self._used.keys()
+
+    def pose(self, actor_id: str) -> tuple[float, float, float, float]:
+        """Ground point x, y, z and yaw of an actor's body as PyBullet has it. Raises PhysicsError when it has none."""
+        body = self._body(actor_id)
+        (x, y, z), q = pybullet.getBasePositionAndOrientation(body.body_id, physicsClientId=self._engine.client)
+        qx, qy, qz, qw = q
+        up_x, up_y = 2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx)
+        up_z = 1.0 - 2.0 * (qx * qx + qy * qy)
+        h = body.middle_m
+        yaw = math.atan2(2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qy * qy + qz * qz))
+        return x - h * up_x, y - h * up_y, z - h * up_z, yaw
+
+    def poses(self) -> dict[str, tuple[F64, float]]:
+        """Ground point (3,) and yaw of every actor's body as PyBullet has them, by actor id."""
+        found = {}
+        for actor_id in sorted(self._used):
+            *ground, yaw = self.pose(actor_id)
+            found[actor_id] = (np.array(ground), yaw)
+        return found
+
+    def body_of(self, actor_id: str) -> int:
+        """PyBullet's id of an actor's body. Raises PhysicsError when it has none."""
+        return self._body(actor_id).body_id
+
+    def _body(self, actor_id: str) -> _Body:
+        body = self._used.get(actor_id)
+        if body is None:
+            raise PhysicsError(f"actor {actor_id!r} has no body; expected one of the {self.count} placed last")
+        return body
+
+    def _move(self, body: _Body, move: BodyMove) -> None:
+        actor, client = move.actor, self._engine.client
+        q = quaternion(actor.yaw_rad, actor.pitch_rad)
+        level = actor.pitch_rad == 0.0
+        ux, uy, uz = (0.0, 0.0, body.middle_m) if level else rotate(matrix(q), 0.0, 0.0, body.middle_m)
+        (x, y, z), (vx, vy, vz) = actor.p_W_m.tolist(), move.v_W_mps.tolist()
+        sx, sy = vx, vy
+        if move.yaw_rate_radps and move.dt_s:
+            turn_rad = move.yaw_rate_radps * move.dt_s
+            if not level:  # its middle leans out over the ground point, and turns about it
+                c, s = math.cos(turn_rad), math.sin(turn_rad)
+                sx, sy = vx + (c * ux - s * uy - ux) / move.dt_s, vy + (s * ux + c * uy - uy) / move.dt_s
+            sx, sy = _arc_start(sx, sy, turn_rad, round(move.dt_s / self._engine.step_s))
+        pybullet.resetBasePositionAndOrientation(body.body_id, (x + ux, y + uy, z + uz), q, physicsClientId=client)
+        turn = (0.0, 0.0, move.yaw_rate_radps)
+        pybullet.resetBaseVelocity(body.body_id, (sx, sy, vz), turn, physicsClientId=client)
+        tag = BodyTag(
+            role=Role.ACTOR,
+            kind=actor.kind.value,
+            actor_id=actor.id,
+            p_W_m=(x, y, z),
+            v_W_mps=(vx, vy, vz),
+            yaw_rate_radps=move.yaw_rate_radps,
+        )
+        self._engine.tag(body.body_id, tag)
+
+    def _take(self, bucket: Bucket) -> _Body:
+        free = self._free.get(bucket)
+        return free.pop() if free else self._make(bucket)
+
+    def _park(self, body: _Body) -> None:
+        client = self._engine.client
+        pybullet.resetBasePositionAndOrientation(body.body_id, body.park_m, _LEVEL, physicsClientId=client)
+        pybullet.resetBaseVelocity(body.body_id, _ZERO, _ZERO, physicsClientId=client)
+        self._free.setdefault(body.bucket, []).append(body)
+
+    def _make(self, bucket: Bucket) -> _Body:
+        kind, length_m, width_m, height_m = bucket[0], *(BUCKET_M * steps for steps in bucket[1:])
+        low = min(CLEARANCE_M, 0.5 * height_m)
+        client = self._engine.client
+        if kind in UPRIGHT:
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_CYLINDER, radius=0.5 * max(length_m, width_m), height=height_m, physicsClientId=client
+            )
+            middle = 0.5 * height_m
+        else:
+            half = (0.5 * length_m, 0.5 * width_m, 0.5 * (height_m - low))
+            shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
+            middle = 0.5 * (height_m + low)
+        park = (_PARK_STEP_M * (self._made + 1), 500.0, PARK_Z_M)
+        body = self._engine.add_body(shape, park, BodyTag(role=Role.ACTOR, kind=kind.value))
+        pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
+        if kind in UPRIGHT:
+            pybullet.changeDynamics(
+                body, -1, contactStiffness=SOFT_NPM, contactDamping=SOFT_NSPM, physicsClientId=client
+            )
+        self._made += 1
+        return _Body(body_id=body, bucket=bucket, middle_m=middle, park_m=park)
+
+
+def _arc_start(vx: float, vy: float, turn_rad: float, steps: int) -> tuple[float, float]:
+    """The velocity that leads to the same place as (vx, vy) straight on, while it turns by an angle in so many steps.
+
+    Before each of its steps PyBullet adds to the velocity what turns it (and makes it a little longer), as here the
+    factor 1 + i step does; the way is a geometric series.
+
+    >>> _arc_start(8.0, 0.0, 0.0, 24)
+    (8.0, 0.0)
+    """
+    if abs(turn_rad) < 1e-9:
+        return vx, vy
+    step = 1j * turn_rad / steps
+    start = complex(vx, vy) * step * steps / ((1.0 + step) ** (steps + 1) - (1.0 + step))
+    return start.real, start.imag
+
+
+def _bucket(move: BodyMove) -> Bucket:
+    """Kind and size in steps of 5 cm, at least one each. Raises PhysicsError for numbers that cannot be used."""
+    actor = move.actor
+    (x, y, z), (vx, vy, vz) = actor.p_W_m.tolist(), move.v_W_mps.tolist()
+    length, width, height = actor.size_lwh_m
+    turn = actor.yaw_rad + actor.pitch_rad + move.yaw_rate_radps
+    total = x + y + z + vx + vy + vz + turn + length + width + height  # finite only when each of them is
+    if not math.isfinite(total) or min(length, width, height) <= 0.0:
+        raise PhysicsError(
+            f"actor {actor.id!r} has pose {actor.p_W_m}, yaw {actor.yaw_rad}, velocity {move.v_W_mps}, size "
+            f"{actor.size_lwh_m}; expected finite numbers and a positive size"
+        )
+    return (actor.kind, _steps(length), _steps(width), _steps(height))
+
+
+def _steps(size_m: float) -> int:
+    return max(1, round(size_m / BUCKET_M))

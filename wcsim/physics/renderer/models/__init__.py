@@ -1,0 +1,1 @@
+"""What people, riders and vehicles look like, as triangles."""

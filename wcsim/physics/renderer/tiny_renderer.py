@@ -1,0 +1,183 @@
+"""The reference renderer: the same triangles as PyBullet visuals, drawn by its TinyRenderer.
+
+It is some eighty times slower than the rasteriser and holds the GIL; it is there to compare with. It differs twice:
+TinyRenderer samples pixel CORNERS, its pixel (u, v) is the ray through (u, v + 1) where the rasteriser takes
+(u + 0.5, v + 0.5) (`corner_shift` moves the rasteriser there); and it never draws the back of a face.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.errors import PhysicsError
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.renderer.base import Images, Pinhole, check_images
+from wcsim.physics.renderer.geometry import GeometryStore
+from wcsim.physics.renderer.instances import Instances, rotation_quaternion
+from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table, paint_table
+from wcsim.types import F64, U8, ClassId
+
+FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
+PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
+
+Corners = npt.NDArray[np.float64]  # (T, 3 corners, 3)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class _Model:
+    """One template at one size in one paint: PyBullet cannot scale a body afterwards."""
+
+    template: int
+    scale_m: tuple[float, float, float]
+    colour: int
+
+
+class TinyRenderer:
+    """Draws a `GeometryStore` with PyBullet in a DIRECT client of its own."""
+
+    def __init__(self, store: GeometryStore) -> None:
+        """Connect and load the street. Raises PhysicsError when PyBullet gives no client or refuses a mesh."""
+        self._store = store
+        self._client: int = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise PhysicsError("PyBullet gave no DIRECT client for the TinyRenderer; close other clients and try again")
+        self._class_of = np.zeros(0, np.uint8)  # by body number
+        self._instance_of: dict[int, int] = {}  # row of the instance that a body stands for in this picture
+        self._pool: dict[_Model, list[tuple[int, ...]]] = {}
+        self._used: dict[_Model, int] = {}
+        corners = store.vertices_W_m[store.global_faces()].astype(np.float64)
+        for class_id in np.unique(store.face_class):
+            mine = corners[store.face_class == class_id]
+            for start in range(0, len(mine), FACES_PER_BODY):
+                self._body(mine[start : start + FACES_PER_BODY], int(class_id), class_paint_table()[class_id])
+
+    def __enter__(self) -> TinyRenderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect; a second call does nothing."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
+        """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
+        check_images(camera, out)
+        self._place(instances)
+        width, height = camera.width_px, camera.height_px
+        _, _, rgba, depth, body = pybullet.getCameraImage(
+            width,
+            height,
+            view_matrix(T_CW),
+            projection_matrix(camera),
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        near, far = camera.near_m, camera.range_m
+        z = far * near / (far - (far - near) * np.asarray(depth, np.float64).reshape(height, width))
+        number = np.asarray(body, np.int64).reshape(height, width)
+        hit = (number >= 0) & (z < far)
+        out.depth_m[:] = np.where(hit, z, far)
+        out.class_id[:] = np.where(hit, self._class_of[np.where(hit, number, 0)], ClassId.SKY)
+        if out.instance is not None:
+            rows = np.full(len(self._class_of), -1, np.int32)
+            rows[list(self._instance_of)] = list(self._instance_of.values())
+            out.instance[:] = np.where(hit, rows[np.where(hit, number, 0)], -1)
+        if out.rgb is not None:
+            out.rgb[:] = np.asarray(rgba, np.uint8).reshape(height, width, 4)[..., :3]
+
+    def _place(self, instances: Instances) -> None:
+        """Put a body of the right model under every instance and park the rest."""
+        self._used = dict.fromkeys(self._pool, 0)
+        self._instance_of.clear()
+        for i in range(len(instances)):
+            length, width, height = (round(float(side), 6) for side in instances.scale_m[i])
+            colour = int(instances.colour_seed[i]) % VARIANTS
+            model = _Model(int(instances.template[i]), (length, width, height), colour)
+            pool = self._pool.setdefault(model, [])
+            taken = self._used.get(model, 0)
+            if taken == len(pool):
+                pool.append(self._actor(model))
+            self._used[model] = taken + 1
+            turn = rotation_quaternion(
+                float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i])
+            )
+            for body in pool[taken]:
+                self._instance_of[body] = i
+                self._move(body, instances.p_W_m[i].tolist(), turn)
+        for model, pool in self._pool.items():
+            for bodies in pool[self._used.get(model, 0) :]:
+                for body in bodies:
+                    self._move(body, list(PARKED_M), [0.0, 0.0, 0.0, 1.0])
+
+    def _move(self, body: int, p_W_m: list[float], q: list[float]) -> None:
+        pybullet.resetBasePositionAndOrientation(body, p_W_m, q, physicsClientId=self._client)
+
+    def _actor(self, model: _Model) -> tuple[int, ...]:
+        """Bodies of one new actor, one a class, and one a colour of what shines."""
+        table = self._store.templates
+        vertices = table.vertices[table.vertices_of[model.template] : table.vertices_of[model.template + 1]]
+        rows = slice(table.faces_of[model.template], table.faces_of[model.template + 1])
+        corners = (vertices.astype(np.float64) * model.scale_m)[table.faces[rows]]
+        classes, paints = table.face_class[rows].astype(np.int64), table.face_paint[rows]
+        part = classes * 256 + np.where(paints >= Paint.UNLIT, paints, 0).astype(np.int64)
+        bodies = []
+        for number in np.unique(part):
+            mine, class_id = part == number, number // 256
+            colour = paint_table()[np.bincount(paints[mine]).argmax(), model.colour]
+            bodies.append(self._body(corners[mine], int(class_id), colour.astype(np.float64)))
+        return tuple(bodies)
+
+    def _body(self, corners: Corners, class_id: int, colour: F64) -> int:
+        """A standing body of triangles (T, 3, 3). Raises PhysicsError when PyBullet refuses it."""
+        vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=vertices.tolist(),
+            indices=index.ravel().tolist(),
+            rgbaColor=[*(colour / 255.0).tolist(), 1.0],
+            physicsClientId=self._client,
+        )
+        body = int(pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)) if shape >= 0 else -1
+        if body < 0:
+            raise PhysicsError(f"PyBullet refused a visual mesh of {len(corners)} triangles (class {class_id})")
+        grown: U8 = np.zeros(max(body + 1, len(self._class_of)), np.uint8)
+        grown[: len(self._class_of)] = self._class_of
+        grown[body] = class_id
+        self._class_of = grown
+        return body
+
+
+def corner_shift(T_CW: F64, focal_px: float) -> F64:
+    """A camera matrix (3, 4) that makes a renderer of pixel centres sample where TinyRenderer does."""
+    shear = np.eye(3)
+    shear[0, 2], shear[1, 2] = 0.5 / focal_px, -0.5 / focal_px
+    return np.asarray(shear @ T_CW, np.float64)
+
+
+def view_matrix(T_CW: F64) -> list[float]:
+    """OpenGL's view matrix, column by column: its camera looks along -z and y is up."""
+    view = np.eye(4)
+    view[:3] = T_CW * np.array([1.0, -1.0, -1.0])[:, None]
+    return [float(value) for value in view.T.ravel()]
+
+
+def projection_matrix(camera: Pinhole) -> list[float]:
+    """OpenGL's projection matrix, column by column."""
+    near, far = camera.near_m, camera.range_m
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 * camera.focal_px / camera.width_px
+    matrix[1, 1] = 2.0 * camera.focal_px / camera.height_px
+    matrix[2, 2], matrix[2, 3] = -(far + near) / (far - near), -2.0 * far * near / (far - near)
+    matrix[3, 2] = -1.0
+    return [float(value) for value in matrix.T.ravel()]

@@ -1,0 +1,152 @@
+"""The inertial sensor of one chair.
+
+The accelerometer feels the specific force at its mount, R^T (dv/dt - g), sampled every substep. Per tick it says the
+mean (gravity included) and, per axis, the largest magnitude of the same signal without gravity behind two first-order
+low-passes in a row. The raw difference quotient is an artefact of the step (a wall gives 92, 181 and 358 m/s2 at 120,
+240 and 480 Hz), the low-passed peak is not. Noise is on what the agent sees (means, turn rates, tilt), not on the peak.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wcsim.config import ImuConfig
+from wcsim.core.frames import rad
+from wcsim.core.rotations import LEVEL, Rotation, Vec3, euler
+from wcsim.errors import PhysicsError
+from wcsim.physics.sensors.imu_filter import ROW, STATE, filter_tick
+from wcsim.physics.sensors.pixel_noise import child, normals
+from wcsim.physics.sensors.tilt import TiltSensor
+from wcsim.types import F64, ImuFrame
+
+STANDARD_GRAVITY_MPS2 = 9.80665  # the g of data sheets
+_DRAWS = 14  # of a tick: accelerometer 3, gyroscope 3, drift of each 3, tilt 2
+
+
+class Imu:
+    """Accelerometer, gyroscope and tilt sensor at one mount.
+
+    Args:
+        config: Mount, filter, range and noise.
+        com_B_m: The point in B whose velocity `sample` is given.
+        dt_s: Physics step.
+        gravity_mps2: Magnitude of gravity.
+    """
+
+    def __init__(self, config: ImuConfig, com_B_m: Vec3, dt_s: float, gravity_mps2: float) -> None:
+        self._config = config
+        self._arm_B_m = np.array(config.p_BI_m) - np.array(com_B_m)
+        self._dt_s = dt_s
+        self._gravity_mps2 = gravity_mps2
+        self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
+        self._alpha = 1.0 - math.exp(-2.0 * math.pi * config.lowpass_hz * dt_s)
+        self._errors = _Errors(config)
+        self._tilt = TiltSensor(config)
+        self._low = np.zeros((0, 3))
+        self.reset(LEVEL)
+
+    @property
+    def lowpass_mps2(self) -> F64:
+        """The low-passed signal after each substep of the last closed tick, (n, 3)."""
+        return self._low
+
+    def start(self, noise_key: int | None) -> None:
+        """Switch on for an episode: draw the biases that it keeps, none without a key."""
+        if not self._config.noise:
+            noise_key = None
+        self._errors.start(noise_key)
+        self._tilt.start(np.zeros(2) if noise_key is None else normals(child(noise_key, 1), 2))
+
+    def reset(self, rotation: Rotation) -> None:
+        """Stand still at rotation R_WB: no velocity, quiet filters, a tick of no samples."""
+        self._rotation = rotation
+        self._state = np.zeros(STATE)
+        self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(rotation[6:9])
+        self._tilt.reset()
+        self._rows: list[float] = []
+
+    def sample(self, rotation: Rotation, v_com_W_mps: Vec3, w_W_radps: Vec3) -> None:
+        """Take the motion after a physics step into the tick."""
+        self._rotation = rotation
+        self._rows += rotation  # nothing but kept: it is called every substep
+        self._rows += v_com_W_mps
+        self._rows += w_W_radps
+
+    def end_tick(self, noise_key: int | None) -> ImuFrame:
+        """Close the tick: means, peaks and tilt of its samples; `noise_key` (64 bits) says which noise, None: none.
+
+        Raises:
+            PhysicsError: The motion left the finite numbers.
+        """
+        config = self._config
+        rows = np.array(self._rows, np.float64).reshape(-1, ROW)
+        self._rows = []
+        count = len(rows)
+        self._low = np.empty((count, 3))
+        felt, g = self._felt_mps2, self._gravity_mps2
+        sums = filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
+        if not math.isfinite(sums.sum()):
+            raise PhysicsError("the wheelchair's motion left the finite numbers; expected finite: rebuild the world")
+        means = sums / max(count, 1)
+        accel, gravity, gyro = means[0:3], means[3:6], means[9:12]
+        peak = sums[6:9]
+        if count == 0:  # a chair that was just placed: it stands
+            gravity, peak = g * np.array(self._rotation[6:9]), np.abs(self._state[6:9])
+        if config.accel_window == "tick_mean":
+            peak = np.abs(accel + gravity) if felt else np.abs(accel)
+        tick_s = count * self._dt_s
+        key = noise_key if config.noise else None
+        force, gyro, drawn = self._errors.on(accel + gravity, gyro, tick_s, key)
+        roll, pitch, yaw = euler(self._rotation)
+        roll, pitch = self._tilt.read((roll, pitch), force, gyro, tick_s, drawn)
+        return ImuFrame(
+            accel_mean_mps2=force if config.mean_gravity == "included" else force - gravity,
+            accel_peak_mps2=_clipped(peak, config.saturation_mps2),
+            gyro_radps=gyro,
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+        )
+
+
+class _Errors:
+    """White noise, turn-on bias and drifting bias of accelerometer and gyroscope.
+
+    White noise of density N (per root hertz) has the standard deviation N / sqrt(2 T) in a mean over T seconds. The
+    drift is a Gauss-Markov process that is stationary from its start.
+    """
+
+    def __init__(self, config: ImuConfig) -> None:
+        mg, deg = 1e-3 * STANDARD_GRAVITY_MPS2, rad(1.0)
+        three = np.ones(3)
+        self._tau_s = config.bias_tau_s
+        self._density = np.r_[1e-3 * mg * config.accel_density_ug * three, deg * config.gyro_density_deg * three]
+        self._turn_on = np.r_[mg * config.accel_bias_mg * three, deg * config.gyro_bias_deg * three]
+        self._drift = np.r_[mg * config.accel_instability_mg * three, deg * config.gyro_instability_deg * three]
+        self._most_mps2, self._most_radps = config.saturation_mps2, rad(config.gyro_range_deg)
+        self.start(None)
+
+    def start(self, noise_key: int | None) -> None:
+        """Draw the biases of an episode."""
+        drawn = np.zeros(12) if noise_key is None else normals(child(noise_key, 0), 12)
+        self._bias = self._turn_on * drawn[:6]
+        self._drifted = self._drift * drawn[6:]
+
+    def on(self, force_mps2: F64, gyro_radps: F64, tick_s: float, noise_key: int | None) -> tuple[F64, F64, F64]:
+        """Force and turn rate as they are measured, and two standard normal numbers for the tilt sensor."""
+        drawn = np.zeros(_DRAWS)
+        if noise_key is not None:
+            drawn = normals(noise_key, _DRAWS)
+            kept = math.exp(-tick_s / self._tau_s)
+            self._drifted = kept * self._drifted + math.sqrt(1.0 - kept * kept) * self._drift * drawn[6:12]
+            error = self._bias + self._drifted
+            if tick_s > 0.0:
+                error = error + self._density / math.sqrt(2.0 * tick_s) * drawn[:6]
+            force_mps2, gyro_radps = force_mps2 + error[:3], gyro_radps + error[3:]
+        return _clipped(force_mps2, self._most_mps2), _clipped(gyro_radps, self._most_radps), drawn[12:]
+
+
+def _clipped(vector: F64, limit: float) -> F64:
+    return np.minimum(np.maximum(vector, -limit), limit)

@@ -1,0 +1,360 @@
+"""A wheelchair in the engine: placed, told a joystick position, driven substep by substep, asked what it felt.
+
+Once a tick `command`; each substep `before_step`, `Engine.step`, `after_step`; at the end of the tick `end_tick`, and
+then `state`, `imu` and `contacts` answer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from wcsim.config import ChairConfig, ImuConfig
+from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.errors import PhysicsError
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.engine import GRAVITY_MPS2, PARK_Z_M, BodyTag, Engine, Role
+from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.wheelchair import drive_controller
+from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
+from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
+from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body
+from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.wheel_track import WheelTrack
+from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
+
+Vec3 = tuple[float, float, float]
+LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
+PLACE_LIFT_M: Final = 0.001  # the street's collision margin
+_PARK_STEP_M: Final = 20.0
+_MOTORS_OFF: Final = (0.0, 0.0, 0.0, 0.0)
+_AWAKE: Final = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING | pybullet.ACTIVATION_STATE_WAKE_UP
+_ASLEEP: Final = pybullet.ACTIVATION_STATE_ENABLE_SLEEPING | pybullet.ACTIVATION_STATE_SLEEP
+
+
+class Wheelchair:
+    """One chair with its controllers and IMU.
+
+    Args:
+        engine: Where it lives.
+        chair: Plant and limits of the drive.
+        imu: The sensor.
+        seat: Number of the seat; its actor id in contacts of other chairs is `chair_actor_id(seat)`.
+
+    Raises:
+        ConfigError: `chair.plant` is unknown, cannot stand, or does not go with the limits in `chair` or the step.
+        PhysicsError: PyBullet refused the body.
+    """
+
+    def __init__(self, engine: Engine, chair: ChairConfig, imu: ImuConfig, seat: int) -> None:
+        self.seat: Final = seat
+        self._engine = engine
+        self._chair = chair
+        self._imu_config = imu
+        self._coasted = self._ghosts = 0
+        self._log = ContactLog()
+        self._contacts: tuple[Contact, ...] = ()
+        self._joystick = Joystick(0.0, 0.0)
+        self._state: PlantState | None = None
+        spec = plant_spec(chair)
+        self._take(spec, load_body(engine, spec, chair.v_max_mps))
+        self.park()
+
+    @property
+    def spec(self) -> PlantSpec:
+        """What the chair is at the moment."""
+        return self._spec
+
+    @property
+    def outline(self) -> Outline:
+        """The box around the chair and its user."""
+        return self._outline
+
+    @property
+    def body_id(self) -> int:
+        """What the engine calls its body; another one after `become`."""
+        return self._body.id
+
+    def become(self, spec: PlantSpec) -> None:
+        """Be another plant from now on; the chair is parked then, until it is placed.
+
+        Other frictions, springs and motors cost nothing. Other masses or shapes need a new body: some milliseconds, and
+        10 to 13 kB that PyBullet keeps.
+
+        Raises:
+            ConfigError: Its springs are too stiff for the engine's step; the chair stays what it was.
+            PhysicsError: PyBullet refused the body.
+        """
+        check_springs(spec, self._engine.step_s)
+        if urdf(spec) != urdf(self._spec):
+            self._engine.remove_body(self._body.id)
+            self._take(spec, load_body(self._engine, spec, self._chair.v_max_mps))
+        elif spec != self._spec:
+            self._take(spec, dressed(self._engine, self._body.id, spec, self._chair.v_max_mps))
+        self.park()
+
+    def _take(self, spec: PlantSpec, body: ChairBody) -> None:
+        engine = self._engine
+        self._spec = spec
+        self._body = body
+        self._com_B_m: Vec3 = spec.frame_com_m
+        self._wheel_radius_m = spec.wheel.radius_m
+        self._axle_from_com_z_m = spec.wheel.radius_m - self._com_B_m[2]
+        self._footplate_from_x_m = spec.footplate_from_x_m
+        self._outline = spec.outline
+        self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
+        self._memory = drive_controller.new_state()
+        self._imu = Imu(self._imu_config, self._com_B_m, engine.step_s, GRAVITY_MPS2)
+        self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
+
+    @property
+    def parked(self) -> bool:
+        """Whether it is out of the way; then its substeps do nothing."""
+        return self._parked
+
+    @property
+    def ghosts(self) -> int:
+        """How many steps were not taken because of a contact that cannot be, since the chair was made."""
+        return self._ghosts
+
+    def place(self, p_W_m: F64, yaw_rad: float) -> None:
+        """Stand at a point of the ground, tilted as the ground under the wheels is, at rest, everything forgotten.
+
+        Args:
+            p_W_m: Where the body frame's origin comes to stand, (3,).
+            yaw_rad: Heading.
+
+        Raises:
+            PhysicsError: The pose is not finite.
+        """
+        x, y, z = (float(value) for value in p_W_m)
+        if not all(math.isfinite(value) for value in (x, y, z, yaw_rad)):
+            raise PhysicsError(f"place({p_W_m}, {yaw_rad}) is not finite; expected a point on the ground and a heading")
+        self.park()  # or it would stand on itself
+        z_W_m, tilt = self._stance((x, y, z), yaw_rad)
+        self._pose((x, y, z_W_m + PLACE_LIFT_M), tilt)
+        self._wake(True)
+        self._parked = False
+
+    def park(self) -> None:
+        """Stand far below the street, asleep."""
+        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), quaternion(0.0))
+        self._wake(False)
+        self._parked = True
+
+    def remove(self) -> None:
+        """Leave the engine for good; nothing but `parked` may be asked afterwards."""
+        self._engine.remove_body(self._body.id)
+        self._parked = True
+
+    def forget(self, actor_id: str) -> None:
+        """Who of the other wheelchairs has left for good."""
+        self._log.forget(actor_id)
+
+    def command(self, joystick: Joystick) -> None:
+        """Take what the driver wants from now on. Raises PhysicsError when it is not finite."""
+        if not (math.isfinite(joystick.x) and math.isfinite(joystick.y)):
+            raise PhysicsError(f"seat {self.seat}: joystick is {joystick}; expected two finite numbers in [-1, 1]")
+        self._joystick = joystick
+
+    def before_step(self) -> None:
+        """Run the controllers and set the motors for the physics step to come."""
+        if self._parked:
+            return
+        joints, stick = self._joints, self._joystick
+        self._before = Motion(self._p_com_W_m, self._q_WB, self._v_W_mps, self._w_W_radps, joints)
+        left, right = joints[0][1], joints[1][1]
+        v_mps = drive_controller.speed_mps(self._axle_mps(), 0.5 * (left + right) * self._wheel_radius_m)
+        self._set_motors(drive_controller.step(self._memory, self._setting, stick.x, stick.y, v_mps, left, right))
+        if self._body.arms:
+            self._push_arms()
+
+    def _axle_mps(self) -> float:
+        """Forward speed of the middle of the drive axle, which pitching hardly moves."""
+        r, v_W, w_W = self._rotation, self._v_W_mps, self._w_W_radps
+        forward: float = r[0] * v_W[0] + r[3] * v_W[1] + r[6] * v_W[2]
+        pitching: float = r[1] * w_W[0] + r[4] * w_W[1] + r[7] * w_W[2]
+        return forward + pitching * self._axle_from_com_z_m
+
+    def after_step(self) -> None:
+        """Sample the IMU and add up what was touched."""
+        if self._parked:
+            return
+        body, ground = self._body, self._engine.rolling_ids
+        touches: list[tuple[Any, ...]] = []
+        suspects: list[tuple[Any, ...]] = []
+        # PyBullet's fields: 2 other body, 3 own link, 9 force
+        for point in pybullet.getContactPoints(bodyA=body.id, physicsClientId=self._engine.client):
+            if point[2] not in ground or point[3] not in body.part:
+                touches.append(point)
+            if point[9] > SUSPECT_N and point[3] in body.tyres:
+                suspects.append(point)
+        if suspects or self._coasted:
+            self._coast_over_ghosts(suspects, touches)
+        self._read()
+        self._imu.sample(self._rotation, self._v_W_mps, self._w_W_radps)
+        self._track.after_step(math.hypot(*self._v_W_mps[:2]))
+        for point in touches:
+            self._touch(point)
+
+    def end_tick(self, noise_key: int | None) -> None:
+        """Close the tick for `imu` and `contacts`, and tell others how this chair moves; noise only with a key.
+
+        Raises:
+            PhysicsError: The motion left the finite numbers.
+        """
+        self._imu_frame = self._imu.end_tick(noise_key)
+        self._contacts = self._log.close()
+        self._tell()
+
+    def switch_on(self, noise_key: int | None) -> None:
+        """Begin an episode for the IMU, which keeps its biases through it, with a reading at rest."""
+        self._imu.start(noise_key)
+        self._imu_frame = self._imu.end_tick(noise_key)
+
+    def state(self) -> PlantState:
+        """The true state as of the last substep."""
+        if self._state is None:
+            self._state = self._state_now()
+        return self._state
+
+    def _state_now(self) -> PlantState:
+        r = self._rotation
+        cx, cy, cz = self._com_B_m
+        origin = added(self._p_com_W_m, rotate(r, -cx, -cy, -cz))
+        v_origin = velocity_at(origin, self._p_com_W_m, self._v_W_mps, self._w_W_radps)
+        roll, pitch, yaw = euler(r)
+        return PlantState(
+            p_WB_m=np.array(origin),
+            q_WB=np.array(self._q_WB),
+            v_B_mps=np.array(rotate_back(r, *v_origin)),
+            w_B_radps=np.array(rotate_back(r, *self._w_W_radps)),
+            wheel_radps=np.array((self._joints[0][1], self._joints[1][1])),
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+        )
+
+    def imu(self) -> ImuFrame:
+        """What the IMU said of the last closed tick."""
+        return self._imu_frame
+
+    def contacts(self) -> tuple[Contact, ...]:
+        """What was touched in the last closed tick."""
+        return self._contacts
+
+    def wheel_track(self) -> tuple[F64, F64]:
+        """Where its wheels were since it was placed, and its speed: see `WheelTrack.samples`."""
+        return self._track.samples()
+
+    def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
+        """Height of the body's origin and its rotation, with all wheels on the ground or above it."""
+        wheels_B_m = self._spec.stand_m()
+        turn = matrix(quaternion(yaw_rad))
+        wheels_W_m = np.array([added(p_W_m, rotate(turn, x, y, 0.0)) for x, y in wheels_B_m])
+        heights = self._engine.ground_at(wheels_W_m)
+        if np.isnan(heights).any() or np.ptp(heights) < LEVEL_M:
+            return p_W_m[2], quaternion(yaw_rad)
+        columns = np.array([(1.0, x, y) for x, y in wheels_B_m])
+        (base, ahead, left), *_ = np.linalg.lstsq(columns, heights, rcond=None)
+        lift = float((heights - columns @ (base, ahead, left)).max())
+        roll_rad = math.asin(left / math.sqrt(1.0 + ahead**2 + left**2))
+        return float(base) + lift, quaternion(yaw_rad, math.atan(ahead), roll_rad)
+
+    def _pose(self, p_WB_m: Vec3, q: Quat) -> None:
+        body, client = self._body, self._engine.client
+        com = added(p_WB_m, rotate(matrix(q), *self._com_B_m))
+        pybullet.resetBasePositionAndOrientation(body.id, com, q, physicsClientId=client)
+        pybullet.resetBaseVelocity(body.id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client)
+        for index in body.links.values():
+            pybullet.resetJointState(body.id, index, 0.0, 0.0, physicsClientId=client)
+        self._memory[:] = 0.0
+        self._joystick = Joystick(0.0, 0.0)
+        self._log.clear()
+        self._contacts = ()
+        self._track.clear()
+        self._read()
+        self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
+        self._imu.reset(self._rotation)
+        self._imu_frame = self._imu.end_tick(None)
+        self._tell()
+
+    def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
+        """Target speeds and torque limits of the drive wheels."""
+        pybullet.setJointMotorControlArray(
+            self._body.id,
+            self._body.drives,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=wanted[:2],
+            forces=wanted[2:],
+            physicsClientId=self._engine.client,
+        )
+
+    def _push_arms(self) -> None:
+        """The springs of sprung casters, for the step to come; PyBullet adds up what it is told before a step."""
+        arms = zip(self._body.springs, self._joints[2:], strict=False)
+        pybullet.setJointMotorControlArray(
+            self._body.id,
+            self._body.arms,
+            pybullet.TORQUE_CONTROL,
+            forces=[spring.force_N(arm[0], arm[1]) for spring, arm in arms],
+            physicsClientId=self._engine.client,
+        )
+
+    def _wake(self, awake: bool) -> None:
+        state = _AWAKE if awake else _ASLEEP
+        pybullet.changeDynamics(self.body_id, FRAME, activationState=state, physicsClientId=self._engine.client)
+
+    def _read(self) -> None:
+        body, client = self._body, self._engine.client
+        self._p_com_W_m, self._q_WB = pybullet.getBasePositionAndOrientation(body.id, physicsClientId=client)
+        self._v_W_mps, self._w_W_radps = pybullet.getBaseVelocity(body.id, physicsClientId=client)
+        self._joints = pybullet.getJointStates(body.id, body.joints, physicsClientId=client)
+        self._rotation: Rotation = matrix(self._q_WB)
+        self._state = None  # made when somebody asks
+
+    def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
+        """Undo the step when the ground pushed a wheel hard where it was not, and nothing else touched the chair."""
+        body, client = self._body, self._engine.client
+        if not suspects or self._coasted == MOST_IN_A_ROW or touches:
+            self._coasted = 0
+        elif any(is_ghost(point, body.id, body.tyres[point[3]], self._before, client) for point in suspects):
+            coast(body.id, body.joints, self._before, self._engine.step_s, client)
+            self._coasted += 1
+            self._ghosts += 1
+        else:
+            self._coasted = 0
+
+    def _touch(self, point: tuple[Any, ...]) -> None:
+        """Count one contact point (PyBullet's fields: 2 other body, 3 own link, 5 place, 7 normal to us, 9 force)."""
+        if point[9] <= 0.0:
+            return
+        tag = self._engine.tag_of(point[2])
+        before = self._before
+        part = self._body.part.get(point[3]) or self._frame_part(point[5])
+        touch = ContactPoint(
+            point_W_m=point[5],
+            v_chair_W_mps=velocity_at(point[5], before.p_W_m, before.v_W_mps, before.w_W_radps),
+            normal_to_chair=point[7],
+        )
+        self._log.add(point[2], part, point[9] * self._engine.step_s, tag, touch)
+
+    def _frame_part(self, point_W_m: Vec3) -> str:
+        px, py, pz = self._p_com_W_m
+        ahead, _, _ = rotate_back(self._rotation, point_W_m[0] - px, point_W_m[1] - py, point_W_m[2] - pz)
+        return "footplate" if ahead + self._com_B_m[0] > self._footplate_from_x_m else "body"
+
+    def _tell(self) -> None:
+        tag = BodyTag(
+            role=Role.CHAIR,
+            kind=Role.CHAIR.value,
+            actor_id=chair_actor_id(self.seat),
+            p_W_m=self._p_com_W_m,
+            v_W_mps=self._v_W_mps,
+            yaw_rate_radps=self._w_W_radps[2],
+        )
+        self._engine.tag(self.body_id, tag)
+

@@ -1,0 +1,190 @@
+"""Run a short hand-written street scene with a fixed seed, record its trace, and say what happened in it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
+from wcsim.bridge.world import World
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.config.scene import SceneFile, SceneSeat
+from wcsim.core import frames
+from wcsim.errors import TownError, WcsimError
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.scenes.build import build_scene
+from wcsim.scenes.facts import SceneFacts, facts_from_line
+from wcsim.scenes.meter import SceneMeter
+from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
+
+GOLDEN = "golden.trace"
+PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
+"""Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
+
+RUN_TIMEOUT_S = 240
+BAD_SCENE = 2
+"""Exit code of a scene's process that has said what is wrong with the scene."""
+TRACE_EVERY = 10
+"""Ticks from one record of a golden trace to the next; the hash of a record covers all ticks since the last one."""
+
+WORK = "wcsim-scene-"
+SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
+STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
+
+
+def run_scene(folder: Path, trace: Path) -> SceneFacts:
+    """Build and run the scene in `folder`, write its trace, and return what happened.
+
+    Raises TownError when the scene cannot be built or run.
+    """
+    with open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
+        meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
+        digest = hashlib.blake2b(digest_size=8)
+        for snapshot, commands in play(world, scene):
+            meter.add(snapshot, world.config.world.tick_s)
+            digest.update(snapshot.state_hash.encode())
+            if snapshot.tick % TRACE_EVERY == 0:
+                writer.append(replace(record_of(snapshot, commands), state_hash=digest.hexdigest()))
+        return meter.facts()
+
+
+@contextmanager
+def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
+    """The world of a scene before its first tick; tiny cameras, because a scene is about motion.
+
+    Raises TownError when the scene cannot be built, or a seat starts where there is no street.
+    """
+    with tempfile.TemporaryDirectory(prefix=WORK) as work:
+        try:
+            town, scene = build_scene(folder, Path(work))
+            specs = tuple(_spec(seat, town.file.origin_m) for seat in scene.seats)
+            world = World(town, _config(scene, cameras), specs, scene.seed)
+        except WcsimError as error:
+            raise TownError(_without_work(str(error), folder)) from None
+        with world:
+            _check_starts(world, scene, folder)
+            yield world, scene
+
+
+def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Command, ...]]]:
+    """Every tick of a scene: the snapshot after it and the commands that led to it.
+
+    Who has arrived stays there, and who has crashed is not driven any more.
+    """
+    done: set[int] = set()
+    for _ in range(round(scene.duration_s / world.config.world.tick_s)):
+        before = world.snapshot
+        at_s = before.tick * world.config.world.tick_s
+        done.update(_done(before, scene))
+        commands = tuple(
+            Command(
+                seat=client.seat,
+                tick=before.tick,
+                joystick=Joystick(0.0, 0.0) if client.seat in done else _joystick(client, wanted, at_s),
+            )
+            for client, wanted in zip(before.clients, scene.seats, strict=True)
+        )
+        yield world.tick(commands), commands
+
+
+def run_in_child(folder: Path, trace: Path) -> SceneFacts:
+    """The same as `run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
+    command = [sys.executable, "-m", "wcsim.scenes.process", str(folder), str(trace)]
+    try:
+        done = subprocess.run(
+            command,
+            env={**os.environ, "GLIBC_TUNABLES": PINNED_LIBM},
+            capture_output=True,
+            text=True,
+            timeout=RUN_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise TownError(f"scene {folder.name} did not end within {RUN_TIMEOUT_S} s; shorten it") from None
+    if done.returncode != 0:
+        told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
+        known = done.returncode == BAD_SCENE
+        raise TownError(told if known else f"{folder}: its process ended with code {done.returncode}: {told}")
+    return facts_from_line(done.stdout)
+
+
+def _without_work(text: str, folder: Path) -> str:
+    """A message about copies in a working folder that is gone by now, as one about the scene's own files."""
+    text = text.partition("; see what it says")[0]
+    text = re.sub(rf"\S*/(?:{WORK}|wcsim-trial-)\w+/\w[\w-]*\.", f"{folder}/*.", text)
+    return text if text.startswith(f"{folder}") else f"{folder}: {text}"
+
+
+def _config(scene: SceneFile, cameras: tuple[CameraConfig, ...]) -> RunConfig:
+    """The default world with the scene's own settings."""
+    base = RunConfig(cameras=cameras)
+    world = base.world.model_copy(update={"warmup_s": scene.warmup_s, "attention_share": scene.attention_share})
+    return base.model_copy(update={"world": world})
+
+
+def _header(world: World, scene: SceneFile) -> TraceHeader:
+    return TraceHeader(
+        name=scene.name,
+        seed=scene.seed,
+        tick_s=world.config.world.tick_s,
+        seats=len(scene.seats),
+        fingerprint=fingerprint(),
+    )
+
+
+def _spec(wanted: SceneSeat, origin_m: tuple[float, float]) -> SeatSpec:
+    start = frames.world_from_net(np.array(wanted.start_m), origin_m)
+    goal = frames.world_from_net(np.array(wanted.goal_m or wanted.start_m), origin_m)
+    return SeatSpec(
+        profile=wanted.profile,
+        start=StartSpec(
+            p_W_m=(float(start[0]), float(start[1])),
+            yaw_rad=frames.yaw_from_sumo(wanted.heading_deg),
+            goal_W_m=(float(goal[0]), float(goal[1])),
+        ),
+    )
+
+
+def _starts(world: World) -> tuple[StartSpec, ...]:
+    return tuple(seat.spec.start for seat in world.seats if seat.spec.start is not None)
+
+
+def _check_starts(world: World, scene: SceneFile, folder: Path) -> None:
+    """Refuse a chair that would start beside the street or inside something. Raises TownError."""
+    grid = world.street.grid
+    for i, (start, wanted) in enumerate(zip(_starts(world), scene.seats, strict=True)):
+        here_W_m = np.array(start.p_W_m)
+        inside = float(grid.clearance_at(here_W_m)) <= 0.0
+        if inside or int(grid.class_at(here_W_m)) not in STREET:
+            where = "inside something solid" if inside else "on no pavement, crossing or road"
+            raise TownError(
+                f"{folder / 'scene.toml'}: seat {i} starts at {list(wanted.start_m)}, which is {where}; "
+                "correct start_m (net coordinates)"
+            )
+
+
+def _done(snapshot: Snapshot, scene: SceneFile) -> Iterator[int]:
+    """The seats that have reached their goal, or crashed, with this tick."""
+    for client, wanted in zip(snapshot.clients, scene.seats, strict=True):
+        if client.events.crashed or (client.events.arrived and wanted.goal_m is not None):
+            yield client.seat
+
+
+def _joystick(client: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
+    if wanted.joystick is not None:
+        return Joystick(*wanted.joystick)
+    if wanted.script:
+        begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
+        return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
+    return (client.first or client).user

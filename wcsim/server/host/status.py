@@ -1,0 +1,104 @@
+"""What a world process says of itself, a line of JSON a few times a second, to whoever started it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import statistics
+import time
+from collections import deque
+from pathlib import Path
+
+import msgspec
+
+from wcsim.errors import WcsimError
+from wcsim.server.host.stragglers import Stragglers
+from wcsim.server.host.world_host import WorldHost
+from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
+from wcsim.server.protocol.messages import Act, failure_of
+from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.specs import WorldStatus, to_line
+
+EVERY_S = 0.25
+_STEPS = 100  # for the median
+_RATES = 20  # reports that the rate is taken over
+
+
+class Reporter:
+    """Writes `WorldStatus` lines into a pipe; one that nobody reads fills up, and is then left alone."""
+
+    def __init__(self, pipe: int) -> None:
+        """Use this descriptor; -1 says nothing to nobody."""
+        self._pipe = pipe
+        self.listening = ""  # the address for other machines
+        self._said_s = -EVERY_S
+        self._steps_s: deque[float] = deque(maxlen=_STEPS)
+        self._counts: deque[tuple[float, int]] = deque(maxlen=_RATES)
+        self._holdups = Stragglers()
+        if pipe >= 0:
+            os.set_blocking(pipe, False)
+
+    def loading(self) -> None:
+        """The world is not there yet."""
+        self._say(WorldStatus(stage="loading"))
+
+    def failed(self, error: WcsimError) -> None:
+        """There is no world, or no more; the line is a `Failure`."""
+        self._write(msgspec.json.encode(failure_of(error)) + b"\n")
+
+    def saw(self, core: ServerCore, event: Event, now_s: float, stepped_s: float) -> None:
+        """An event was dealt with: note how long the step was, and who is waited for from now on."""
+        if stepped_s > 0.0:
+            self._steps_s.append(stepped_s)
+        acted = isinstance(event, Received) and isinstance(event.message, Act)
+        if acted or stepped_s > 0.0 or isinstance(event, Clock):
+            members = core.cycle.roll.members
+            waits = core.cycle.stage is BarrierState.COLLECT
+            late = [mate.name for mate in members if mate.action is None and not mate.respawning] if waits else []
+            self._holdups.saw(len(members), late, now_s)
+
+    def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
+        """Say how things are, when it is time to."""
+        real_s = time.monotonic()
+        if real_s - self._said_s < EVERY_S or self._pipe < 0:
+            return
+        self._said_s = real_s
+        self._counts.append((real_s, hub.ticks))
+        cycle = core.cycle
+        members = cycle.roll.by_seat()
+        master = cycle.roll.member(cycle.master)
+        owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
+        self._say(
+            WorldStatus(
+                stage=cycle.stage.value,
+                epoch=cycle.epoch,
+                tick=cycle.tick,
+                ticks=hub.ticks,
+                ticks_per_s=self._rate(),
+                step_ms=1e3 * statistics.median(self._steps_s) if self._steps_s else 0.0,
+                members=tuple(mate.name for mate in members),
+                master="" if master is None else master.name,
+                late=tuple(mate.name for mate in owing),
+                late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
+                rss_mb=_rss_mb(),
+                held=self._holdups.held([mate.name for mate in members]),
+                listening=self.listening,
+            )
+        )
+
+    def _rate(self) -> float:
+        (begun_s, first), (ended_s, last) = self._counts[0], self._counts[-1]
+        return (last - first) / (ended_s - begun_s) if ended_s > begun_s else 0.0
+
+    def _say(self, status: WorldStatus) -> None:
+        self._write(to_line(status))
+
+    def _write(self, line: bytes) -> None:
+        if self._pipe >= 0:
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                os.write(self._pipe, line)
+
+
+def _rss_mb() -> float:
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20

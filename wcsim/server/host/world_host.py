@@ -1,0 +1,230 @@
+"""A server core with a world: carries out what the core wants done, writes the journal, keeps everybody's frame.
+
+The order is always: the world changes, the journal has it, the clients hear of it. So what a client has seen can be
+computed again from the journal, whatever dies when.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import msgspec
+
+from wcsim.errors import PhysicsError, WcsimError
+from wcsim.physics.sensors.camera import ImageSink, copied
+from wcsim.server.journal.records import Admitted, Dismissed, EpochBegun, JournalRecord, Respawned, Ticked
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.events import (
+    Admit,
+    Dismiss,
+    Effect,
+    Event,
+    Lost,
+    Peer,
+    RebuildWorld,
+    Received,
+    RespawnSeats,
+    Send,
+    SendFrame,
+    Step,
+    Stepped,
+)
+from wcsim.server.protocol.server_core import ServerCore
+from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot
+
+log = logging.getLogger("wcsim.server.host.world_host")
+
+Post = Callable[[Peer, m.Reply], None]
+Keep = Callable[[JournalRecord], None]
+
+
+class SeatWorld(Protocol):
+    """A world with seats, as the hub uses it: `bridge.world.World`, or a stand-in of benches and tests."""
+
+    snapshot: Snapshot
+
+    def tick(self, commands: Sequence[Command], out: ImageSink | None = None) -> Snapshot:
+        """Carry the world from tick n to n + 1."""
+
+    def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
+        """Put a chair into the street for a free seat."""
+
+    def dismiss(self, seat: int) -> None:
+        """Take a seat's chair out of the street."""
+
+    def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
+        """Begin a seat's next episode."""
+
+    def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
+        """A new epoch."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class SlottedSink(ImageSink, Protocol):
+    """Where pictures go: two slots a seat in turn, so that the frame before stands while the next is drawn."""
+
+    def turn(self, tick: int) -> None:
+        """The next pictures are of this tick."""
+
+    def slot(self, tick: int) -> int:
+        """Where those of a tick are."""
+
+
+class WorldHost:
+    """A core, its world and its journal; see the module's text."""
+
+    def __init__(
+        self,
+        core: ServerCore,
+        world: SeatWorld,
+        post: Post,
+        keep: Keep = lambda record: None,
+        sink: SlottedSink | None = None,
+    ) -> None:
+        """Host a world.
+
+        Args:
+            core: Its seats fit those that are taken in the world.
+            world: The world; the hub does not close it.
+            post: Sends a message to a peer; must not block.
+            keep: Writes a record of the journal.
+            sink: Where pictures go; the world's own buffers without one.
+        """
+        self.core, self.world = core, world
+        self._post, self._keep, self._sink = post, keep, sink
+        self._frames = {client.seat: client for client in world.snapshot.clients}
+        self._lay_out(world.snapshot)
+        self._refused: set[int] = set()
+        self.step_s = 0.0  # what the last step took
+        self.ticks = 0  # steps done by this hub
+
+    def feed(self, event: Event, now_s: float) -> None:
+        """Let something happen, and do all that follows from it.
+
+        Raises:
+            WcsimError: The world failed, or the journal cannot be written; the hub is of no use then.
+        """
+        if isinstance(event, Received) and isinstance(event.message, m.Join):
+            join = event.message
+            event = Received(event.peer, msgspec.structs.replace(join, claim=sealed(join.claim)))
+        todo: deque[Effect] = deque(self.core.handle(event, now_s))
+        while todo:
+            effect = todo.popleft()
+            match effect:
+                case Send():
+                    self._post(effect.peer, effect.message)
+                case SendFrame():
+                    self._send_frame(effect)
+                case Step():
+                    todo.extend(self._step(effect, now_s))
+                case Admit():
+                    todo.extend(self._admit(effect, now_s))
+                case Dismiss():
+                    self._dismiss(effect)
+                case RespawnSeats():
+                    self._respawn(effect)
+                case RebuildWorld():
+                    self._rebuild(effect)
+
+    # --- the world ---
+
+    def _step(self, step: Step, now_s: float) -> list[Effect]:
+        begun_s = time.perf_counter()
+        self._turn(step.tick + 1)
+        after = self.world.tick(step.commands, self._sink)
+        self._keep(Ticked(epoch=after.epoch, tick=after.tick, commands=step.commands, state_hash=after.state_hash))
+        self._frames = {client.seat: client for client in after.clients}
+        self.step_s = time.perf_counter() - begun_s
+        self.ticks += 1
+        return self.core.handle(Stepped(after.tick, self.step_s), now_s + self.step_s)
+
+    def _admit(self, admit: Admit, now_s: float) -> list[Effect]:
+        now = self.world.snapshot
+        self._turn(now.tick)
+        try:
+            client = self.world.admit(admit.seat, admit.spec, self._sink)
+        except Exception as error:  # whatever a client asks for, nobody else's world ends of it
+            if self.world.snapshot is not now:
+                raise
+            return self._refuse(admit.seat, _as_refusal(error), now_s)
+        self._frames[admit.seat] = client
+        member = self.core.cycle.roll.at(admit.seat)
+        claim = "" if member is None else member.claim.hex()
+        self._keep(
+            Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name, claim=claim)
+        )
+        return []
+
+    def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[Effect]:
+        """The world takes no such chair: its client hears why, and the core that it is gone."""
+        member = self.core.cycle.roll.at(seat)
+        if member is None:
+            raise error
+        self._refused.add(seat)
+        self._post(member.peer, m.failure_of(error, member.session))
+        return self.core.handle(Lost(member.session, str(error)), now_s)
+
+    def _dismiss(self, dismiss: Dismiss) -> None:
+        if dismiss.seat in self._refused:
+            self._refused.remove(dismiss.seat)
+            return
+        now = self.world.snapshot
+        self.world.dismiss(dismiss.seat)
+        self._frames.pop(dismiss.seat, None)
+        self._keep(Dismissed(epoch=now.epoch, tick=now.tick, seat=dismiss.seat, reason=dismiss.reason))
+
+    def _respawn(self, respawn: RespawnSeats) -> None:
+        now = self.world.snapshot
+        self._turn(now.tick)
+        for seat in respawn.seats:
+            self._frames[seat] = self.world.respawn(seat, self._sink)
+            self._keep(Respawned(epoch=now.epoch, tick=now.tick, seat=seat))
+
+    def _rebuild(self, rebuild: RebuildWorld) -> None:
+        self._turn(0)
+        after = self.world.rebuild(rebuild.seed, self._sink)
+        self._keep(EpochBegun(epoch=rebuild.epoch, seed=rebuild.seed))
+        self._frames = {client.seat: client for client in after.clients}
+
+    def _turn(self, tick: int) -> None:
+        if self._sink is not None:
+            self._sink.turn(tick)
+
+    def _lay_out(self, snapshot: Snapshot) -> None:
+        """A world that was computed again has its pictures elsewhere: bring them to where its clients look for them."""
+        if self._sink is None:
+            return
+        self._sink.turn(snapshot.tick)
+        for client in snapshot.clients:
+            for shown in filter(None, (client, client.first)):
+                images = self._sink.buffers(client.seat, shown.events.step == 0).images
+                for frame, out in zip(shown.sensors.cameras, images, strict=True):
+                    copied(frame, out)
+
+    # --- the clients ---
+
+    def _send_frame(self, wanted: SendFrame) -> None:
+        client = self._frames.get(wanted.seat)
+        if client is not None:
+            slot = -1 if self._sink is None else self._sink.slot(wanted.tick)
+            self._post(wanted.peer, m.Frame(wanted.epoch, wanted.tick, wanted.life, client, slot))
+
+
+def sealed(claim: bytes) -> bytes:
+    """A claim as a core and a journal keep it: enough to know it again, of no use to who reads it; none stays none."""
+    return hashlib.blake2b(claim, digest_size=16).digest() if claim else b""
+
+
+def _as_refusal(error: Exception) -> WcsimError:
+    """An error as one that a client may see."""
+    if isinstance(error, WcsimError):
+        return error
+    log.error("a client's chair could not be put into the street", exc_info=error)
+    return PhysicsError(f"the world cannot take this chair ({type(error).__name__}); ask for another start or user")

@@ -1,0 +1,292 @@
+"""Make a world again from its journal, record by record, and compare hash by hash."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from wcsim.bridge.recording.fcd import write_steps
+from wcsim.bridge.recording.trace import TickRecord, TraceHeader, chair_box_m, record_of
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.town_run import as_recorded
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, parse
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
+from wcsim.server.journal.journal import (
+    Admitted,
+    Dismissed,
+    Ended,
+    EpochBegun,
+    JournalHeader,
+    JournalRecord,
+    Respawned,
+    Ticked,
+    iter_journal,
+    read_header,
+)
+from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.types import SeatSpec
+
+T = TypeVar("T")
+Progress = Callable[[int], None]  # (ticks done)
+Iterations = Generator[T, None, None]
+"""An iterator that holds a world, which ends with it: exhaust it, or close it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recomputed:
+    """What a journal says, and the world's state after the same was done again."""
+
+    record: JournalRecord
+    state_hash: str
+
+    @property
+    def differs(self) -> bool:
+        """Whether the journal tells of another state; it does so at ticks only."""
+        return isinstance(self.record, Ticked) and self.record.state_hash != self.state_hash
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verified:
+    """How a comparison of all ticks ended."""
+
+    ticks: int = 0  # compared
+    mismatches: int = 0
+    first: Ticked | None = None  # the first record that differs
+
+
+def recompute(
+    journal: Path, epoch: int | None = None, until_tick: int | None = None, hook: str = ""
+) -> Iterations[Recomputed]:
+    """Do again what was done to a world: in one epoch, or in all of them, each in a new world.
+
+    Args:
+        journal: The file.
+        epoch: Which one; all when None.
+        until_tick: The last tick of each epoch to do.
+        hook: The user's own step hook, which must be the journal's: that one is code, and not for a file to name.
+
+    Raises:
+        TownError: The town is not there, or has other streets than it had.
+        WcsimError: It is no journal, has no such epoch, or its records do not follow from each other.
+    """
+    with closing(_replayed(journal, epoch, until_tick, hook)) as steps:
+        for world, record in steps:
+            yield Recomputed(record=record, state_hash=world.snapshot.state_hash)
+
+
+def verify(
+    journal: Path,
+    epoch: int | None,
+    first_tick: int,
+    last_tick: int | None,
+    progress: Progress = lambda ticks: None,
+    hook: str = "",
+) -> Verified:
+    """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `recompute` raises."""
+    result = Verified()
+    with closing(recompute(journal, epoch, last_tick, hook)) as steps:
+        for step in steps:
+            record = step.record
+            if not isinstance(record, Ticked) or record.tick < first_tick:
+                continue
+            wrong = result.mismatches + step.differs
+            first = record if step.differs and result.first is None else result.first
+            result = replace(result, ticks=result.ticks + 1, mismatches=wrong, first=first)
+            progress(result.ticks)
+    return result
+
+
+def rebuild_world(journal: Path, place: RunPlace | None = None) -> tuple[World, tuple[JournalRecord, ...]]:
+    """The world exactly as it was after the last record, and the records of its last epoch.
+
+    `place` says where the world runs; the hook in it must be the journal's own.
+
+    Raises:
+        ReplayMismatchError: A tick gave another state than the journal says.
+        WcsimError: As `recompute` does.
+    """
+    player = _Player(read_header(journal), place or RunPlace())
+    records: list[JournalRecord] = []
+    for record in iter_journal(journal):
+        if isinstance(record, EpochBegun):
+            player.seat_all(records)
+            records = []
+        records.append(record)
+    if not records or not isinstance(records[0], EpochBegun):
+        raise WcsimError(f"{journal}: no epoch has begun in it; there is no world to make again")
+    try:
+        for record in records:
+            world = player.play(record)
+            _require_equal(world, record)
+    except BaseException:
+        player.close()
+        raise
+    return world, tuple(records)
+
+
+def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
+    """Make an epoch again and write it as an FCD file; returns the number of its time steps.
+
+    Raises:
+        ReplayMismatchError: A tick gave another state than the journal says.
+        WcsimError: As `recompute` does.
+    """
+    with closing(_replayed(journal, epoch, None, hook)) as steps:
+        world, _ = next(steps)
+        written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
+    if not written:
+        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
+    return written
+
+
+def _ticks(steps: Iterable[tuple[World, JournalRecord]]) -> Iterator[TickRecord]:
+    for world, record in steps:
+        _require_equal(world, record)
+        if isinstance(record, Ticked):
+            yield record_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.everyone()))
+
+
+def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
+    return TraceHeader(
+        name=world.town.name,
+        seed=header.seed,
+        tick_s=header.tick_s,
+        seats=header.capacity,
+        fingerprint=header.fingerprint,
+        origin_m=world.town.file.origin_m,
+        origin_z_m=world.street.net_z_m,
+        chair_box_m=chair_box_m(world.config.chair),
+    )
+
+
+def _require_equal(world: World, record: JournalRecord) -> None:
+    if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
+        raise ReplayMismatchError(
+            f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
+            f"{record.state_hash} as in the journal; use the versions and the machine that it was made with"
+        )
+
+
+def _replayed(
+    journal: Path, epoch: int | None, until_tick: int | None, hook: str
+) -> Iterations[tuple[World, JournalRecord]]:
+    """Each record of the wanted epochs, with the world after it; the world is closed with the iterator."""
+    player = _Player(read_header(journal), RunPlace(hook=hook))
+    known: set[int] = set()
+    try:
+        for record in iter_journal(journal):
+            if isinstance(record, Ended):
+                continue
+            begins, wanted = isinstance(record, EpochBegun), epoch in (None, record.epoch)
+            if begins:
+                known.add(record.epoch)
+            late = isinstance(record, Ticked) and until_tick is not None and record.tick > until_tick
+            if late or not wanted:
+                player.close()
+            if player.plays or (begins and wanted):
+                yield player.play(record), record
+            else:
+                player.note(record)
+    finally:
+        player.close()
+    if not known:
+        raise WcsimError(f"{journal}: has no epoch: it was cut off, or its world never began; expected a whole journal")
+    if epoch is not None and epoch not in known:
+        raise WcsimError(f"{journal}: has no epoch {epoch}; expected one of {sorted(known)}")
+
+
+class _Player:
+    """Does to a world what a journal says was done, and keeps who sits where while there is no world."""
+
+    def __init__(self, header: JournalHeader, place: RunPlace) -> None:
+        if header.hook != place.hook:
+            raise ConfigError(
+                f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got "
+                f"{place.hook or 'none'!r}; a hook is code: name it yourself (--hook) if you trust it"
+            )
+        self._header, self._place = header, place
+        self._town = find_town(header.town)
+        if streets_hash(self._town) != header.town_sha256:
+            raise TownError(f"{header.town}: has other streets than when the journal was made; restore its net")
+        self._config = parse(RunConfig, _config_of(header), "the configuration in the journal")
+        self._seats: dict[int, SeatSpec] = {}
+        self._world: World | None = None
+
+    @property
+    def plays(self) -> bool:
+        """Whether there is a world now."""
+        return self._world is not None
+
+    def close(self) -> None:
+        """End the world, if there is one."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    def seat_all(self, records: Iterable[JournalRecord]) -> None:
+        """Note the records of an epoch that is over."""
+        for record in records:
+            self.note(record)
+
+    def note(self, record: JournalRecord) -> None:
+        """Keep who sits where after a record."""
+        if isinstance(record, Admitted):
+            self._seats[record.seat] = record.spec
+        elif isinstance(record, Dismissed):
+            self._seats.pop(record.seat, None)
+        elif isinstance(record, EpochBegun) and record.fresh:
+            self._seats.clear()
+
+    def play(self, record: JournalRecord) -> World:
+        """Do what a record says; raises WcsimError when it does not follow from those before."""
+        self.note(record)
+        if isinstance(record, EpochBegun):
+            return self._begin(record)
+        if self._world is None:
+            raise WcsimError(f"{record} comes before any epoch has begun; the journal is damaged")
+        if not isinstance(record, Ended):
+            _require_now(self._world, record)
+            _do(self._world, record)
+        return self._world
+
+    def _begin(self, record: EpochBegun) -> World:
+        self.close()
+        specs = tuple(self._seats.get(number) for number in range(self._header.capacity))
+        self._world = World(self._town, self._config, specs, record.seed, self._place, epoch=record.epoch)
+        return self._world
+
+
+def _do(world: World, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+    if isinstance(record, Ticked):
+        world.tick(record.commands)
+    elif isinstance(record, Admitted):
+        world.admit(record.seat, record.spec)
+    elif isinstance(record, Dismissed):
+        world.dismiss(record.seat)
+    else:
+        world.respawn(record.seat)
+
+
+def _require_now(world: World, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+    here, ticks = world.snapshot, isinstance(record, Ticked)
+    if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
+        raise WcsimError(
+            f"{type(record).__name__} of epoch {record.epoch}, tick {record.tick} follows epoch {here.epoch}, tick "
+            f"{here.tick}; expected {'the next tick' if ticks else 'this one'}: the journal is damaged"
+        )
+
+
+def _config_of(header: JournalHeader) -> dict[str, object]:
+    try:
+        config = json.loads(header.config)
+    except (ValueError, RecursionError):
+        config = None
+    if not isinstance(config, dict):
+        raise ConfigError("the configuration in the journal is no JSON object; the journal is damaged")
+    return config

@@ -1,0 +1,223 @@
+"""One world and several clients as processes: started, watched, started again when they die, ended in order.
+
+A tiny process that loads no simulator and no torch. One loop waits for pipes and ends of processes; everything has a
+deadline. The children die with it, however it ends.
+"""
+
+from __future__ import annotations
+
+import selectors
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from enum import Enum
+from pathlib import Path
+
+from wcsim.server.launch.awake_clock import AwakeClock
+from wcsim.server.launch.client_process import ClientRun
+from wcsim.server.launch.event_log import RunLog
+from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.launch.stop_signals import StopSignals
+from wcsim.server.launch.world_process import WORLD_ARGV, WorldRun
+from wcsim.server.specs import WorldSpec
+
+LOOK_S = 0.1
+SHOW_S = 0.25
+SECOND_ASK_S = 240.0  # a client that still has not ended may wait for something that does not come ...
+IDLE_ASK_S = 2.0  # ... as in a world that does not tick
+
+Show = Callable[[LaunchState], None]
+
+
+class LaunchStep(Enum):
+    """How far a launch has come."""
+
+    RUN = "run"
+    CLIENTS_END = "clients end"
+    WORLD_ENDS = "world ends"
+    OVER = "over"
+
+
+class Launcher:
+    """A launch; `run` does it once."""
+
+    def __init__(
+        self,
+        world: WorldSpec,
+        clients: Sequence[ClientPlan],
+        folder: Path,
+        workplace: Path,
+        rules: LaunchRules | None = None,
+        show: Show | None = None,
+        world_argv: Sequence[str] = WORLD_ARGV,
+        signals: StopSignals | None = None,
+    ) -> None:
+        """Prepare a launch.
+
+        Args:
+            world: The world; its socket and its shared memory are in `workplace`.
+            clients: The clients; none for a world that waits for others.
+            folder: The run folder, for logs and events.jsonl.
+            workplace: A folder that only its owner can enter, for the order to the world.
+            rules: How long to wait for what.
+            show: Called a few times a second.
+            world_argv: The world's program; the path of its order is added.
+            signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
+        """
+        self._rules = rules if rules is not None else LaunchRules()
+        self._show = show
+        self._selector = selectors.DefaultSelector()
+        log = RunLog(folder)
+        self._log = log
+        self._clients = [ClientRun(plan, self._rules, self._selector, log) for plan in clients]
+        self._serves = not self._clients
+        self._world = WorldRun(
+            world, workplace / "world.json", folder / "logs" / "world.log", self._rules, self._selector, log, world_argv
+        )
+        self._step = LaunchStep.RUN
+        self._since_s = 0.0  # of this step
+        self._asked_again = self._asked_world = False
+        self._given, self._heard = signals, StopSignals() if signals is None else signals
+        self._asked = 0
+        self._stopped = False
+        self._shown_s = 0.0
+        self._code, self._message = 0, ""
+
+    def run(self) -> LaunchOutcome:
+        """Start everything, and return when nothing of it runs any more."""
+        begun_s = time.monotonic()
+        clock = AwakeClock(begun_s)  # a launcher that was stopped has not waited for anybody
+        try:
+            with nullcontext() if self._given is not None else self._heard:
+                self._world.start(clock.now_s)
+                for client in self._clients:
+                    client.start()
+                while self._step is not LaunchStep.OVER:
+                    self._selector.select(LOOK_S)
+                    self._look(clock.look(time.monotonic()))
+                    self._show_state(clock.now_s)
+        except Exception:
+            self._rescue()
+            raise
+        finally:
+            for client in self._clients:
+                client.close()
+            self._world.close()
+            self._selector.close()
+        return LaunchOutcome(
+            code=self._code,
+            message=self._message,
+            stopped=self._stopped,
+            clients=self._states(),
+            elapsed_s=time.monotonic() - begun_s,
+            by_signal=self._stopped and self._heard.count > 0,
+        )
+
+    def stop(self) -> None:
+        """Ask for an orderly end, as SIGTERM does."""
+        self._asked += 1
+
+    @property
+    def _signals(self) -> int:
+        return self._asked + self._heard.count
+
+    def _look(self, now_s: float) -> None:
+        self._world.look(now_s)
+        for client in self._clients:
+            client.look(now_s, self._world.status if self._world.running else None)
+        if self._signals > 1:
+            self._kill_all()
+        if self._step is LaunchStep.RUN:
+            self._run_on(now_s)
+        if self._step is LaunchStep.CLIENTS_END:
+            self._await_clients(now_s)
+        if self._step is LaunchStep.WORLD_ENDS:
+            self._await_world(now_s)
+
+    def _run_on(self, now_s: float) -> None:
+        """Go on, unless there is a reason to end."""
+        fault = next((client.fault for client in self._clients if client.fault), "")
+        if fault:
+            self._end_clients(now_s, 2, fault)
+        elif self._world.fault:
+            self._end_clients(now_s, 2 if self._world.refused else 1, self._world.fault)
+        elif self._signals:
+            self._stopped = True
+            self._end_clients(now_s, 0, "stopped")
+        elif not self._serves and all(client.settled for client in self._clients):
+            self._code, self._message = self._verdict()
+            self._go(LaunchStep.WORLD_ENDS, now_s)
+
+    def _verdict(self) -> tuple[int, str]:
+        lost = [client for client in self._clients if client.standing == "given up"]
+        told = "; ".join(f"client {client.plan.name} was given up: it {client.reason}" for client in lost)
+        return (1, f"{told}; see {lost[0].plan.log}") if lost else (0, "")
+
+    def _end_clients(self, now_s: float, code: int, message: str) -> None:
+        self._code, self._message = code, message
+        self._log.add("stop", code=code, reason=message)
+        for client in self._clients:
+            client.ask_to_end()
+        self._go(LaunchStep.CLIENTS_END, now_s)
+
+    def _await_clients(self, now_s: float) -> None:
+        if all(client.settled for client in self._clients):
+            self._go(LaunchStep.WORLD_ENDS, now_s)
+            return
+        waited_s = now_s - self._since_s
+        if waited_s > self._rules.saving_s:
+            for client in self._clients:
+                client.kill()
+        elif not self._asked_again and waited_s > (SECOND_ASK_S if self._world.ticks else IDLE_ASK_S):
+            self._asked_again = True
+            for client in self._clients:
+                client.ask_to_end()
+
+    def _await_world(self, now_s: float) -> None:
+        if not self._world.running:
+            self._go(LaunchStep.OVER, now_s)
+            return
+        status, waited_s = self._world.status, now_s - self._since_s
+        if not self._asked_world and (status is None or not status.members or waited_s > self._rules.leaving_s):
+            self._asked_world = True
+            self._world.ask_to_end()
+        elif waited_s > self._rules.ending_s:
+            self._world.kill()
+
+    def _go(self, step: LaunchStep, now_s: float) -> None:
+        self._step, self._since_s = step, now_s
+
+    def _rescue(self) -> None:
+        """Something failed in here: let the clients save their work before their processes are ended."""
+        for client in self._clients:
+            client.ask_to_end()
+        deadline_s = time.monotonic() + self._rules.saving_s
+        while time.monotonic() < deadline_s and not all(client.ended for client in self._clients):
+            time.sleep(LOOK_S)
+
+    def _kill_all(self) -> None:
+        for client in self._clients:
+            client.kill()
+        self._world.kill()
+
+    # --- what it shows ---
+
+    def _show_state(self, now_s: float) -> None:
+        if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not LaunchStep.OVER):
+            return
+        self._shown_s = now_s
+        world = self._world
+        self._show(
+            LaunchState(
+                elapsed_s=now_s,
+                world_standing=world.standing,
+                world_pid=world.pid,
+                world_restarts=world.restarts,
+                world=world.status,
+                clients=self._states(),
+                stopping=self._step is not LaunchStep.RUN,
+            )
+        )
+
+    def _states(self) -> tuple[ClientState, ...]:
+        return tuple(client.state for client in self._clients)

@@ -1,0 +1,287 @@
+"""How a client reaches its wheelchair: one interface, whether the world is in this process or in another one.
+
+A link is for one seat. `act` names the tick it is for, so nothing is ever "the next": an action for another tick than
+the seat's own is a ProtocolError. Snapshots are valid until the client's next call.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.config import RunConfig
+from wcsim.errors import LinkClosedError, ProtocolError, WcsimError
+from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
+from wcsim.types import ClientSnapshot, Joystick, SeatSpec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldOrder:
+    """Everything that a world is made from."""
+
+    town: str
+    config: RunConfig
+    seed: int
+    seat: SeatSpec = SeatSpec()  # noqa: RUF009 - frozen; of a sole client
+    seats: int = 1
+    run: str = ""  # the run folder, where the outputs of the town's own scenario go
+    hook: str = ""  # the user's own step hook, module:Class
+
+    @property
+    def place(self) -> RunPlace:
+        """The same for a world."""
+        return RunPlace(folder=Path(self.run) if self.run else None, hook=self.hook)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waits:
+    """Where a client's time in its link went, in seconds."""
+
+    steps: int = 0
+    simulation_s: float = 0.0  # what the world took for the steps, as it said itself
+    link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
+
+
+class WorldLink(Protocol):
+    """One seat of a world."""
+
+    def join(self) -> ClientSnapshot:
+        """The frame the seat has now: the first one of its episode when nothing was done yet."""
+
+    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
+        """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
+
+        Raises:
+            WorldRestartedError: A new epoch began; `join()` has its first frame.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
+
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """The first half of `act`: say what to do."""
+
+    def receive(self) -> ClientSnapshot:
+        """The second half of `act`, of `respawn` too: wait for the frame."""
+
+    def respawn(self) -> ClientSnapshot:
+        """Begin the seat's next episode now, without a tick."""
+
+    def rebuild(self, seed: int) -> ClientSnapshot:
+        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
+
+    def beat(self, progress: int) -> None:
+        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`."""
+
+    @property
+    def seat(self) -> int:
+        """The number of the seat; -1 before the first `join`."""
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the last frame; -1 before the first one."""
+
+    @property
+    def master(self) -> bool:
+        """Whether this client is the one that ticks."""
+
+    @property
+    def waits(self) -> Waits:
+        """Where the time went so far."""
+
+    def close(self) -> None:
+        """Leave; a second call does nothing."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None: ...
+
+
+class SeatLink(ABC):
+    """What all links share: a client core, driven by calls that wait."""
+
+    def __init__(self, core: ClientCore, ledger: LedgerWriter | None = None) -> None:
+        self.core = core
+        self._ledger = ledger
+        self._frame: ClientSnapshot | None = None
+        self._error: WcsimError | None = None
+        self._closed = False
+        self._steps, self._simulation_s, self._link_s = 0, 0.0, 0.0
+
+    # --- what a transport does ---
+
+    @abstractmethod
+    def _post(self, message: m.Request) -> None:
+        """Send a message; must not block for long."""
+
+    @abstractmethod
+    def _pump(self) -> None:
+        """Wait a little for messages and take them in; raises when there is no use in waiting."""
+
+    @abstractmethod
+    def _end(self) -> None:
+        """Let go of everything."""
+
+    def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
+        """The frame with its pictures."""
+        return seen.client
+
+    def _welcomed(self, welcome: m.Welcome) -> None:
+        """The client has its seat."""
+        del welcome
+
+    # --- what a client calls ---
+
+    def join(self) -> ClientSnapshot:
+        """See `WorldLink.join`."""
+        if self.core.phase.value == "off":
+            self.ask_join()
+            return self._await()
+        return self._await() if self._frame is None else self._frame
+
+    def ask_join(self) -> None:
+        """The first half of the first `join`; `receive` is the second."""
+        self._refuse_closed()
+        self._frame = None
+        self.take(self.core.join(self._now_s()))
+
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """See `WorldLink.send`."""
+        self._refuse_closed()
+        self._raise_error()
+        self.take(self.core.act(tick, joystick, self._now_s()))
+
+    def receive(self) -> ClientSnapshot:
+        """See `WorldLink.receive`."""
+        self._refuse_closed()
+        return self._await()
+
+    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
+        """See `WorldLink.act`."""
+        self.send(tick, joystick)
+        return self.receive()
+
+    def respawn(self) -> ClientSnapshot:
+        """See `WorldLink.respawn`."""
+        self.ask_respawn()
+        return self.receive()
+
+    def ask_respawn(self) -> None:
+        """The first half of `respawn`."""
+        self._refuse_closed()
+        self._raise_error()
+        self.take(self.core.respawn(self._now_s()))
+
+    def rebuild(self, seed: int) -> ClientSnapshot:
+        """See `WorldLink.rebuild`."""
+        self._refuse_closed()
+        self._raise_error()
+        self.take(self.core.rebuild(seed, self._now_s()))
+        return self.receive()
+
+    def beat(self, progress: int) -> None:
+        """See `WorldLink.beat`."""
+        self.take(self.core.beat(progress))
+
+    @property
+    def seat(self) -> int:
+        """See `WorldLink.seat`."""
+        return self.core.seat
+
+    @property
+    def epoch(self) -> int:
+        """See `WorldLink.epoch`."""
+        return self.core.epoch
+
+    @property
+    def master(self) -> bool:
+        """See `WorldLink.master`."""
+        return self.core.master
+
+    @property
+    def waits(self) -> Waits:
+        """See `WorldLink.waits`."""
+        return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s)
+
+    def close(self) -> None:
+        """See `WorldLink.close`."""
+        if self._closed:
+            return
+        try:
+            self.take(self.core.leave())
+        finally:
+            self._closed = True
+            if self._ledger is not None:
+                self._ledger.close()
+            self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # --- inside ---
+
+    def take(self, outcomes: list[Outcome]) -> None:
+        """Do what the client core wants done."""
+        for outcome in outcomes:
+            match outcome:
+                case Say():
+                    self._post(outcome.message)
+                case FrameSeen():
+                    self._see(outcome)
+                case Failed():
+                    self._error = outcome.error
+                case Welcomed():
+                    self._welcomed(outcome.message)
+
+    def hear(self, message: m.Reply) -> None:
+        """Take in one message of the server."""
+        if isinstance(message, m.TickDone):
+            self._simulation_s += message.step_s
+        self.take(self.core.handle(message, self._now_s()))
+
+    def _see(self, seen: FrameSeen) -> None:
+        if self._ledger is not None:
+            session = self.core.session
+            self._ledger.add(LedgerEntry(session=session, epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
+        self._steps += seen.stepped
+        self._frame = self._open_frame(seen)
+
+    def _await(self) -> ClientSnapshot:
+        begun_s = time.perf_counter()
+        while self.core.waiting and self._error is None:
+            self._pump()
+        self._link_s += time.perf_counter() - begun_s
+        self._raise_error()
+        if self._frame is None:
+            raise ProtocolError("nothing was asked for; call join(), act() or respawn() first")
+        return self._frame
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise LinkClosedError("this link is closed; make a new one")
+
+    def _now_s(self) -> float:
+        return time.monotonic()
+
+
+def new_session() -> bytes:
+    """A name for a connection that nobody can guess."""
+    return secrets.token_bytes(m.SESSION_BYTES)

@@ -1,0 +1,163 @@
+"""A world in a child process of its own with one seat; used when a world already lives in this process."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import sys
+import tempfile
+import time
+import weakref
+from pathlib import Path
+
+import msgspec
+
+from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
+from wcsim.server.links.base import WorldOrder
+from wcsim.server.links.local import local_rules
+from wcsim.server.links.socket import SocketSeat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.transport.shm_folder import RingFolder
+from wcsim.types import SeatSpec
+
+OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
+END_TIMEOUT_S = 5.0
+_LOOK_S = 0.2
+
+
+class WorldChild:
+    """A world process that belongs to this one, ready for its clients."""
+
+    def __init__(self, order: WorldOrder, expected: int = 1) -> None:
+        """Start the process and wait for its world; raises what opening it in this process would raise.
+
+        Args:
+            order: The world.
+            expected: Clients that the first tick waits for.
+        """
+        folder = tempfile.TemporaryDirectory(prefix="wcsim-")
+        self.endpoint = f"ipc://{Path(folder.name) / 'world'}"
+        ring = RingFolder()
+        self._pipe, theirs = os.pipe()
+        os.set_blocking(self._pipe, False)
+        server = WorldSpec(
+            town=order.town,
+            config_json=order.config.model_dump_json(),
+            seed=order.seed,
+            rules=local_rules(order.seats, expected),
+            endpoint=self.endpoint,
+            ring=str(ring.path),
+            run=order.run and str(Path(order.run).absolute()),
+            journal=False,
+            hook=order.hook,
+            status_fd=theirs,
+            quiet=True,
+        )
+        path = Path(folder.name) / "order.json"
+        path.write_bytes(to_line(server))
+        command = [sys.executable, "-m", "wcsim.server.host.process", str(path)]
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs,))
+        os.close(theirs)
+        self.close = weakref.finalize(self, _end, self.process, self._pipe, folder, ring)
+        try:
+            self._await_world()
+        except BaseException:
+            self.close()
+            raise
+
+    def require_alive(self) -> None:
+        """Raise LinkClosedError when the process has ended."""
+        code = self.process.poll()
+        if code is not None:
+            raise LinkClosedError(f"the world process ended with code {code}; its messages above say why")
+
+    def _await_world(self) -> None:
+        deadline_s = time.monotonic() + OPEN_TIMEOUT_S
+        rest = b""
+        while time.monotonic() < deadline_s:
+            ended = self.process.poll() is not None
+            *lines, rest = (rest + self._heard()).split(b"\n")
+            if any(_ready(line) for line in lines):
+                return
+            if ended:
+                self.require_alive()
+            time.sleep(0.01)
+        raise LinkTimeoutError(f"the world process has no world after {OPEN_TIMEOUT_S:g} s; is the machine busy?")
+
+    def _heard(self) -> bytes:
+        try:
+            return os.read(self._pipe, 1 << 16)
+        except BlockingIOError:
+            return b""
+
+
+class ChildSeat(SocketSeat):
+    """A seat of a world process that belongs to this one; notices when that has ended."""
+
+    def __init__(self, child: WorldChild, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "sole") -> None:
+        self._child = child
+        super().__init__(
+            SeatRequest(
+                endpoint=child.endpoint,
+                name=name,
+                claim=secrets.token_hex(),
+                spec=spec,
+                seat=seat,
+                patience=Patience(reconnect_s=OPEN_TIMEOUT_S),
+            )
+        )
+
+    def _pump(self) -> None:
+        if not self._socket.poll(0):
+            self._child.require_alive()
+        super()._pump()
+
+    def _end(self) -> None:
+        if self._child.process.poll() is None:
+            super()._end()
+        else:  # nobody is there to say goodbye
+            self._let_go()
+
+
+class ProcessLink(ChildSeat):
+    """The only seat of a world of its own in a child process."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        """Start the world; raises what opening it in this process would raise."""
+        child = WorldChild(order)
+        try:
+            super().__init__(child, order.seat)
+        except BaseException:
+            child.close()
+            raise
+
+    def _end(self) -> None:
+        try:
+            super()._end()
+        finally:
+            self._child.close()
+
+
+def _ready(line: bytes) -> bool:
+    """Whether a status line tells of a world; raises the error that one tells of."""
+    try:
+        return of_line(WorldStatus, line).stage != "loading"
+    except ConfigError:
+        raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
+
+
+def _end(
+    process: subprocess.Popen[bytes], pipe: int, folder: tempfile.TemporaryDirectory[str], ring: RingFolder
+) -> None:
+    process.terminate()
+    try:
+        process.wait(END_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    os.close(pipe)
+    folder.cleanup()
+    ring.close()

@@ -1,0 +1,86 @@
+"""All seats of one world, driven by one caller in one thread: first `send` on every link, then `receive` on every link.
+
+Seats are given away all at once, in seat order, so a group of one is a `LocalLink` to the bit.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.server.links.base import SeatLink, WorldOrder
+from wcsim.server.links.local import LocalServer, made_world
+from wcsim.types import ClientSnapshot
+
+Frames = tuple[ClientSnapshot, ...]
+
+
+class SeatGroup(ABC):
+    """A world of its own with a link to each of its seats, in seat order; a link may be closed before the others."""
+
+    def __init__(self) -> None:
+        self.links: Sequence[SeatLink] = ()
+
+    def join(self) -> Frames:
+        """Take all seats; nobody gets one before all have asked."""
+        for link in self.links:
+            link.ask_join()
+        return tuple(link.receive() for link in self.links)
+
+    def respawn(self) -> Frames:
+        """Begin the next episodes of all seats, without a tick."""
+        for link in self.links:
+            link.ask_respawn()
+        return tuple(link.receive() for link in self.links)
+
+    def begin_again(self, seed: int) -> Frames:
+        """A new epoch with all seats, as in a new world with this seed; the links are new ones."""
+        self.leave()
+        self._renew(seed)
+        return self.join()
+
+    def leave(self) -> None:
+        """Give all seats back."""
+        for link in self.links:
+            link.close()
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+
+    @abstractmethod
+    def _renew(self, seed: int) -> None:
+        """Begin the world again, nobody is in it, and make new links."""
+
+
+class LocalGroup(SeatGroup):
+    """A group whose world is in this process; raises WorldInUseError while another one lives here."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        super().__init__()
+        self._order = order
+        self._server = LocalServer(made_world(order), order.seats, expected=order.seats)
+        self._connect()
+
+    def close(self) -> None:
+        """See `SeatGroup.close`."""
+        self._server.close()
+        self.links = ()
+
+    def _renew(self, seed: int) -> None:
+        self._server.begin_again(seed)
+        self._connect()
+
+    def _connect(self) -> None:
+        seats = range(self._order.seats)
+        self.links = [self._server.link(self._order.seat, seat, f"chair-{seat}") for seat in seats]
+
+
+def open_group(order: WorldOrder) -> SeatGroup:
+    """All seats of a new world: in this process while no world lives here, otherwise in a process of its own."""
+    if not world_in_this_process():
+        return LocalGroup(order)
+    from wcsim.server.links.child_group import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+
+    return ProcessGroup(order)

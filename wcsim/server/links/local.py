@@ -1,0 +1,153 @@
+"""A world with its server in this very process: one thread, no socket; every link's messages go through the same core.
+
+A link that waits pumps for all. Nobody else can act meanwhile, so a wait for another seat is an error at once, not a
+deadlock: with several seats, first `send` for all of them, then `receive`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+from wcsim.bridge.world import World
+from wcsim.core import seeding
+from wcsim.errors import ProtocolError, TickTimeoutError
+from wcsim.server.host.world_host import SeatWorld, WorldHost
+from wcsim.server.links.base import SeatLink, WorldOrder, new_session
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
+from wcsim.server.protocol.events import Clock, Peer, Received, Rules
+from wcsim.server.protocol.members import Member
+from wcsim.server.protocol.server_core import ServerCore
+from wcsim.towns.scenario.town import find_town
+from wcsim.types import SeatSpec
+
+NEVER_S = 1e12
+
+
+def local_rules(capacity: int, expected: int = 1) -> Rules:
+    """Nobody can hang or die alone in a process of its own."""
+    return Rules(
+        capacity=capacity,
+        expected=expected,
+        gather_s=NEVER_S,
+        lease_s=NEVER_S,
+        tick_lease_s=NEVER_S,
+        notice_s=NEVER_S,
+        recordings=None,
+    )
+
+
+class LocalServer:
+    """A world in this process, for any number of links; raises WorldInUseError while another one lives here."""
+
+    def __init__(self, world: SeatWorld, capacity: int, expected: int = 1) -> None:
+        """Host a world with free seats; the first tick waits until `expected` links have joined."""
+        self.world = world
+        self._links: dict[Peer, LocalSeat] = {}
+        self._made = 0  # links, ever: no two share a name
+        self._inbox: deque[tuple[Peer, m.Reply]] = deque()
+        self._rules = local_rules(capacity, expected)
+        self._hub = self._new_hub()
+
+    def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> LocalSeat:
+        """A link to a seat; it has to join."""
+        peer = f"local-{self._made}".encode()
+        ask = Ask(claim=peer, name=name or f"client-{self._made}", spec=spec, seat=seat)
+        self._made += 1
+        self._links[peer] = LocalSeat(self, peer, ask)
+        return self._links[peer]
+
+    def begin_again(self, seed: int) -> None:
+        """A new epoch for new links, with nobody in the street: what follows is as in a new world with this seed.
+
+        Raises:
+            ProtocolError: Somebody has a seat; expected links that are closed.
+        """
+        if self.members():
+            names = ", ".join(member.name for member in self.members())
+            raise ProtocolError(f"{names} would lose their seats; expected links that are closed")
+        self.world.rebuild(seed)
+        self._hub = self._new_hub()
+
+    def say(self, peer: Peer, message: m.Request) -> None:
+        """A link says something."""
+        self._hub.feed(Received(peer, message), time.monotonic())
+
+    def pump(self) -> None:
+        """Let every link hear what there is for it, until all is quiet."""
+        while self._inbox:
+            peer, message = self._inbox.popleft()
+            link = self._links.get(peer)
+            if link is not None:
+                link.hear(message)
+
+    def members(self) -> list[Member]:
+        """Who is in, in seat order."""
+        return self._hub.core.cycle.roll.by_seat()
+
+    def late(self) -> tuple[str, ...]:
+        """For whom the barrier waits."""
+        return self._hub.core.cycle.late()
+
+    def forget(self, peer: Peer) -> None:
+        """A link has been closed."""
+        self._links.pop(peer, None)
+        self._hub.feed(Clock(), time.monotonic())
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        self._links.clear()
+        self.world.close()
+
+    def _new_hub(self) -> WorldHost:
+        now, inbox = self.world.snapshot, self._inbox  # the inbox alone: a cycle would keep a closed world in memory
+        core = ServerCore(self._rules, now.epoch, now.tick)
+        return WorldHost(core, self.world, lambda peer, message: inbox.append((peer, message)))
+
+
+class LocalSeat(SeatLink):
+    """One seat of a `LocalServer`."""
+
+    def __init__(self, server: LocalServer, peer: Peer, ask: Ask) -> None:
+        patience = Patience(resend_s=NEVER_S, reconnect_s=NEVER_S, tick_s=NEVER_S)
+        super().__init__(ClientCore(ask, patience, new_session))
+        self._server, self._peer = server, peer
+
+    def _post(self, message: m.Request) -> None:
+        self._server.say(self._peer, message)
+
+    def _pump(self) -> None:
+        self._server.pump()
+        if self.core.waiting and self._error is None:
+            late = ", ".join(self._server.late()) or "more clients to join"
+            raise TickTimeoutError(
+                f"seat {self.seat} waits for {late}; in one process nobody can act meanwhile: send for all seats first"
+            )
+
+    def _end(self) -> None:
+        self._server.pump()
+        self._server.forget(self._peer)
+
+
+class LocalLink(LocalSeat):
+    """The only seat of a world of its own in this process; raises WorldInUseError while another one lives here."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        self._own = LocalServer(made_world(order), order.seats)
+        super().__init__(self._own, b"sole", Ask(claim=b"sole", name="sole", spec=order.seat))
+        self._own._links[b"sole"] = self
+
+    def _end(self) -> None:
+        self._own.close()
+
+
+def made_world(order: WorldOrder, epoch: int = 0) -> World:
+    """A world with free seats; each epoch has a seed of its own."""
+    town, seed = find_town(order.town), epoch_seed(order.seed, epoch)
+    return World(town, order.config, (None,) * order.seats, seed, order.place, epoch=epoch)
+
+
+def epoch_seed(seed: int, epoch: int) -> int:
+    """The seed of an epoch: the run's own for the first one."""
+    return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)

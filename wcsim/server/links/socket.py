@@ -1,0 +1,176 @@
+"""A seat in a world process, over ZeroMQ: on the same machine with the pictures in shared memory, else inside messages.
+
+A process that forks after it has opened a link must not use it in the child: ZeroMQ's threads are not there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+import weakref
+from dataclasses import dataclass
+from pathlib import Path
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from wcsim.errors import AccessError, ConfigError, ProtocolError
+from wcsim.server.journal.ledger import LedgerWriter
+from wcsim.server.links.base import SeatLink, new_session
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen
+from wcsim.server.specs import SeatRequest
+from wcsim.server.transport.keys import client_keys, server_public
+from wcsim.server.transport.shared_images import RingView
+from wcsim.types import ClientSnapshot
+
+POLL_MS = 200
+BYE_S = 1.0
+QUEUE = 64
+_REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldOffer:
+    """A running world, as its server describes it to a client."""
+
+    config_json: str
+    town: str
+
+
+def open_seat(order: SeatRequest) -> SocketSeat:
+    """A link to a seat of a world process, which need not run yet; nothing is asked before `join`.
+
+    Raises:
+        ConfigError: The endpoint, a key or the ledger cannot be used.
+    """
+    return SocketSeat(order)
+
+
+class SocketSeat(SeatLink):
+    """See the module's text."""
+
+    def __init__(self, order: SeatRequest) -> None:
+        """Open a socket; see `open_seat`."""
+        local = order.endpoint.startswith("ipc://")
+        ask = Ask(
+            claim=order.claim.encode(),
+            name=order.name,
+            spec=order.spec,
+            seat=order.seat,
+            config=order.config,
+            pid=os.getpid() if local else 0,
+        )
+        self._order = order
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        # Also when nobody closes the link: ZeroMQ would else wait at the end of the process.
+        self._let_go = weakref.finalize(self, self._context.destroy, 0)
+        self._ring: RingView | None = None
+        self._world: WorldOffer | None = None
+        self._said_leave = False
+        try:
+            self._socket = _connected(self._context, order)
+            self._monitor = self._socket.get_monitor_socket(_REFUSED)
+            super().__init__(ClientCore(ask, order.patience, new_session), _ledger(order.ledger))
+        except BaseException:
+            self._let_go()
+            raise
+
+    @property
+    def world(self) -> WorldOffer:
+        """What the server says of its world. Raises ProtocolError before the first `join`."""
+        if self._world is None:
+            raise ProtocolError("the server has not said what its world is; call join() first")
+        return self._world
+
+    def _post(self, message: m.Request) -> None:
+        """Send, or drop the message when many others wait to go: what matters is asked again."""
+        self._said_leave = self._said_leave or isinstance(message, m.Leave)
+        with contextlib.suppress(zmq.Again):
+            self._socket.send(m.encode(message), zmq.NOBLOCK)
+
+    def _pump(self) -> None:
+        try:
+            more = True
+            while more:  # measured: to ask the socket whether there is more takes longer than to receive
+                part = self._socket.recv(copy=False)
+                more = part.more
+                self.hear(m.decode_reply(part.bytes, self._ring))
+        except zmq.Again:
+            self._check_access()
+        self.take(self.core.clock(self._now_s()))
+
+    def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
+        if seen.slot >= 0 and self._ring is None:
+            raise ProtocolError(f"a frame with pictures in slot {seen.slot}; the server named no shared memory")
+        return seen.client
+
+    def _welcomed(self, welcome: m.Welcome) -> None:
+        self._world = WorldOffer(config_json=welcome.config_json, town=welcome.town)
+        if welcome.ring and not self._order.endpoint.startswith("ipc://"):
+            raise ProtocolError("the server names a file of this machine; expected none over the network")
+        self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
+
+    def _end(self) -> None:
+        """Wait a moment for the server's goodbye, so that the seat is free when this returns."""
+        deadline_s = time.monotonic() + BYE_S
+        while self._said_leave and time.monotonic() < deadline_s:
+            with contextlib.suppress(zmq.Again, ProtocolError):
+                if any(self._is_bye(m.decode_reply(part)) for part in self._socket.recv_multipart()):
+                    break
+        self._let_go()
+
+    def _is_bye(self, reply: m.Reply) -> bool:
+        gone = isinstance(reply, m.Bye | m.Failure)
+        return gone and getattr(reply, "session", b"") in (b"", self.core.session)
+
+    def _check_access(self) -> None:
+        """Raise AccessError when the server has refused this client's key, or is not the one it should be."""
+        if self.core.phase is ClientPhase.JOINING and self._monitor.poll(0):
+            event = recv_monitor_message(self._monitor, zmq.NOBLOCK)
+            raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+
+
+def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
+    """Why a server let nobody in, by ZeroMQ's event and its number, and what to do."""
+    refused = f"{endpoint} refused the connection"
+    if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+        return f"{refused}: it does not know the public key of {keys}; expected one that whoever runs the server made"
+    if not keys:
+        return f"{refused}: it lets in clients with keys only; expected --keys FOLDER, from whoever runs the server"
+    if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
+        return f"{refused}: it takes no keys, --keys {keys} was given; leave --keys out, or give the server --keys too"
+    return (
+        f"{refused} before a word was said: the server's public key in {keys} is not its own; expected the "
+        "server.public that it has now"
+    )
+
+
+def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> zmq.Socket[bytes]:
+    socket = context.socket(zmq.DEALER)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REPLY_BYTES)
+    socket.setsockopt(zmq.SNDHWM, QUEUE)
+    socket.setsockopt(zmq.RCVHWM, QUEUE)
+    socket.setsockopt(zmq.RCVTIMEO, POLL_MS)
+    socket.setsockopt(zmq.RECONNECT_IVL, 50)
+    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+    if order.keys:
+        pair = client_keys(Path(order.keys), order.name)
+        socket.curve_serverkey = server_public(Path(order.keys))
+        socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
+    try:
+        socket.connect(order.endpoint)
+    except zmq.ZMQError as error:
+        raise ConfigError(
+            f"endpoint {order.endpoint!r}: {error.strerror}; expected ipc://FILE or tcp://HOST:PORT"
+        ) from None
+    return socket
+
+
+def _ledger(path: str) -> LedgerWriter | None:
+    try:
+        return LedgerWriter(Path(path)) if path else None
+    except OSError as error:
+        raise ConfigError(f"{path}: the ledger cannot be written ({error.strerror}); choose another place") from None

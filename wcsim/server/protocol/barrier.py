@@ -1,0 +1,304 @@
+"""The cycle of a server: who is in, when the barrier is full, who may tick, who is given up.
+
+What changes the world is done in seat order and between ticks only: chairs go just before a step, and come just after
+one. So two runs in which the same clients do the same give the same world, whatever the order of their messages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wcsim.errors import EvictedError, ProtocolError
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.events import (
+    Admit,
+    BarrierState,
+    Dismiss,
+    Effect,
+    Peer,
+    RebuildWorld,
+    RespawnSeats,
+    Rules,
+    Send,
+    SendFrame,
+    Step,
+)
+from wcsim.server.protocol.members import Member, Roster
+from wcsim.types import Command, SeatSpec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept:
+    """A seat whose chair is in the world and whose client has yet to come back: after an exact recovery."""
+
+    seat: int
+    name: str
+    spec: SeatSpec
+    life: int
+    claim: bytes = b""  # of its client; who shows another one does not get the seat
+
+
+class Barrier:
+    """The state of a server and what moves it; `out` collects what is to be done."""
+
+    def __init__(self, rules: Rules, epoch: int, tick: int, kept: Sequence[Kept]) -> None:
+        self.rules = rules
+        self.epoch, self.tick = epoch, tick
+        self.stage = BarrierState.COLLECT if kept else BarrierState.EMPTY
+        self.term = 0
+        self.master: bytes = b""  # session of the master
+        self.gathering = not kept
+        self.roll = Roster([_kept_member(item) for item in kept])
+        self.out: list[Effect] = []
+        self._gather_s: float | None = None  # since when somebody waits for the others to come
+        self._since_s: float | None = None  # when the clock was seen first
+        self._ready_s = 0.0  # since when the barrier is full
+        self._full_s = 0.0  # since when the master of now knows of it
+        self._told_s = -math.inf  # when those who wait were told for whom
+
+    def copied(self) -> Barrier:
+        """A cycle in the same state that goes its own way."""
+        twin = type(self).__new__(type(self))
+        twin.__dict__.update(self.__dict__, roll=self.roll.copied(), out=[])
+        return twin
+
+    def late(self) -> tuple[str, ...]:
+        """Names of those for whom the barrier waits."""
+        return tuple(member.name for member in self.roll.by_seat() if not member.ready)
+
+    # --- ticks ---
+
+    def gather(self, now_s: float) -> None:
+        """Nobody is in: let in those who wait, once all are here that are expected."""
+        if not self.roll.pending:
+            self._gather_s = None
+            return
+        if self._gather_s is None:
+            self._gather_s = now_s
+        missing = self.gathering and len(self.roll.pending) < self.rules.expected
+        if not missing or now_s - self._gather_s >= self.rules.gather_s:
+            self.admit(now_s)
+
+    def admit(self, now_s: float) -> None:
+        """Give those who wait their seats, after every chair that was to go has gone."""
+        self._dismiss()
+        coming = sorted(self.roll.pending, key=lambda p: p.seat)
+        self.roll.pending = []
+        for p in coming:
+            self.out.append(Admit(p.seat, p.spec, p.name))
+            self.roll.members.append(
+                Member(
+                    seat=p.seat,
+                    session=p.session,
+                    peer=p.peer,
+                    claim=p.claim,
+                    name=p.name,
+                    spec=p.spec,
+                    heard_s=now_s,
+                    asked_s=now_s,
+                )
+            )
+        if coming and not self.master:
+            self.promote(self.roll.oldest(), tell=False)
+        for p in coming:
+            member = self.roll.at(p.seat)
+            if member is not None:
+                self.welcome(member, resumed=False)
+        if self.roll.members:
+            self.gathering, self.stage = False, BarrierState.COLLECT
+        else:
+            self.stage = BarrierState.EMPTY
+
+    def advance(self, now_s: float) -> None:
+        """Go on when nobody owes anything: first with respawns, then to the full barrier."""
+        members = self.roll.members
+        if self.stage is not BarrierState.COLLECT or not members or not all([mate.ready for mate in members]):
+            return
+        again = [mate for mate in self.roll.by_seat() if mate.respawning]
+        if again:
+            self.out.append(RespawnSeats(tuple(mate.seat for mate in again)))
+            for mate in again:
+                mate.respawning, mate.life, mate.asked_s = False, mate.life + 1, now_s
+                self.show(mate)
+            return
+        self.stage, self._ready_s = BarrierState.READY, now_s
+        self.announce(now_s)
+
+    def announce(self, now_s: float) -> None:
+        """Tell the master that the barrier is full; its time to ask for the tick begins."""
+        self._full_s = now_s
+        self._say_full()
+
+    def step(self) -> None:
+        """The master has asked: chairs that were to go are gone, then the world moves."""
+        self.stage = BarrierState.STEPPING
+        self._dismiss()
+        actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
+        commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
+        self.out.append(Step(self.tick, commands))
+
+    def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
+        """The world has reached `tick`: everybody hears of it and gets a frame, then those who wait come in."""
+        if self.stage is not BarrierState.STEPPING or tick != self.tick + 1:
+            raise ProtocolError(f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}")
+        self.tick = tick
+        self._begin_tick(now_s)
+        members = self.roll.by_seat()
+        done = m.TickDone(self.epoch, tick, step_s)
+        for mate in members:
+            self.send(mate.peer, done)
+        for mate in members:
+            self.show(mate)
+        self.stage = BarrierState.COLLECT if members else BarrierState.EMPTY
+        if self.roll.pending or not members:
+            self.admit(now_s)
+
+    def rebuild(self, seed: int, now_s: float) -> None:
+        """A new epoch with the members of now."""
+        self._dismiss()
+        self.epoch, self.tick = self.epoch + 1, 0
+        self.stage = BarrierState.COLLECT
+        self.out.append(RebuildWorld(self.epoch, seed))
+        self._begin_tick(now_s)
+        for mate in self.roll.by_seat():
+            self.send(mate.peer, m.Restarted(self.epoch, f"the world was begun again with seed {seed}"))
+            self.show(mate)
+
+    # --- who goes, who may tick ---
+
+    def evict(self, member: Member, reason: str, now_s: float) -> None:
+        """Give a client up; should it live, it hears of it."""
+        told = EvictedError(f"the server gave this client up: {reason}")
+        self.send(member.peer, m.failure_of(told, member.session))
+        self.remove(member, reason, now_s)
+
+    def remove(self, member: Member, reason: str, now_s: float) -> None:
+        """Take a member off the roll, crown another master where it was one, and look at the barrier again."""
+        self.roll.members.remove(member)
+        self.roll.retire(member.session)
+        self.roll.going[member.seat] = reason
+        if member.session == self.master:
+            self.promote(self.roll.oldest(), tell=True)
+            if self.stage is BarrierState.READY and self.roll.members:
+                self.announce(now_s)
+        if self.stage is BarrierState.STEPPING:
+            return
+        if self.roll.members:
+            self.advance(now_s)
+        else:
+            self.admit(now_s)
+
+    def promote(self, member: Member | None, tell: bool) -> None:
+        """Make a member the master of a new term; without one there is no master."""
+        if member is None:
+            self.master = b""
+            return
+        self.master, self.term = member.session, self.term + 1
+        if tell:
+            self.send(member.peer, m.Promote(self.term))
+
+    def watch(self, now_s: float) -> None:
+        """Leases, and word to those who wait."""
+        if self._since_s is None:
+            self._since_s = now_s
+        if self.stage is BarrierState.EMPTY:
+            self.gather(now_s)
+        elif self.stage is BarrierState.COLLECT:
+            self._give_up_overdue(now_s)
+        elif self.stage is BarrierState.READY and now_s - self._full_s > self.rules.tick_lease_s:
+            self._demote(now_s)
+        if now_s - self._told_s >= self.rules.notice_s:
+            self._tell(now_s)
+
+    def stop(self, reason: str) -> None:
+        """Everybody is told that this is the end."""
+        self.stage = BarrierState.STOPPED
+        for peer, session in [(w.peer, w.session) for w in self.roll.by_seat()] + [
+            (w.peer, w.session) for w in self.roll.pending
+        ]:
+            self.send(peer, m.Bye(session, reason or "the server ends"))
+
+    # --- what is sent ---
+
+    def welcome(self, member: Member, resumed: bool) -> None:
+        """Tell a client that it is in, and show it what its seat sees."""
+        term = self.term if member.session == self.master else 0
+        self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, term, resumed))
+        if resumed:
+            self.send(member.peer, m.TickDone(self.epoch, self.tick))
+        self.show(member)
+
+    def show(self, member: Member) -> None:
+        """Send a client the frame of now."""
+        if member.peer:
+            self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
+
+    def send(self, peer: Peer, message: m.Reply) -> None:
+        """Send a message to whoever is there to hear it."""
+        if peer:
+            self.out.append(Send(peer, message))
+
+    # --- inside ---
+
+    def _begin_tick(self, now_s: float) -> None:
+        self._told_s = now_s
+        for mate in self.roll.members:
+            mate.action, mate.respawning, mate.life = None, False, 0
+            mate.asked_s = now_s
+
+    def _dismiss(self) -> None:
+        for seat, reason in sorted(self.roll.going.items()):
+            self.out.append(Dismiss(seat, reason))
+        self.roll.going.clear()
+
+    def _give_up_overdue(self, now_s: float) -> None:
+        for mate in self.roll.by_seat():
+            reason = self._overdue(mate, now_s)
+            if reason and self.stage is BarrierState.COLLECT and mate in self.roll.members:
+                self.evict(mate, reason, now_s)
+
+    def _overdue(self, mate: Member, now_s: float) -> str:
+        if mate.ready:
+            return ""
+        owes_s = now_s - mate.asked_s
+        if mate.vacant:
+            away_s = min(owes_s, now_s - (now_s if self._since_s is None else self._since_s))
+            return "it did not come back" if away_s > self.rules.rejoin_s else ""
+        silent_s = now_s - max(mate.heard_s, mate.asked_s)
+        if silent_s > self.rules.lease_s:
+            return f"no sign of progress for {silent_s:.0f} s"
+        limit_s = self.rules.max_think_s
+        return f"no action within {limit_s:g} s" if limit_s is not None and owes_s > limit_s else ""
+
+    def _demote(self, now_s: float) -> None:
+        """A master that does not ask for the tick loses the right to; it stays a member while it is heard of."""
+        old, heir = self.roll.member(self.master), self.roll.oldest(but=self.master)
+        silent_s = 0.0 if old is None else now_s - max(old.heard_s, self._ready_s)
+        if old is not None and silent_s > self.rules.lease_s:
+            self.evict(old, f"the master did not ask for the tick for {silent_s:.0f} s", now_s)
+            return
+        if old is not None and heir is not None:
+            self.send(old.peer, m.Demoted(self.term))
+            self.promote(heir, tell=True)
+        self.announce(now_s)
+
+    def _tell(self, now_s: float) -> None:
+        self._told_s = now_s
+        note = m.Waiting(self.epoch, self.tick, self.late())
+        for peer in [mate.peer for mate in self.roll.by_seat() if mate.ready] + [p.peer for p in self.roll.pending]:
+            self.send(peer, note)
+        if self.stage is BarrierState.READY:  # a lost message must not stop the world
+            self._say_full()
+
+    def _say_full(self) -> None:
+        master = self.roll.member(self.master)
+        if master is not None:
+            self.send(master.peer, m.BarrierFull(self.epoch, self.tick, self.term))
+
+
+def _kept_member(kept: Kept) -> Member:
+    return Member(
+        seat=kept.seat, session=b"", peer=b"", claim=kept.claim, name=kept.name, spec=kept.spec, life=kept.life
+    )

@@ -1,0 +1,130 @@
+"""Who is in a world: members behind the barrier, those who wait for a seat, those whose chairs are still to go."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+from wcsim.server.protocol.events import Peer
+from wcsim.types import Joystick, SeatSpec
+
+REMEMBERED = 1024  # sessions that were given up or have left
+
+
+@dataclass(slots=True, kw_only=True)
+class Member:
+    """A client with a seat. A member without a session is one whose client has yet to come back."""
+
+    seat: int
+    session: bytes
+    peer: Peer
+    claim: bytes
+    name: str
+    spec: SeatSpec
+    life: int = 0  # respawns at the tick of now
+    action: Joystick | None = None  # for the tick of now
+    respawning: bool = False
+    resumed: bool = False  # its episode is older than its session
+    progress: int = -1
+    heard_s: float = 0.0
+    asked_s: float = 0.0  # since when it owes an action
+
+    @property
+    def ready(self) -> bool:
+        """Whether nothing is owed."""
+        return self.action is not None or self.respawning
+
+    @property
+    def vacant(self) -> bool:
+        """Whether its client has yet to come back."""
+        return not self.session
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pending:
+    """A client that waits for its seat."""
+
+    seat: int
+    session: bytes
+    peer: Peer
+    claim: bytes
+    name: str
+    spec: SeatSpec
+
+
+@dataclass(slots=True)
+class Roster:
+    """The lists, in the order of joining; no two entries share a seat, but a pending one may wait for one to go."""
+
+    members: list[Member] = field(default_factory=list)
+    pending: list[Pending] = field(default_factory=list)
+    going: dict[int, str] = field(default_factory=dict)  # reason by seat
+    retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    strangers: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    """Sessions that left before they joined. A list of its own, so that strangers cannot flush the one above."""
+
+    def member(self, session: bytes) -> Member | None:
+        """The member of this session."""
+        for member in self.members if session else ():
+            if member.session == session:
+                return member
+        return None
+
+    def at(self, seat: int) -> Member | None:
+        """The member on this seat."""
+        return next((m for m in self.members if m.seat == seat), None)
+
+    def waiting(self, session: bytes) -> Pending | None:
+        """Who waits under this session."""
+        return next((p for p in self.pending if p.session == session), None)
+
+    def waiting_at(self, seat: int) -> Pending | None:
+        """Who waits for this seat."""
+        return next((p for p in self.pending if p.seat == seat), None)
+
+    def others_of(self, peer: Peer, claim: bytes) -> bool:
+        """Whether somebody of another claim speaks through the same connection."""
+        everyone: list[Member | Pending] = [*self.members, *self.pending]
+        return any(entry.peer == peer and (not claim or entry.claim != claim) for entry in everyone)
+
+    def claimed(self, claim: bytes) -> int | None:
+        """The seat that somebody with this claim has or waits for."""
+        everyone: list[Member | Pending] = [*self.members, *self.pending]
+        return next((entry.seat for entry in everyone if claim and entry.claim == claim), None)
+
+    def free_seat(self, capacity: int) -> int | None:
+        """The first seat that nobody has or waits for."""
+        used = {m.seat for m in self.members} | {p.seat for p in self.pending}
+        return next((seat for seat in range(capacity) if seat not in used), None)
+
+    def by_seat(self) -> list[Member]:
+        """Members in seat order: what is done to all is done in this order, never in that of arrival."""
+        return sorted(self.members, key=lambda m: m.seat)
+
+    def oldest(self, but: bytes = b"") -> Member | None:
+        """The member of longest standing whose client is here; another one than that of session `but`."""
+        return next((m for m in self.members if not m.vacant and m.session != but), None)
+
+    def retire(self, session: bytes) -> None:
+        """Remember a session that is over, so that its late messages are known as such."""
+        if session and session not in self.retired:
+            self.retired.append(session)
+
+    def never_came(self, session: bytes) -> None:
+        """Remember a session that is over before it began, so that a join that comes late finds nobody at home."""
+        if session not in self.strangers:
+            self.strangers.append(session)
+
+    def is_over(self, session: bytes) -> bool:
+        """Whether nothing can come of this session any more."""
+        return session in self.retired or session in self.strangers
+
+    def copied(self) -> Roster:
+        """A copy that shares nothing that changes."""
+        return Roster(
+            [replace(m) for m in self.members],
+            list(self.pending),
+            dict(self.going),
+            deque(self.retired, maxlen=REMEMBERED),
+            deque(self.strangers, maxlen=REMEMBERED),
+        )

@@ -1,0 +1,264 @@
+"""The server without input and output: what it answers to each message, and the cycle that the messages drive.
+
+`handle(event, now_s)` takes what happened and returns what is to be done. There is no socket, clock, thread or random
+number in here: a world process, a checker of all states and a simulator of faults run the same code.
+
+The server owns membership and the barrier; the master owns the right to tick. A tick is done when every member has
+acted and the master asked for exactly that tick in its term. Everything is said with its number, so that what comes
+twice or late does nothing twice. docs/protocol.md shows the states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from wcsim.errors import (
+    BadActionError,
+    BarrierNotFullError,
+    EvictedError,
+    FutureTickError,
+    NotMasterError,
+    ProtocolError,
+    SeatTakenError,
+    StaleSessionError,
+    StaleTermError,
+    StaleTickError,
+    WcsimError,
+)
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.admission import Admission, admission
+from wcsim.server.protocol.barrier import Barrier, Kept
+from wcsim.server.protocol.events import BarrierState, Clock, Effect, Event, Lost, Peer, Received, Rules, Stepped, Stop
+from wcsim.server.protocol.members import Member, Pending
+from wcsim.types import Joystick
+
+
+class ServerCore:
+    """A server; see the module's text."""
+
+    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Kept] = ()) -> None:
+        """An empty server at `tick` of `epoch`; with `kept`, one that waits for those clients to come back."""
+        self.cycle = Barrier(rules, epoch, tick, kept)
+
+    def handle(self, event: Event, now_s: float) -> list[Effect]:
+        """Take in one event; returns what is to be done, in this order. Time must not run backwards."""
+        cycle = self.cycle
+        cycle.out = []
+        if cycle.stage is BarrierState.STOPPED:
+            return []
+        match event:
+            case Received():
+                self._receive(event.peer, event.message, now_s)
+            case Stepped():
+                cycle.commit(event.tick, now_s, event.step_s)
+            case Lost():
+                self._lose(event.session, event.reason, now_s)
+            case Clock():
+                cycle.watch(now_s)
+            case Stop():
+                cycle.stop(event.reason)
+        return cycle.out
+
+    def copied(self) -> ServerCore:
+        """A core in the same state that goes its own way."""
+        twin = type(self).__new__(type(self))
+        twin.cycle = self.cycle.copied()
+        return twin
+
+    # --- coming and going ---
+
+    def _join(self, peer: Peer, join: m.Join, now_s: float) -> None:
+        roll = self.cycle.roll
+        known = roll.member(join.session)
+        if known is not None:
+            known.peer, known.heard_s = peer, now_s
+            self.cycle.welcome(known, known.resumed)
+            return
+        if roll.waiting(join.session) is not None:
+            roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
+            return
+        if roll.others_of(peer, join.claim):
+            error = SeatTakenError("this connection has a seat; expected a connection of its own for each client")
+            self.cycle.send(peer, m.failure_of(error, join.session))
+            return
+        found = admission(join, self.cycle.rules, roll, (self.cycle.epoch, self.cycle.tick))
+        if isinstance(found, Admission):
+            self._let_in(peer, join, found, now_s)
+        else:
+            self.cycle.send(peer, m.failure_of(found, join.session))
+
+    def _let_in(self, peer: Peer, join: m.Join, found: Admission, now_s: float) -> None:
+        """Onto its old seat as if nothing had happened, or into the row of those who wait."""
+        roll = self.cycle.roll
+        holder = roll.at(found.seat)
+        if holder is not None and found.resumes:
+            self._take_over(holder, peer, join, now_s)
+            return
+        self._turn_away(found.seat)
+        waiting = Pending(
+            seat=found.seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec
+        )
+        roll.pending.append(waiting)
+        if holder is not None:
+            self.cycle.evict(holder, "its client began anew", now_s)
+        elif self.cycle.stage is BarrierState.EMPTY:
+            self.cycle.gather(now_s)
+
+    def _turn_away(self, seat: int) -> None:
+        """Who waited for this seat with the same claim is an older life of the client that asks now."""
+        roll = self.cycle.roll
+        older = roll.waiting_at(seat)
+        if older is not None:
+            roll.pending.remove(older)
+            roll.retire(older.session)
+            told = EvictedError("the server gave this client up: its client began anew")
+            self.cycle.send(older.peer, m.failure_of(told, older.session))
+
+    def _take_over(self, holder: Member, peer: Peer, join: m.Join, now_s: float) -> None:
+        cycle, old = self.cycle, holder.session
+        cycle.roll.retire(old)
+        holder.session, holder.peer, holder.claim = join.session, peer, join.claim
+        holder.heard_s = holder.asked_s = now_s
+        holder.progress = -1  # a new life counts anew
+        holder.resumed = True
+        if not cycle.master or cycle.master == old:
+            cycle.promote(holder, tell=False)
+        cycle.welcome(holder, resumed=True)
+        if cycle.stage is BarrierState.READY:
+            cycle.announce(now_s)
+
+    def _lose(self, session: bytes, reason: str, now_s: float) -> None:
+        roll = self.cycle.roll
+        roll.pending = [p for p in roll.pending if p.session != session]
+        member = roll.member(session)
+        if member is not None:
+            self.cycle.evict(member, reason, now_s)
+        elif session not in roll.retired:
+            roll.retire(session)  # its join may still be on its way
+
+    # --- what members say ---
+
+    def _receive(self, peer: Peer, message: m.Request, now_s: float) -> None:
+        if isinstance(message, m.Join):
+            self._join(peer, message, now_s)
+            return
+        member = self.cycle.roll.member(message.session)
+        if member is None:
+            self._answer_stranger(peer, message)
+            return
+        member.peer = peer
+        if not isinstance(message, m.Beat) or message.progress > member.progress:
+            member.heard_s = now_s
+        try:
+            self._obey(member, message, now_s)
+        except WcsimError as error:
+            self.cycle.send(peer, m.failure_of(error, member.session))
+
+    def _obey(self, member: Member, message: m.Request, now_s: float) -> None:
+        match message:
+            case m.Act():
+                self._act(member, message, now_s)
+            case m.Tick():
+                self._tick(member, message)
+            case m.Respawn():
+                self._respawn(member, message, now_s)
+            case m.Rebuild():
+                self._rebuild(member, message, now_s)
+            case m.Beat():
+                member.progress = max(member.progress, message.progress)
+            case m.Leave():
+                self.cycle.send(member.peer, m.Bye(member.session))
+                self.cycle.remove(member, "left", now_s)
+
+    def _answer_stranger(self, peer: Peer, message: m.Request) -> None:
+        roll, session = self.cycle.roll, message.session
+        if isinstance(message, m.Leave):
+            waits = roll.waiting(session) is not None
+            roll.pending = [p for p in roll.pending if p.session != session]
+            if waits:
+                roll.retire(session)
+            elif session not in roll.retired:
+                roll.never_came(session)
+            self.cycle.send(peer, m.Bye(session))
+        elif roll.waiting(session) is None:
+            error: WcsimError = StaleSessionError(
+                f"the server of epoch {self.cycle.epoch} does not know this session; join again"
+            )
+            if session in roll.retired:
+                error = EvictedError("the server gave this client up, or it left; join again with another session")
+            self.cycle.send(peer, m.failure_of(error, session))
+
+    def _act(self, member: Member, act: m.Act, now_s: float) -> None:
+        if not self._is_now(member, act.epoch, act.tick, act.life):
+            return
+        if not (-1.0 <= act.x <= 1.0 and -1.0 <= act.y <= 1.0):
+            raise BadActionError(f"joystick ({act.x}, {act.y}); expected both in -1 to 1")
+        action = Joystick(act.x, act.y)
+        if member.action not in (None, action):
+            raise BadActionError(f"a second action for tick {act.tick}; expected the first one again")
+        if member.respawning:
+            raise ProtocolError(f"an action for tick {act.tick} of a seat that waits for its respawn; expected none")
+        if member.action is None:
+            member.action = action
+            self.cycle.advance(now_s)
+
+    def _tick(self, member: Member, tick: m.Tick) -> None:
+        cycle = self.cycle
+        asked, now = (tick.epoch, tick.tick), (cycle.epoch, cycle.tick)
+        if asked < now:
+            return  # it was done, and everybody heard of it
+        if asked > now:
+            raise FutureTickError(f"a tick of epoch, tick {asked}; the server is at {now}")
+        if tick.term < cycle.term:
+            raise StaleTermError(f"term {tick.term} is over; the master of term {cycle.term} ticks")
+        if member.session != cycle.master or tick.term != cycle.term:
+            raise NotMasterError(f"seat {member.seat} is not the master of term {tick.term}; only the master ticks")
+        if cycle.stage is BarrierState.COLLECT:
+            raise BarrierNotFullError(f"tick {cycle.tick} waits for {', '.join(cycle.late())}; wait for all to act")
+        if cycle.stage is BarrierState.READY:
+            cycle.step()
+
+    def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
+        if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
+            return
+        if member.action is not None:
+            raise ProtocolError(f"a respawn at tick {respawn.tick}, for which the seat has acted; wait for its end")
+        if not member.respawning:
+            member.respawning = True
+            self.cycle.advance(now_s)
+
+    def _rebuild(self, member: Member, rebuild: m.Rebuild, now_s: float) -> None:
+        cycle = self.cycle
+        if rebuild.epoch < cycle.epoch:
+            self._tell_of_epoch(member)  # it was done, by this client or before it asked
+        elif rebuild.seed < 0:
+            raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
+        elif member.session != cycle.master and len(cycle.roll.members) > 1:
+            raise NotMasterError(f"seat {member.seat} is not the master; only it may begin the shared world again")
+        elif rebuild.epoch > cycle.epoch or cycle.stage not in (BarrierState.COLLECT, BarrierState.READY):
+            raise ProtocolError(f"a new world asked for in stage {cycle.stage.value}; expected between ticks")
+        else:
+            cycle.rebuild(rebuild.seed, now_s)
+
+    def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+        """Whether a request is about what the seat sees now; one that came late or twice is answered with just that."""
+        cycle = self.cycle
+        asked, now = (epoch, tick, life), (cycle.epoch, cycle.tick, member.life)
+        if asked == now:
+            return True
+        if asked > now:
+            raise FutureTickError(f"epoch, tick, life {asked}; the server is at {now}")
+        if epoch < cycle.epoch:
+            self._tell_of_epoch(member)
+            return False
+        if tick < cycle.tick - 1:
+            raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {cycle.tick}")
+        if tick < cycle.tick:
+            cycle.send(member.peer, m.TickDone(cycle.epoch, cycle.tick))
+        cycle.show(member)
+        return False
+
+    def _tell_of_epoch(self, member: Member) -> None:
+        self.cycle.send(member.peer, m.Restarted(self.cycle.epoch, "the world was begun again"))
+        self.cycle.show(member)

@@ -1,0 +1,176 @@
+"""What a world process and its clients are started with, and what they report while they run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+import msgspec
+
+from wcsim.config import EnvConfig, RunConfig
+from wcsim.core.reading import FileKind, read_bytes
+from wcsim.errors import ConfigError, DiskFullError
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.messages import ANY_SEAT
+from wcsim.towns.scenario.overrides import Override
+from wcsim.types import SeatSpec
+
+if TYPE_CHECKING:
+    from wcsim.server.links.base import WorldOrder
+
+MOST_ORDER_BYTES = 16 << 20
+Recovery = Literal["new_epoch", "replay"]
+
+
+def seat_spec(env: EnvConfig) -> SeatSpec:
+    """What a client with these settings asks for when it takes a seat."""
+    return SeatSpec(
+        profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldSpec:
+    """A world process: its world, how it is reached, and its rules."""
+
+    town: str
+    config_json: str
+    seed: int
+    rules: Rules
+    endpoint: str  # ipc://..., in a folder that only its owner can enter
+    ring: str  # folder for the shared memory of the seats' pictures
+    name: str = ""
+    run: str = ""  # run folder, for the journal and the outputs of the town's scenario; "" keeps neither
+    journal: bool = True  # False: a run folder for the outputs alone
+    hook: str = ""
+    listen: str = ""  # tcp://..., for clients on other machines
+    keys: str = ""  # folder of CURVE keys; needed beyond loopback
+    recovery: Recovery = "new_epoch"
+    status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
+    quiet: bool = False  # an error goes into that pipe alone, not to stderr too
+    stand_in: str = ""  # module:Class of another world than bridge.World, for benches
+
+    @property
+    def world(self) -> WorldOrder:
+        """The world of it."""
+        from wcsim.server.links.base import WorldOrder  # loads SUMO, which a launcher has no use for
+
+        return WorldOrder(
+            town=self.town,
+            config=RunConfig.model_validate_json(self.config_json),
+            seed=self.seed,
+            seats=self.rules.capacity,
+            run=self.run,
+            hook=self.hook,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeatRequest:
+    """How a client reaches its seat in a world process."""
+
+    endpoint: str  # ipc://... or tcp://...
+    name: str
+    claim: str  # the same over all lives of a client
+    spec: SeatSpec = SeatSpec()  # noqa: RUF009 - frozen
+    seat: int = ANY_SEAT
+    config: str = ""  # RunConfig.world_digest() that the client expects, "" for any
+    keys: str = ""  # folder of CURVE keys
+    ledger: str = ""  # file
+    patience: Patience = field(default_factory=Patience)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientSpec:
+    """A client process that learns: its seat, its own settings, its run folder, and what its manifest says."""
+
+    join: SeatRequest
+    config_json: str
+    seed: int
+    out: str  # run folder
+    town: str = ""
+    town_sha256: str = ""
+    rewards: tuple[str, ...] = ()
+    command: tuple[str, ...] = ()
+    hook: str = ""
+    overrides: tuple[Override, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """How long the others have waited for one client while the barrier filled."""
+
+    name: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldStatus:
+    """What a world process says of itself a few times a second."""
+
+    stage: str  # "loading", or a Stage
+    epoch: int = 0
+    tick: int = 0
+    ticks: int = 0  # done by this process
+    ticks_per_s: float = 0.0  # over the last seconds
+    step_ms: float = 0.0  # median of the last steps
+    members: tuple[str, ...] = ()
+    master: str = ""
+    late: tuple[str, ...] = ()  # for whom the barrier waits
+    late_s: float = 0.0  # since when
+    rss_mb: float = 0.0
+    held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
+    listening: str = ""  # the address for clients on other machines
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientStatus:
+    """What a client process says of itself."""
+
+    name: str
+    step: int = 0
+    total_steps: int = 0
+    phase: int = 1
+    episodes: int = 0
+    crashes: int = 0
+    kpi1: float | None = None  # of the last finished episode
+    simulation_s: float = 0.0  # waiting for the world's own work
+    barrier_s: float = 0.0  # waiting for others, and for messages
+    inference_s: float = 0.0
+    learning_s: float = 0.0
+
+
+T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)
+
+
+def to_line(value: WorldSpec | SeatRequest | ClientSpec | WorldStatus | ClientStatus) -> bytes:
+    """A value as one line of JSON, with its newline."""
+    return msgspec.json.encode(value) + b"\n"
+
+
+def of_line(kind: type[T], line: bytes) -> T:
+    """The value of a line. Raises ConfigError when it is none."""
+    try:
+        return msgspec.json.decode(line, type=kind)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise ConfigError(f"{line[:80]!r} is no {kind.__name__}: {error}") from None
+
+
+def write_order(path: Path, line: bytes) -> None:
+    """Write an order where its process looks for it; its folder is made again when somebody has removed it.
+
+    Raises:
+        DiskFullError: It could not be written.
+    """
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.write_bytes(line)
+    except OSError as error:
+        raise DiskFullError(f"{path}: an order could not be written ({error.strerror}); make room") from None
+
+
+def read_order(kind: type[T], path: Path) -> T:
+    """The value in a file. Raises ConfigError when it is none."""
+    return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=MOST_ORDER_BYTES)))

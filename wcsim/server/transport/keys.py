@@ -1,0 +1,190 @@
+"""Keys for clients on other machines: who may join a world, and that both ends are whom they claim to be.
+
+A folder of keys: `server.secret`, `server.public`, and for each client that may join `clients/NAME.public` and its own
+`clients/NAME.secret`. A client's machine needs `server.public` and its own secret. The files are those of zmq.auth.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+
+import zmq
+import zmq.auth
+from zmq.auth.thread import ThreadAuthenticator
+
+from wcsim.errors import ConfigError
+
+log = logging.getLogger("wcsim.server.transport.keys")
+
+CLIENTS = "clients"
+LOOK_S = 1.0
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyPair:
+    """One party's keys, in ZeroMQ's text form."""
+
+    public: bytes
+    secret: bytes
+
+
+def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Make the server's keys and those of these clients where they are missing; returns the clients that are new.
+
+    Raises:
+        ConfigError: A name cannot be one, or the folder cannot be written.
+    """
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ConfigError(f"client name {name!r}: expected letters, digits, - and _, 64 at most")
+    try:
+        (folder / CLIENTS).mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+        if not (folder / "server.secret").exists():
+            _make_pair(folder, "server")
+        new = tuple(name for name in names if not (folder / CLIENTS / f"{name}.public").exists())
+        for name in new:
+            _make_pair(folder / CLIENTS, name)
+    except OSError as error:
+        raise ConfigError(f"{folder}: keys cannot be made ({error.strerror}); choose another folder") from None
+    return new
+
+
+def server_keys(folder: Path) -> KeyPair:
+    """The server's own keys. Raises ConfigError when they are not there, or others can read them."""
+    return _pair(folder / "server.secret")
+
+
+def client_keys(folder: Path, name: str) -> KeyPair:
+    """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
+    own = folder / CLIENTS / f"{name}.secret"
+    if _NAME.fullmatch(name) and own.exists():
+        return _pair(own)
+    secrets = sorted((folder / CLIENTS).glob("*.secret"))
+    if len(secrets) != 1:
+        raise ConfigError(f"{own}: not found, and {len(secrets)} other secrets; expected its own, or just one")
+    return _pair(secrets[0])
+
+
+def known_names(folder: Path) -> tuple[str, ...]:
+    """The clients whose public keys are in a folder, sorted."""
+    return tuple(sorted(path.stem for path in (folder / CLIENTS).glob("*.public")))
+
+
+def server_public(folder: Path) -> bytes:
+    """What a client knows of its server. Raises ConfigError when it is not there."""
+    return _load(folder / "server.public")[0]
+
+
+def authenticator(context: zmq.Context[zmq.Socket[bytes]], known: KnownKeys) -> ThreadAuthenticator:
+    """Lets in, over the sockets of a context, the clients with these keys; to be stopped."""
+    guard = ThreadAuthenticator(context)
+    guard.start()
+    guard.configure_curve_callback("*", known)
+    return guard
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine can reach a TCP address.
+
+    >>> is_loopback("tcp://127.0.0.1:5000"), is_loopback("tcp://0.0.0.0:5000")
+    (True, False)
+
+    Raises:
+        ConfigError: It is none.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None or (match["port"] != "*" and int(match["port"]) > 65535):
+        raise ConfigError(f"address {address!r}: expected tcp://HOST:PORT, such as tcp://127.0.0.1:5555")
+    host = match["host"].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class KnownKeys:
+    """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
+
+    A connection that stands already is not heard any more from then on.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Raises ConfigError when there is no key, or a file is none."""
+        self._folder = folder / CLIENTS
+        self._names: dict[str, str] = {}  # by public key, in text form
+        self._state: tuple[tuple[str, int], ...] = ()
+        self._looked_s = 0.0
+        self._read()
+        if not self._names:
+            raise ConfigError(f"{self._folder}: no NAME.public of any client; expected one for each that may join")
+
+    def name(self, key: str) -> str:
+        """Whose key this is, "" for one that is not known any more; the folder is looked at once a second."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s > LOOK_S:
+            self._looked_s = now_s
+            with contextlib.suppress(ConfigError, OSError):
+                self._read()
+        return self._names.get(key, "")
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """What zmq.auth asks, in a thread of its own: whether a client with this public key (in text form) may come."""
+        del domain
+        try:
+            self._read()
+        except (ConfigError, OSError) as error:
+            log.error("nobody is let in: %s", error)
+            return False
+        return key.decode("ascii", "replace") in self._names
+
+    def _read(self) -> None:
+        files = sorted(path for path in self._folder.glob("*.public") if _NAME.fullmatch(path.stem))
+        state = tuple((path.name, path.stat().st_mtime_ns) for path in files)
+        if state != self._state:
+            self._names = {_load(path)[0].decode("ascii"): path.stem for path in files}
+            self._state = state
+
+
+def _make_pair(folder: Path, name: str) -> None:
+    """Write both files of a party; the secret one is its owner's alone from the first byte."""
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:
+        public, secret = zmq.auth.create_certificates(work, name)
+        Path(secret).chmod(0o600)
+        shutil.move(secret, folder / f"{name}.secret")
+        shutil.move(public, folder / f"{name}.public")
+
+
+def _pair(path: Path) -> KeyPair:
+    public, secret = _load(path)
+    if secret is None:
+        raise ConfigError(f"{path}: has no secret key; expected a file made by --make-keys")
+    status = path.stat()
+    if status.st_mode & 0o077 or status.st_uid not in (0, os.getuid()):
+        raise ConfigError(f"{path}: others can read this secret; run: chmod 600 {path}")
+    return KeyPair(public=public, secret=secret)
+
+
+def _load(path: Path) -> tuple[bytes, bytes | None]:
+    try:
+        public, secret = zmq.auth.load_certificate(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no key can be read there ({error}); make keys with --make-keys") from None
+    for key in (public, secret):
+        if key is not None and len(key) != 40:
+            raise ConfigError(f"{path}: a key of {len(key)} characters; expected 40")
+    return public, secret

@@ -1,0 +1,1 @@
+"""Built streets kept on disk, and how that is emptied. Not how a street is built."""

@@ -1,0 +1,67 @@
+"""What lies in the cache, and how it is emptied."""
+
+from __future__ import annotations
+
+import re
+import stat
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from wcsim.towns.cache.street_cache import cache_folder
+
+WRITTEN_S = 3600.0  # a file that is being written is not older
+_KEY = "[0-9a-f]{32}"
+_STREET = re.compile(rf"street-{_KEY}\.npz")
+_VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
+_BEGUN = re.compile(r"tmp[a-z0-9_]{8}\.(npz|ok)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CacheFacts:
+    """What is kept and can be made again; other files in the folder, as the key of one's own runs, do not count."""
+
+    folder: Path
+    streets: int
+    verdicts: int  # on nets and scenarios that were tried
+    unfinished: int  # begun by somebody and left
+    size_bytes: int
+
+
+def cache_facts() -> CacheFacts:
+    """Look through the cache; a folder that is not there or cannot be read is empty."""
+    found = _files()
+    return CacheFacts(
+        folder=cache_folder(),
+        streets=sum(_STREET.fullmatch(path.name) is not None for path in found),
+        verdicts=sum(_VERDICT.fullmatch(path.name) is not None for path in found),
+        unfinished=sum(_BEGUN.fullmatch(path.name) is not None for path in found),
+        size_bytes=sum(found.values()),
+    )
+
+
+def clear_cache() -> CacheFacts:
+    """Remove what wcsim keeps there and can make again; returns what is left of it.
+
+    A world that uses a street goes on: its open file lives until it closes it. What somebody writes at this moment has
+    another name until it is whole, and is left alone, as is every file that wcsim has not named.
+    """
+    for path in _files():
+        with suppress(OSError):  # somebody else's, or gone already
+            path.unlink()
+    return cache_facts()
+
+
+def _files() -> dict[Path, int]:
+    """The regular files that wcsim made, with their sizes."""
+    found: dict[Path, int] = {}
+    with suppress(OSError):
+        for path in sorted(cache_folder().iterdir()):
+            known = any(kind.fullmatch(path.name) for kind in (_STREET, _VERDICT, _BEGUN))
+            with suppress(OSError):
+                status = path.lstat()
+                being_written = _BEGUN.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
+                if known and stat.S_ISREG(status.st_mode) and not being_written:
+                    found[path] = status.st_size
+    return found

@@ -1,0 +1,193 @@
+"""Say what a town offers to wheelchairs, what is wrong with it, and the command that cures it."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, ElementTree
+
+import numpy as np
+import shapely
+
+from wcsim.config import RunConfig
+from wcsim.core.seeding import generator
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.checks.cures import FOR_ROUTES, own_time
+from wcsim.towns.checks.faults import Findings, faults_of, notes_of, projection_faults
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.ground.plane import length_of
+from wcsim.towns.ground.raster import CELL_M
+from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.stage import require_files
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.street import load_street
+from wcsim.towns.sumo.net import LaneKind, read_net
+from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import read_head, read_root
+from wcsim.towns.walking.islands import cut_off, share_of, walkable_parts
+from wcsim.towns.walking.overlaps import overlaps_of
+from wcsim.types import F64, ClassId, Street
+
+RAYS = 4000
+CHECKED_S = 600.0  # of the demand, from its begin
+SPOT_M = 0.002
+DRAWS = 50  # a net of a single street fills a small part of its surroundings
+HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
+_HEAD_BYTES = 4096
+_DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
+_STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
+_GROUND = (*_STREET, ClassId.TERRAIN, ClassId.GROUND, ClassId.PARKING)
+_NO_WAY = re.compile(
+    r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
+    r"|within the route [a-z ]*'([^']+)' is not known"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TownReport:
+    """What a check found."""
+
+    town: str
+    crossings: int
+    walkingareas: int
+    walkable_largest_share: float  # of the area of all pavements and crossings, in the largest connected part
+    walk_km: float  # length of the ways that wheelchairs can use
+    classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
+    unroutable: int  # trips of the first ten minutes that have no way
+    mesh_faults: int  # of RAYS rays straight down that did not meet the ground that the grid says
+    lefthand: bool
+    faults: tuple[str, ...]  # each with the command that cures it; empty when all is well
+    notes: tuple[str, ...] = ()
+
+
+def check_town(town: Town, share: float | None = None) -> TownReport:
+    """Check a town; `share` is the walkable share when it is known already.
+
+    Raises TownError when the town cannot be read at all, or its net is not in metres.
+    """
+    require_files(town, RunConfig())  # what is missing is said before SUMO opens a large net
+    net = read_net(town.net, town.file.origin_m)
+    if wrong := projection_faults(town, net):
+        raise TownError(f"{town.net}: {wrong[0]}")
+    validate_net(town.net, border=town.border)
+    street = load_street(town)
+    parts = walkable_parts(net, town.file.chair_ways) if share is None else []
+    found = Findings(
+        crossings=len(net.lanes(LaneKind.CROSSING)),
+        walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
+        walkable_largest_share=share_of(parts) if share is None else share,
+        unroutable=unroutable_trips(town),
+        mesh_faults=mesh_faults(street),
+        rays=RAYS,
+        classes=demand_classes(town),
+        overlaps=overlaps_of(on_land(net, relief_of(net))),
+        cut_off=cut_off(net, parts),
+    )
+    return TownReport(
+        town=town.name,
+        crossings=found.crossings,
+        walkingareas=found.walkingareas,
+        walkable_largest_share=found.walkable_largest_share,
+        walk_km=_walk_km(street),
+        classes=found.classes,
+        unroutable=found.unroutable,
+        mesh_faults=found.mesh_faults,
+        lefthand=b'lefthand="true"' in read_head(town.net, _HEAD_BYTES),
+        faults=faults_of(town, net, found),
+        notes=notes_of(town, net, found.overlaps),
+    )
+
+
+def demand_classes(town: Town) -> tuple[str, ...]:
+    """SUMO vehicle classes that the town's demand can hold, sorted."""
+    class_of, members, used = dict(_DEFAULT_CLASSES), {}, set()
+    for path in (*town.additional, *town.routes):
+        for element in read_root(path).iter():
+            if element.tag == "vType":
+                class_of[element.get("id", "")] = element.get("vClass", "passenger")
+            elif element.tag == "vTypeDistribution":
+                members[element.get("id", "")] = _members(element)
+            elif element.tag in ("vehicle", "trip", "flow"):
+                used.add(element.get("type", "DEFAULT_VEHTYPE"))
+            elif element.tag in ("person", "personFlow"):
+                used.add(element.get("type", "DEFAULT_PEDTYPE"))
+    types = {member for name in used for member in members.get(name, (name,))}
+    return tuple(sorted({class_of.get(name, "passenger") for name in types}))
+
+
+def unroutable_trips(town: Town) -> int:
+    """How many trips and flows that start in the first ten minutes have no way through the net."""
+    if not town.routes:
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        names = OutputNames(Path(folder))
+        met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
+        routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
+        needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
+        needed.write(Path(folder) / "needed.add.xml")
+        options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
+        options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + CHECKED_S:.12g}", "--ignore-errors"]
+        options += ["-o", "out.rou.xml", "--no-step-log", "--xml-validation", "never"]
+        run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
+    if run.returncode:
+        files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
+        raise SumoError(f"{town.sumocfg}: its demand cannot be checked: {run.reason()}; correct one of: {files}")
+    found = _NO_WAY.findall(run.output)
+    return len({name for names in found for name in names if name})
+
+
+def _for_routes(files: list[Path]) -> ElementTree:
+    """What a demand needs of additional files."""
+    found = Element("additional")
+    for path in files:
+        found.extend(element for element in read_root(path) if element.tag in FOR_ROUTES)
+    return ElementTree(found)
+
+
+def mesh_faults(street: Street, rays: int = RAYS) -> int:
+    """How many rays straight down, on road and pavement, meet no face with the class and height of the grid."""
+    grid, mesh = street.grid, street.mesh
+    xy_m = _places(street, rays)
+    faces = np.flatnonzero(np.isin(mesh.face_class, _GROUND))
+    corners = mesh.vertices_W_m[mesh.faces[faces]].astype(np.float64)  # (F, 3, 3)
+    tree = shapely.STRtree(shapely.polygons(corners[:, :, :2]))
+    spots = shapely.box(*(xy_m - SPOT_M).T, *(xy_m + SPOT_M).T)  # on a border both sides are right
+    ray, face = tree.query(spots, predicate="intersects")
+    good = mesh.face_class[faces[face]] == grid.class_at(xy_m[ray])
+    good &= np.abs(_height_on(corners[face], xy_m[ray]) - grid.height_at(xy_m[ray])) <= HEIGHT_SLACK_M
+    return len(xy_m) - len(np.unique(ray[good]))
+
+
+def _places(street: Street, count: int) -> F64:
+    """Middles (n, 2) of decimetre cells of road and pavement, up to `count` of them, drawn from all over the town."""
+    corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
+    for _ in range(DRAWS):
+        xy_m = np.floor(rng.uniform(low, high, (count, 2)) / CELL_M) * CELL_M + 0.5 * CELL_M
+        found.append(xy_m[np.isin(street.grid.class_at(xy_m), _STREET)])
+        number += len(found[-1])
+        if number >= count:
+            break
+    return np.concatenate(found)[:count]
+
+
+def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
+    """Height (n,) of planes through triangles (n, 3, 3) at points (n, 2)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    offset = xy_m - corners[:, 0, :2]
+    height: np.ndarray = corners[:, 0, 2] - (normal[:, :2] * offset).sum(axis=1) / normal[:, 2]
+    return height
+
+
+def _members(element: Element) -> tuple[str, ...]:
+    inner = [child.get("id", "") for child in element.iterfind("vType")]
+    return tuple([*inner, *element.get("vTypes", "").split()])
+
+
+def _walk_km(street: Street) -> float:
+    return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3

@@ -1,0 +1,121 @@
+"""Commands that cure what is wrong with a town, as they can be typed: with the tools' and the files' own places.
+
+What is to be done beside is said before the command, which goes on to the end of its line.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from wcsim.towns.scenario.options import read_configuration
+from wcsim.towns.scenario.stage import seconds_of
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.tools import sumo_home
+from wcsim.towns.sumo.xml_io import read_root
+
+HOUR_S = 3600.0
+FOR_ROUTES = frozenset(
+    (
+        "vType", "vTypeDistribution", "route", "routeDistribution", "include",
+        "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea"
+    )
+)  # fmt: skip
+"""Elements of additional files that a demand needs to be routed."""
+DEADLY = "calibrator"  # duarouter 1.28 dies of one that has flows
+FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement unless somebody asks
+
+
+def pave_cure(town: Town) -> str:
+    """The command that adds pavements and crossings to a scenario, or why there is none."""
+    slowest_mps = slowest_street_mps(read_net(town.net))
+    if slowest_mps is None:
+        return "there is no street that cars use, to lay pavements beside; choose another scenario"
+    options = " --allow-outside" if town.border is None else ""
+    options += f" --max-speed {math.ceil(slowest_mps)}" if slowest_mps > FASTEST_MPS else ""
+    command = f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(town.name + '-paved')}{options}"
+    return f"lay pavements and crossings: {command}"
+
+
+def slowest_street_mps(net: Net) -> float | None:
+    """The lowest speed limit of a net's streets for cars, None where there are none."""
+    streets = (edge for edge in net.edges if not edge.function)
+    fastest = (
+        max((lane.speed_mps for lane in edge.lanes if lane.kind is LaneKind.MOTOR), default=0.0) for edge in streets
+    )
+    return min(filter(None, fastest), default=None)
+
+
+def netedit_cure(town: Town) -> str:
+    """The command that opens a town's net to be changed by hand."""
+    return f"{_tool('netedit')} -s {_path(town.net)}"
+
+
+def walkers_cure(town: Town) -> str:
+    """The command that makes walkers for the scenario's own time, for an hour of it at most.
+
+    Raises:
+        TownError: the scenario's begin or end is no time.
+    """
+    begin_s, end_s = own_time(town)
+    tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
+    return (
+        f"make walkers.rou.xml, and add it to <route-files> in {_path(town.sumocfg)}: {tool} -n {_path(town.net)} "
+        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + HOUR_S):.12g} "
+        f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
+    )
+
+
+def own_time(town: Town) -> tuple[float, float]:
+    """When a scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
+    config = read_configuration(town.sumocfg)
+    begin_s = seconds_of(config.value("begin") or "0", town.sumocfg)
+    end_s = seconds_of(config.value("end") or "-1", town.sumocfg)
+    return begin_s, end_s if end_s > begin_s else begin_s + HOUR_S
+
+
+def grade_cure(town: Town) -> str:
+    """The command that flattens a town's steepest streets."""
+    return (
+        f"make better.net.xml, and name it in {_path(town.sumocfg)}: {_tool('netconvert')} -s {_path(town.net)} "
+        f"--geometry.max-grade 12 --geometry.max-grade.fix -o {_beside(town, 'better.net.xml')}"
+    )
+
+
+def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
+    """The command that routes a town's demand again and drops what finds no way."""
+    routes = ",".join(str(path.resolve()) for path in town.routes) or "DEMAND"
+    roots = {path: read_root(path) for path in town.additional}
+    needed = [path for path, root in roots.items() if any(element.tag in FOR_ROUTES for element in root)]
+    more = f" -a {shlex.quote(','.join(str(path.resolve()) for path in needed))}" if needed else ""
+    typed = [path.name for path in needed if _has_types(roots[path])]
+    both = typed and any(_has_types(read_root(path)) for path in town.routes)
+    deadly = [path.name for path in needed if roots[path].find(DEADLY) is not None]
+    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
+    first += f"take the types out of {', '.join(typed)}, for {name} will have them, " if both else ""
+    more += " --vtype-output /dev/null" if typed and not both else ""  # SUMO takes each type once
+    return (
+        f"{first}make {name}, and name it in {_path(town.sumocfg)}: {_tool('duarouter')} -n {_path(town.net)} "
+        f"-r {shlex.quote(routes)}{more} --ignore-errors -o {_beside(town, name)}"
+    )
+
+
+def _has_types(root: Element) -> bool:
+    return any(element.tag in ("vType", "vTypeDistribution") for element in root.iter())
+
+
+def _tool(name: str) -> str:
+    """One of SUMO's, where the installed wheel has it: it need not be on the PATH."""
+    return shlex.quote(str(sumo_home() / "bin" / name))
+
+
+def _beside(town: Town, name: str) -> str:
+    return _path(town.sumocfg.with_name(name))
+
+
+def _path(path: Path) -> str:
+    return shlex.quote(str(path.resolve()))

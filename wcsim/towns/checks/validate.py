@@ -1,0 +1,140 @@
+"""Is a net safe to open in this process? SUMO dies on broken ones, so a child opens it first."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import tempfile
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.cache.street_cache import cache_folder, write_whole
+from wcsim.towns.checks.cures import pave_cure
+from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
+from wcsim.types import Street
+
+CHECK = 4  # raise it when the check becomes stricter
+_LIMITS = Limits(wall_s=60.0, cpu_s=50, memory_bytes=3 << 30, file_bytes=1 << 20)
+SMALLEST_M, LARGEST_M = 1.0, 500e3
+STRETCHED, STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
+_NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
+
+
+def validate_net(net: Path, *, border: Path | None = None) -> None:
+    """Return when SUMO can open a net, from memory of an equal net where there is one.
+
+    Args:
+        net: The file.
+        border: The folder outside of which nothing is opened; by default the net's own.
+
+    Raises:
+        TownError: it is not a net, or SUMO refuses it or dies of it; the message says why in one or two lines.
+    """
+    data = read_bytes(net, MAX_XML_BYTES)
+    verdict = cache_folder() / f"net-{hashlib.sha256(data + bytes([CHECK])).hexdigest()[:32]}.ok"
+    if verdict.is_file():
+        return
+    scan_net(parse_root(data, str(net)), str(net))
+    with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
+        files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs", border or net.parent)
+        safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
+        options = ["-n", str(safe.resolve()), "--end", "1", "--no-step-log", "--no-warnings"]
+        try:
+            run = run_tool("sumo", [*options, "--xml-validation", "never"], Path(work), _LIMITS)
+        except SumoError as error:
+            raise TownError(f"{net}: SUMO could not open this net ({error}); build it again with netconvert") from None
+    if run.returncode:
+        raise TownError(f"{net}: SUMO cannot open this net ({run.reason()}); build it again with netconvert")
+    if len(files.read) == 1:  # what a net includes may change while its own bytes stay
+        write_whole(verdict, lambda path: path.write_text("ok\n", encoding="utf-8"))
+
+
+def scan_net(root: Element, where: str) -> None:
+    """Refuse what is no net at all, before any simulator sees it. Raises TownError."""
+    if root.tag != "net":
+        raise TownError(f"{where}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
+    edges = [edge for edge in root.iterfind("edge") if edge.find("lane") is not None]
+    if not edges:
+        raise TownError(f"{where}: has no edge with lanes; expected a street net: build it with netconvert")
+    if root.find("junction") is None:
+        raise TownError(f"{where}: has no junction; expected a street net: build it with netconvert")
+    _scan_numbers(root, where)
+    _refuse_degrees(edges, where)
+    _refuse_stretched(edges, where)
+    _refuse_sprawling(root, where)
+
+
+def require_pavement(street: Street, town: Town) -> None:
+    """Raise TownError with the command that cures it when a town has nothing that a wheelchair can drive on."""
+    if not street.walk.edges:
+        raise TownError(
+            f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there (its traffic "
+            f"alone runs with --chairs 0); {pave_cure(town)}"
+        )
+
+
+def _scan_numbers(root: Element, where: str) -> None:
+    for element in root.iter():
+        for key in _NUMBERS:
+            text = element.get(key)
+            if text is not None and not _all_finite(text):
+                raise TownError(
+                    f"{where}: <{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}; expected numbers"
+                )
+
+
+def _refuse_degrees(edges: list[Element], where: str) -> None:
+    """A town of less than a metre was never projected: its coordinates are degrees."""
+    shapes = [lane.get("shape", "") for edge in edges for lane in edge.iterfind("lane")]
+    places = [place.split(",") for shape in shapes for place in shape.split()]
+    xs, ys = ([float(place[axis]) for place in places if len(place) > 1] for axis in (0, 1))
+    span_m = max(max(side, default=0.0) - min(side, default=0.0) for side in (xs, ys))
+    if len(edges) > 1 and 0.0 < span_m < SMALLEST_M:
+        raise TownError(
+            f"{where}: reaches over {span_m:.4f} m only; its coordinates look like degrees, expected metres: build it "
+            "again with a projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
+        )
+    if span_m > LARGEST_M:
+        raise TownError(
+            f"{where}: reaches over {span_m / 1e3:.0f} km; expected at most {LARGEST_M / 1e3:.0f} km: build it "
+            "again with a metric projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
+        )
+
+
+def _refuse_stretched(edges: list[Element], where: str) -> None:
+    """A lane that is drawn to a place far away makes a town of hundreds of kilometres out of a small one."""
+    for lane in (lane for edge in edges if edge.get("function") != "walkingarea" for lane in edge.iterfind("lane")):
+        points = [place.split(",") for place in lane.get("shape", "").split()]
+        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
+        drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(places))
+        if drawn_m > max(STRETCHED_M, STRETCHED * float(lane.get("length") or 0.0)):
+            raise TownError(
+                f"{where}: lane {lane.get('id')!r} is {lane.get('length')} m long and drawn over {drawn_m:.0f} m; "
+                "expected about the same: build it again with netconvert"
+            )
+
+
+def _refuse_sprawling(root: Element, where: str) -> None:
+    """So does a junction whose outline reaches there."""
+    for junction in root.iterfind("junction"):
+        points = [place.split(",") for place in junction.get("shape", "").split()]
+        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
+        reach_m = max((math.dist(places[0], place) for place in places), default=0.0)
+        if reach_m > STRETCHED_M:
+            raise TownError(
+                f"{where}: junction {junction.get('id')!r} reaches over {reach_m:.0f} m; expected at most "
+                f"{STRETCHED_M:.0f} m: build it again with netconvert"
+            )
+
+
+def _all_finite(text: str) -> bool:
+    try:
+        return all(math.isfinite(float(part)) for part in text.replace(",", " ").split())
+    except ValueError:
+        return False

@@ -1,0 +1,251 @@
+"""Buildings: footprints cleared of the street, parts and courtyards, heights from tags or, without any, from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.core.seeding import generator
+from wcsim.towns.ground.tiled_geometry import Patches
+from wcsim.towns.osm.lengths import metres
+from wcsim.towns.osm.levels import STOREY_M, number, rise_m
+from wcsim.towns.sumo.additional import Item
+
+GAP_M = 0.1  # between a wall and walkable ground or road
+SMALLEST_M2 = 3.0
+STANDS_M = 2.0  # what begins above this lets people pass below
+PASSAGE_M = 4.2  # free height of a passage through a house: buses and trams fit
+MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
+OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
+HELD = 0.5  # what lies on other bodies to this share stands on them
+_OPEN_KINDS = {"roof", "carport", "canopy", "entrance", "underpass_entrance", "no", "ruins", "demolished", "proposed"}
+_LOW_KINDS = {"garage", "garages", "shed", "hut", "kiosk", "cabin", "toilets", "service", "bunker", "greenhouse"}
+_HOUSES = {"house", "detached", "bungalow", "terrace", "semidetached_house", "farm", "static_caravan"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Building:
+    """One block with vertical walls and a flat roof; heights are above the ground."""
+
+    outline: Polygon
+    height_m: float
+    low_m: float = 0.0  # where it begins: above 0 for what hangs over the street
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Body:
+    """One mapped outline."""
+
+    area: BaseGeometry
+    item: Item
+    rise_m: float
+    height_m: float
+    part: bool
+
+
+def buildings_of(items: list[Item], street: BaseGeometry, hull: BaseGeometry) -> tuple[list[Building], list[Building]]:
+    """Buildings that stand beside the street, and those that hang over it: skywalks, and houses over a passage.
+
+    What stands on the street (arcades, passages) or outside the town is cut off.
+    """
+    bodies, courtyards = _outlines(items, hull)
+    solid, raised = _composed(_hollowed(bodies, courtyards))
+    patches = Patches(street)
+    standing: list[Building] = []
+    overhead: list[Building] = []
+    for body in _apart(solid):
+        near = patches.near(_around(body.area, 1.0))
+        cleared = _cleared(body.area.difference(near.buffer(GAP_M, join_style="mitre", mitre_limit=2.0)))
+        parts = [part for part in cleared if not part.intersects(near)]
+        standing += [Building(outline=part, height_m=body.height_m) for part in parts]
+        overhead += _over_passages(body, near)
+    for body in raised:
+        overhead += _raised(body, patches.near(_around(body.area, 1.0)))
+    return standing, overhead
+
+
+def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[BaseGeometry]]:
+    """All outlines of buildings and their parts, the large ones first, and those of courtyards."""
+    shapely.prepare(hull)
+    bodies: list[_Body] = []
+    courtyards: list[BaseGeometry] = []
+    for item in items:
+        if item.kind != "building" or item.author or not item.filled or len(item.points_W_m) < 4 or _hidden(item):
+            continue
+        area = _areas(shapely.make_valid(Polygon(item.points_W_m)))
+        if not hull.contains(area):
+            area = _areas(area.intersection(hull))
+        if area.is_empty:
+            continue
+        if item.detail == "courtyard":
+            courtyards.append(area)
+        else:
+            bridge = item.detail == "bridge"
+            begins_m = max(rise_m(item.tags), PASSAGE_M if bridge else 0.0)
+            height_m = max(_height_m(item, area.area), begins_m + (STOREY_M if begins_m > 0.0 else 0.0))
+            bodies.append(_Body(area=area, item=item, rise_m=begins_m, height_m=height_m, part=item.detail == "part"))
+    return sorted(bodies, key=lambda body: -body.area.area), courtyards
+
+
+def _hidden(item: Item) -> bool:
+    """True for roofs on posts, which have no walls, and for what lies under ground."""
+    return (
+        item.detail in _OPEN_KINDS
+        or item.tags.get("building:part", "") in _OPEN_KINDS
+        or item.tags.get("location", "") == "underground"
+        or number(item.tags, "layer") < 0.0
+        or number(item.tags, "building:levels") < 0.0
+    )
+
+
+def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body]:
+    """Bodies without the courtyards inside them."""
+    if not courtyards:
+        return bodies
+    tree = shapely.STRtree(courtyards)
+    found: list[_Body] = []
+    for body in bodies:
+        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
+        yards = [
+            yard
+            for yard in inside
+            if yard.area < 0.98 * body.area.area and yard.intersection(body.area).area > 0.9 * yard.area
+        ]
+        found.append(replace(body, area=_areas(body.area.difference(shapely.union_all(yards)))) if yards else body)
+    return found
+
+
+def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
+    """Bodies that stand, parts before the building that they belong to, and bodies that begin higher up."""
+    parts = [body for body in bodies if body.part]
+    wholes = [body for body in bodies if not body.part]
+    tree = shapely.STRtree([part.area for part in parts])
+    bases: list[_Body] = []
+    for whole in wholes:
+        near = [parts[i] for i in sorted(tree.query(whole.area).tolist())]
+        mine = [part for part in near if part.area.intersection(whole.area).area > 0.5 * part.area.area]
+        bases.append(_base(whole, mine) if mine else whole)
+    every = [*parts, *bases]
+    standing = [body for body in every if body.rise_m <= STANDS_M and not body.area.is_empty]
+    return standing, _supported(standing, [body for body in every if body.rise_m > STANDS_M])
+
+
+def _base(whole: _Body, parts: list[_Body]) -> _Body:
+    """What of a building its parts leave: nothing where they are all of it, so that people pass below raised ones."""
+    grounded = shapely.union_all([part.area for part in parts if part.rise_m <= STANDS_M])
+    raised = shapely.union_all([part.area for part in parts if part.rise_m > STANDS_M])
+    left = _areas(whole.area.difference(grounded))
+    open_below = left.intersection(raised).area
+    modelled = left.difference(raised).area <= (1.0 - MODELLED) * whole.area.area
+    if modelled and open_below <= OPEN_BELOW * whole.area.area:
+        return replace(whole, area=_areas(left.difference(raised)))
+    over_m = [
+        part.rise_m for part in parts if part.rise_m > STANDS_M and part.area.intersection(left).area > SMALLEST_M2
+    ]
+    return replace(whole, area=left, height_m=min([whole.height_m, *(max(rise, STOREY_M) for rise in over_m)]))
+
+
+def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
+    """Raised bodies, drawn down to the roof below them where a map leaves out the floors between."""
+    upwards = sorted(raised, key=lambda body: body.rise_m)
+    below = [*standing, *upwards]
+    tree = shapely.STRtree([other.area for other in below])
+    found: list[_Body] = []
+    for place, body in enumerate(upwards, start=len(standing)):
+        under = [below[i] for i in sorted(tree.query(body.area).tolist()) if i < place]
+        shares = [(other.area.intersection(body.area).area / body.area.area, other.height_m) for other in under]
+        if sum(share for share, _ in shares) > HELD:
+            lowest_m = min(height_m for share, height_m in shares if share > 0.1 * HELD)
+            body = replace(body, rise_m=min(body.rise_m, max(lowest_m, STANDS_M)))
+        found.append(body)
+    return found
+
+
+def _apart(bodies: list[_Body]) -> list[_Body]:
+    """Bodies that take no ground twice: what comes first keeps it."""
+    tree = shapely.STRtree([body.area for body in bodies])
+    found: list[_Body] = []
+    for i, body in enumerate(bodies):
+        before = [found[j].area for j in sorted(tree.query(body.area).tolist()) if j < i]
+        area = body.area.difference(shapely.union_all(before).buffer(0.02)) if before else body.area
+        found.append(replace(body, area=_areas(area)))
+    return found
+
+
+def _raised(body: _Body, street: BaseGeometry) -> list[Building]:
+    """What begins on an upper floor, higher up where it reaches over the street."""
+    above = _widened(street)
+    halves = ((body.area.difference(above), body.rise_m), (body.area.intersection(above), max(body.rise_m, PASSAGE_M)))
+    return [
+        Building(outline=part, height_m=body.height_m, low_m=low_m)
+        for area, low_m in halves
+        if body.height_m > low_m + 0.3
+        for part in _cleared(area)
+    ]
+
+
+def _widened(street: BaseGeometry) -> BaseGeometry:
+    """The street and a little more, so that what hangs over it leaves no slot beside the walls below."""
+    return street.buffer(2.0 * GAP_M, join_style="mitre", mitre_limit=2.0)
+
+
+def _over_passages(body: _Body, street: BaseGeometry) -> list[Building]:
+    """The upper floors where a street runs through a building; a street along its front cuts off an edge only."""
+    if body.height_m < PASSAGE_M + 1.0:
+        return []
+    found: list[Building] = []
+    for cut in _cleared(body.area.intersection(_widened(street))):
+        inner_m = cut.boundary.difference(body.area.boundary.buffer(0.1)).length
+        if inner_m > 0.5 * cut.length and not cut.buffer(-1.0).is_empty:
+            found.append(Building(outline=cut, height_m=body.height_m, low_m=PASSAGE_M))
+    return found
+
+
+def _cleared(area: BaseGeometry) -> list[Polygon]:
+    """The polygons of an area without crumbs and thin strips, on a centimetre grid."""
+    if area.is_empty:
+        return []
+    opened = shapely.set_precision(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1), 0.01)
+    parts = [part for part in shapely.get_parts(opened) if part.geom_type == "Polygon" and part.is_valid]
+    return [part for part in parts if part.area >= SMALLEST_M2]
+
+
+def _areas(geometry: BaseGeometry) -> BaseGeometry:
+    """Only the polygons of a geometry."""
+    flat = [p for part in shapely.get_parts(geometry) for p in shapely.get_parts(part)]
+    polygons = [part for part in flat if part.geom_type == "Polygon" and part.area > 1e-6]
+    return polygons[0] if len(polygons) == 1 else MultiPolygon(polygons)
+
+
+def _around(area: BaseGeometry, margin_m: float) -> tuple[float, float, float, float]:
+    x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
+    return x0 - margin_m, y0 - margin_m, x1 + margin_m, y1 + margin_m
+
+
+def _height_m(item: Item, area_m2: float) -> float:
+    height_m = metres(item.tags.get("height", "")) or metres(item.tags.get("building:height", ""))
+    if height_m is not None and 2.0 <= height_m <= 400.0:
+        return height_m
+    storeys = metres(item.tags.get("building:levels", "")) or metres(item.tags.get("levels", ""))
+    if storeys is not None and 0.5 <= storeys <= 120.0:
+        roof_m = metres(item.tags.get("roof:height", ""))
+        if roof_m is None:
+            roof_m = STOREY_M * float(np.clip(number(item.tags, "roof:levels"), 0.0, 4.0))
+        return STOREY_M * storeys + float(np.clip(roof_m, 0.0, 30.0)) + 1.0
+    low_m, high_m = _usual_m(item.detail, area_m2)
+    return round(float(generator(0, "building", item.id).uniform(low_m, high_m)), 1)
+
+
+def _usual_m(detail: str, area_m2: float) -> tuple[float, float]:
+    """Between which heights a building of a kind and size mostly is."""
+    if detail in _LOW_KINDS or area_m2 < 25.0:
+        return 2.6, 3.4
+    if detail in _HOUSES:
+        return 6.0, 9.0
+    if detail in ("church", "cathedral", "mosque", "temple"):
+        return 15.0, 25.0
+    return (5.0, 9.0) if area_m2 < 80.0 else (9.0, 18.0)

@@ -1,0 +1,140 @@
+"""Things that stand in the street: what they look like, what they take of the ground, and at what height they stand."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.core.seeding import generator
+from wcsim.towns.furniture.models import LOOKS
+from wcsim.towns.ground import solids
+from wcsim.towns.ground.solids import Solid
+from wcsim.types import F64, Bool, SignalHead
+
+CLEAR_M = 0.75  # free space beside the walking line
+_CELL_M = 8.0
+
+HeightAt = Callable[[F64], F64]
+"""Ground height (n,) at points (n, 2)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StandingObject:
+    """A piece that stands in the street, and the ground below 2 m height that it takes.
+
+    Heights are above the ground at `base_m`, or, where it follows the ground, above the ground below each vertex.
+    """
+
+    piece: Solid
+    footprint: Polygon  # empty for what hangs over the street
+    base_m: F64  # (2,)
+    follows: bool = False
+    heads: tuple[SignalHead, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeGround:
+    """Where things may stand."""
+
+    low: BaseGeometry  # carriageway and crossings, with a little margin
+    solids: BaseGeometry  # buildings
+    lines: BaseGeometry  # walking lines
+    hull: BaseGeometry
+
+    def prepare(self) -> None:
+        """Make many questions cheap."""
+        for geometry in (self.low, self.solids, self.lines, self.hull):
+            shapely.prepare(geometry)
+
+    def free(self, footprint: Polygon) -> bool:
+        """True when a footprint is off the road, out of buildings, inside the town and clear of the walking lines."""
+        return bool(
+            self.hull.contains(footprint)
+            and not self.low.intersects(footprint)
+            and not self.solids.intersects(footprint)
+            and not shapely.dwithin(self.lines, footprint, CLEAR_M)
+        )
+
+    def free_spots(self, xy_m: F64, radius_m: float) -> Bool:
+        """The same (n,) for discs about points (n, 2)."""
+        points = shapely.points(xy_m)
+        free: Bool = shapely.contains(self.hull, points)
+        for area, gap_m in ((self.low, 0.0), (self.lines, CLEAR_M), (self.solids, 0.0)):
+            free[free] = ~shapely.dwithin(area, points[free], radius_m + gap_m)
+        return free
+
+
+class Taken:
+    """The ground that things take already."""
+
+    def __init__(self, things: Iterable[StandingObject] = ()) -> None:
+        self._cells: dict[tuple[int, int], list[Polygon]] = defaultdict(list)
+        for thing in things:
+            self.add(thing.footprint)
+
+    def add(self, footprint: Polygon) -> None:
+        """Take this ground; what hangs over the street takes none."""
+        if footprint.is_empty:
+            return
+        for cell in self._over(footprint):
+            self._cells[cell].append(footprint)
+
+    def free(self, footprint: Polygon, gap_m: float = 0.0) -> bool:
+        """True when nothing that was added comes nearer to a footprint than the gap."""
+        wide = footprint.buffer(gap_m, quad_segs=1) if gap_m > 0.0 else footprint
+        return not any(wide.intersects(other) for cell in self._over(wide) for other in self._cells[cell])
+
+    def _over(self, footprint: Polygon) -> list[tuple[int, int]]:
+        x0, y0, x1, y1 = (int(v) for v in np.floor(np.array(footprint.bounds) / _CELL_M))
+        return [(x, y) for x in range(x0, x1 + 1) for y in range(y0, y1 + 1)]
+
+
+def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float] | None = None) -> StandingObject:
+    """One thing of a kind of `looks.LOOKS`, its long side along yaw and its front to the left of it."""
+    look = LOOKS[kind]
+    size_m = size_lwh_m or look.size_lwh_m
+    # Things may lie within a millimetre of each other on two machines, and must look the same on both.
+    rng = generator(0, kind, *(int(abs(c) * 10) for c in xy_m)) if look.random else np.random.default_rng(0)
+    piece = solids.joined(look.make(rng))
+    if size_lwh_m is not None:
+        l0, w0, h0 = look.size_lwh_m
+        piece = solids.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
+    footprint = footprint_of(kind, xy_m, yaw_rad, size_m)
+    return StandingObject(piece=solids.moved(piece, xy_m, yaw_rad), footprint=footprint, base_m=np.asarray(xy_m))
+
+
+def footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]) -> Polygon:
+    """The ground that a thing takes."""
+    length_m, width_m, _ = size_lwh_m
+    if LOOKS[kind].round and length_m == width_m:
+        return shapely.Point(xy_m).buffer(length_m / 2, quad_segs=2)
+    return solids.rectangle(xy_m, length_m, width_m, yaw_rad)
+
+
+def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround, taken: Taken) -> StandingObject | None:
+    """One thing of a kind, or None where there is no room for it."""
+    footprint = footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)
+    return stood(kind, xy_m, yaw_rad) if place.free(footprint) and taken.free(footprint) else None
+
+
+def footprints_of(things: Iterable[StandingObject]) -> list[Polygon]:
+    """The ground that things take, without those that hang over it."""
+    return [thing.footprint for thing in things if not thing.footprint.is_empty]
+
+
+def set_on_ground(things: Iterable[StandingObject], height_at: HeightAt) -> tuple[list[Solid], tuple[SignalHead, ...]]:
+    """The pieces of all things, and the heads of all signals, at the height of the ground where they stand."""
+    pieces: list[Solid] = []
+    heads: list[SignalHead] = []
+    for thing in things:
+        base_m = float(height_at(thing.base_m[None])[0])
+        lift_m = height_at(thing.piece.vertices_W_m[:, :2]) if thing.follows else base_m
+        pieces.append(solids.raised(thing.piece, lift_m))
+        heads += [replace(head, p_W_m=head.p_W_m + np.array([0.0, 0.0, base_m])) for head in thing.heads]
+    return pieces, tuple(heads)

@@ -1,0 +1,286 @@
+"""Posts and heads of traffic lights, for those who drive and those who cross, and signs at junctions without any."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import shapely
+from shapely import Polygon
+
+from wcsim.towns.furniture.models import FOOT_M
+from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, stood_if_free
+from wcsim.towns.ground import solids
+from wcsim.towns.ground.solids import Solid
+from wcsim.towns.sumo.additional import Item
+from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_of
+from wcsim.towns.sumo.xml_io import parse_root, read_bytes
+from wcsim.types import F64, ClassId, SignalHead
+
+HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
+WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
+HEAD_LOW_M = 2.3  # nobody hits it with the head
+HANGING_LOW_M = 4.8  # over a road without room for a post
+POST_M = 0.07
+APART_M = 0.4  # between two posts
+SIDE_BY_SIDE_M = 0.36
+ARM_M = 0.12  # thickness of an arm that reaches over the road
+ARM_REACH_M = (2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 11.0, 14.0, 18.0, 23.0, 30.0)
+PASSING_M = 0.45  # from the line that people walk on to the post of an arm, where there is no better place
+ARM_TURNS = 24  # directions in which its post is looked for
+BACK_M = (0.5, 1.5, 3.0, 5.0)  # how far before the stop line a post may stand
+ASIDE_M = tuple(np.arange(0.3, 8.0, 0.35))  # how far beside the lane
+BEYOND_M = (0.4, 0.8, 1.3, 2.0)  # how far beyond the end of a crossing
+BESIDE_M = (0.3, -0.3, 0.7, -0.7, 1.2, -1.2, 1.8, -1.8)  # how far to the right of its edge, or to the left
+AT_ONCE = 8  # places that are looked at together
+SIGN_REACH_M = 20.0
+
+Groups = list[tuple[str, int]]
+"""Heads of an approach: traffic light and the number of a link of it, from the kerb towards the middle of the road."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approach:
+    """Where those who drive along an edge stop before a junction."""
+
+    edge_id: str
+    stop_m: F64  # (2,) end of the lane beside the kerb
+    ahead: F64  # (2,) unit vector of travel
+    aside: F64  # (2,) unit vector to the kerb: right, or left where traffic keeps left
+    half_m: float  # half of that lane's width
+
+
+def signal_things(
+    net: Net, additional: tuple[Path, ...], place: FreeGround, standing: Iterable[StandingObject]
+) -> list[StandingObject]:
+    """A post with heads at the kerb of each approach that a signal controls, and at both ends of such crossings."""
+    place.prepare()
+    taken = Taken(standing)
+    found: list[StandingObject] = []
+    columns = _columns((*net.phases, *_more_phases(additional)))
+    for thing in chain(_vehicle_signals(net, columns, place, taken), _walk_signals(net, place, taken)):
+        taken.add(thing.footprint)
+        found.append(thing)
+    return found
+
+
+def sign_things(
+    items: list[Item], net: Net, place: FreeGround, standing: Iterable[StandingObject]
+) -> list[StandingObject]:
+    """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
+    wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
+    approaches = approaches_of(net) if wanted else []
+    if not approaches:
+        return []
+    taken = Taken(standing)
+    tree = shapely.STRtree(shapely.points([approach.stop_m for approach in approaches]))
+    found: list[StandingObject] = []
+    for item in wanted:
+        nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=SIGN_REACH_M)
+        for approach in (approaches[i] for i in nearest[:1].tolist()):
+            facing = float(np.arctan2(-approach.ahead[1], -approach.ahead[0]))
+            for xy_m in _beside(approach):
+                sign = stood_if_free("sign", xy_m, facing - np.pi / 2, place, taken)
+                if sign is not None:
+                    taken.add(sign.footprint)
+                    found.append(sign)
+                    break
+    return found
+
+
+def approaches_of(net: Net) -> list[Approach]:
+    """The end of every edge that vehicles use."""
+    found: list[Approach] = []
+    for edge in net.edges:
+        lanes = [] if edge.function else _driven(edge)
+        if lanes:
+            lane = lanes[-1] if net.lefthand else lanes[0]
+            along = lane.points_m[-1] - lane.points_m[-2]
+            ahead = along / max(1e-6, float(np.hypot(*along)))
+            right = np.array([ahead[1], -ahead[0]])
+            found.append(
+                Approach(
+                    edge_id=edge.id,
+                    stop_m=lane.points_m[-1],
+                    ahead=ahead,
+                    aside=-right if net.lefthand else right,
+                    half_m=lane.width_m / 2,
+                )
+            )
+    return found
+
+
+def _driven(edge: Edge) -> list[Lane]:
+    kinds = (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE)
+    lanes = [lane for lane in edge.lanes if lane.kind in kinds and len(lane.points_m) > 1]
+    cars = [lane for lane in lanes if lane.kind is not LaneKind.BIKE]
+    return cars or lanes
+
+
+def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
+    for path in files:
+        data = read_bytes(path)
+        if b"<tlLogic" in data:
+            yield from phases_of(parse_root(data, str(path)))
+
+
+def _columns(phases: tuple[tuple[str, str], ...]) -> dict[str, list[str]]:
+    """For each traffic light the states of all phases: links with the same letter in all of them share a head."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for tls_id, state in phases:
+        found[tls_id].append(state.lower())
+    return found
+
+
+def _vehicle_signals(
+    net: Net, columns: dict[str, list[str]], place: FreeGround, taken: Taken
+) -> Iterator[StandingObject]:
+    links: dict[str, list[Connection]] = defaultdict(list)
+    for link in net.connections:
+        if link.tls_id and link.tls_link >= 0:
+            links[link.start].append(link)
+    for approach in approaches_of(net):
+        groups = _groups(links.get(approach.edge_id, []), columns, net.lefthand)
+        if groups:
+            yield _at_kerb(approach, groups, place, taken)
+
+
+def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bool) -> Groups:
+    """One link for each set of links that always show the same colour."""
+    found: dict[tuple[str, str], tuple[str, int]] = {}
+    for link in sorted(links, key=lambda link: (-link.start_lane if lefthand else link.start_lane, link.tls_link)):
+        states = columns.get(link.tls_id, [])
+        column = "".join(state[link.tls_link] if link.tls_link < len(state) else "-" for state in states)
+        found.setdefault((link.tls_id, column or str(link.tls_link)), (link.tls_id, link.tls_link))
+    return list(found.values())
+
+
+def _at_kerb(approach: Approach, groups: Groups, place: FreeGround, taken: Taken) -> StandingObject:
+    """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
+    xy_m = _first_free(_beside(approach), place, taken)
+    if xy_m is not None:
+        post = solids.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M + 0.5 * HEAD_LWH_M[2], ClassId.POLE, sides=5)
+        front = xy_m - (POST_M + HEAD_LWH_M[1] / 2) * approach.ahead
+        pieces, heads = _heads(front, approach.ahead, approach.aside, groups, HEAD_LOW_M)
+        return StandingObject(piece=solids.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads)
+    over = approach.stop_m + 0.5 * approach.ahead
+    pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, HANGING_LOW_M)
+    last = over - (len(groups) - 1) * SIDE_BY_SIDE_M * approach.aside
+    foot_m = _foot_of_arm(over, place, taken)
+    held_m = foot_m if foot_m is not None else _wall(over, place)
+    pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
+    if foot_m is None:
+        return StandingObject(piece=solids.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
+    pieces.append(solids.post(foot_m, POST_M, FOOT_M, HANGING_LOW_M + HEAD_LWH_M[2] + ARM_M, ClassId.POLE, sides=5))
+    return StandingObject(piece=solids.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
+
+
+def _foot_of_arm(over_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
+    """Where the post of an arm stands: the nearest free place, else the nearest that people can pass, if any."""
+    turns = np.linspace(0.0, 2.0 * np.pi, ARM_TURNS, endpoint=False)
+    reach_m = np.repeat(np.array(ARM_REACH_M), ARM_TURNS)[:, None]
+    ring = np.column_stack([np.cos(turns), np.sin(turns)])
+    places_m = over_m + reach_m * np.tile(ring, (len(ARM_REACH_M), 1))
+    found = _first_free(places_m, place, taken)
+    if found is not None:
+        return found
+    points = shapely.points(places_m)
+    tight = np.ones(len(points), dtype=bool)
+    for area, gap_m in ((place.low, POST_M), (place.solids, POST_M), (place.lines, PASSING_M)):
+        tight[tight] = ~shapely.dwithin(area, points[tight], gap_m)
+    return np.asarray(places_m[tight][0]) if tight.any() else None
+
+
+def _wall(over_m: F64, place: FreeGround) -> F64 | None:
+    """The nearest place of a building, from which a light can hang; None where there is none near."""
+    nearest = shapely.get_coordinates(shapely.shortest_line(shapely.Point(over_m), place.solids))
+    near = len(nearest) > 0 and float(np.hypot(*(nearest[-1] - over_m))) <= ARM_REACH_M[-1]
+    return np.asarray(nearest[-1]) if near else None
+
+
+def _arm(start_m: F64, end_m: F64) -> Solid:
+    """An arm above the heads, from one place to another."""
+    along = end_m - start_m
+    size_m = (float(np.hypot(*along)) + ARM_M, ARM_M, ARM_M)
+    yaw_rad = float(np.arctan2(along[1], along[0]))
+    top_m = HANGING_LOW_M + HEAD_LWH_M[2]
+    return solids.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
+
+
+def _beside(approach: Approach) -> F64:
+    """Places (n, 2) for a post at the kerb, best first."""
+    back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(BACK_M, ASIDE_M, indexing="ij"))
+    return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)
+
+
+def _first_free(places_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
+    """The first of some places (n, 2) where a post may stand, close to another one only where there is no other."""
+    close: F64 | None = None
+    for start in range(0, len(places_m), AT_ONCE):
+        some = places_m[start : start + AT_ONCE]
+        for xy_m in some[place.free_spots(some, POST_M)]:
+            if taken.free(_disc(xy_m), APART_M):
+                return np.asarray(xy_m)
+            if close is None and taken.free(_disc(xy_m)):
+                close = np.asarray(xy_m)
+    return close
+
+
+def _disc(xy_m: F64) -> Polygon:
+    return shapely.Point(xy_m).buffer(POST_M, quad_segs=2)
+
+
+def _heads(
+    first_m: F64, ahead: F64, aside: F64, groups: Groups, low_m: float
+) -> tuple[list[Solid], tuple[SignalHead, ...]]:
+    """Heads side by side that look against the traffic, the one for the lane at the kerb farthest aside."""
+    yaw_rad = float(np.arctan2(-ahead[1], -ahead[0]))
+    pieces: list[Solid] = []
+    heads: list[SignalHead] = []
+    for k, (tls_id, link) in enumerate(reversed(groups)):
+        middle = first_m + k * SIDE_BY_SIDE_M * aside
+        pieces.append(solids.box(middle, HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
+        p_W_m = np.array([*middle, low_m + HEAD_LWH_M[2] / 2])
+        heads.append(SignalHead(tls_id=tls_id, link=link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=False))
+    return pieces, tuple(heads)
+
+
+def _walk_signals(net: Net, place: FreeGround, taken: Taken) -> Iterator[StandingObject]:
+    """At each end of a crossing a head that those at the other end see."""
+    crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
+    lights: dict[str, Connection] = {}
+    for link in net.connections:
+        edge = link.end if link.end in crossings else link.start
+        if edge in crossings and link.tls_id and link.tls_link >= 0:
+            lights.setdefault(edge, link)
+    for lane in net.lanes(LaneKind.CROSSING):
+        light = lights.get(lane.edge_id)
+        if light is None or len(lane.points_m) < 2:
+            continue
+        for end, inner in ((0, 1), (-1, -2)):
+            along = lane.points_m[end] - lane.points_m[inner]
+            thing = _at_crossing(lane, end, along / max(1e-6, float(np.hypot(*along))), light, place, taken)
+            if thing is not None:
+                yield thing
+
+
+def _at_crossing(
+    lane: Lane, end: int, along: F64, light: Connection, place: FreeGround, taken: Taken
+) -> StandingObject | None:
+    """A post beside the end of a crossing, or None where there is no room; `along` points off the road."""
+    right = np.array([along[1], -along[0]])
+    yaw_rad = float(np.arctan2(-along[1], -along[0]))
+    beyond_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(BEYOND_M, BESIDE_M, indexing="ij"))
+    side_m = aside_m + np.sign(aside_m) * lane.width_m / 2
+    xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * right, place, taken)
+    if xy_m is None:
+        return None
+    post = solids.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
+    head = solids.box(xy_m, WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
+    p_W_m = np.array([*xy_m, HEAD_LOW_M + WALK_HEAD_LWH_M[2] / 2])
+    shown = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
+    return StandingObject(piece=solids.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))

@@ -1,0 +1,218 @@
+"""The lie of the land, from the heights of a net's own shapes: one truth for SUMO's slopes and the wheels.
+
+A lattice surface that runs close by the heights of all lanes and bends as little as possible between and beyond them.
+Where one way passes over another, the lower one is the land, and the upper one is no ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+
+from wcsim.towns.sumo.net import Lane, LaneKind, Net
+from wcsim.types import F64, I32, Bool, Relief
+from wcsim.types.street import FLAT
+
+SHORTEST_M = 0.5  # shorter pieces say nothing about a grade: coordinates are rounded to a centimetre
+
+CELL_M = 8.0  # a whole fraction of a ground chunk, so that both share their borders
+REACH_M = 48.0  # of the lattice beyond the outermost street
+SAMPLE_M = 4.0  # along lanes
+OVER_M = 2.5  # a way this much above another one at the same place is a bridge
+BESIDE_M = 3.0  # samples of two ways that cross come as near to each other
+BRIDGE_M = 40.0  # this far to both sides of where it passes over the other
+OFF_M = 2.0  # parts of bridges farther than this from the land are no ground
+ABSURD = 0.35  # no street is as steep: netconvert makes such heights on very short edges
+STIFF_M3 = 60.0  # weight of bending against a metre of lane
+LEVEL_M = 300.0  # the land turns level over this distance where no street holds it
+AT_ONCE = 100_000  # samples
+FAR_M = 1e6  # longer than any way
+STEPS = 60  # of conjugate gradients a level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Samples:
+    """Points along all ways of a net."""
+
+    p_m: F64  # (n, 2)
+    z_m: F64  # (n,)
+    weight_m: F64  # (n,) metres of way that a sample stands for, less where its height makes no sense
+    way: I32  # (n,) number of the way
+    arc_m: F64  # (n,) distance along it
+
+
+def relief_of(net: Net) -> Relief:
+    """The land of a net; `FLAT` where the net states no heights, or the same one everywhere."""
+    ways = _ways(net)
+    if not any(way.z_m.any() for way in ways):
+        return FLAT
+    samples = _samples(ways)
+    held = ~_on_bridge(samples)
+    p_m, z_m, weight_m = samples.p_m[held], samples.z_m[held], samples.weight_m[held]
+    origin_m = np.floor((samples.p_m.min(axis=0) - REACH_M) / CELL_M) * CELL_M
+    cols, rows = np.ceil((samples.p_m.max(axis=0) + REACH_M - origin_m) / CELL_M).astype(int) + 1
+    place = (float(origin_m[0]), float(origin_m[1]))
+    steps = [2**k for k in range(12) if k == 0 or 2 ** (k + 2) <= max(rows, cols)]
+    land = Relief(origin_W_m=place, cell_m=CELL_M, z_m=np.full((2, 2), np.average(z_m, weights=weight_m), np.float32))
+    for step in reversed(steps):
+        shape = (-(-(rows - 1) // step) + 1, -(-(cols - 1) // step) + 1)
+        cell_m = CELL_M * step
+        nodes_m = place + cell_m * np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1)
+        fitted = _fitted(land.at(nodes_m), cell_m, *_corners((p_m - place) / cell_m, shape), z_m, weight_m)
+        land = Relief(origin_W_m=place, cell_m=cell_m, z_m=fitted.astype(np.float32))
+    return replace(land, z_m=np.round(land.z_m, 3))
+
+
+def on_land(net: Net, relief: Relief) -> Net:
+    """The same net without what lies far above or below the land: the parts of bridges that others pass under."""
+    ways = _ways(net)
+    if relief is FLAT:
+        return net
+    samples = _samples(ways)
+    off = _on_bridge(samples) & (np.abs(samples.z_m - relief.at(samples.p_m)) > OFF_M)
+    if not off.any():
+        return net
+    off_ways = set(samples.way[off].tolist())
+    pieces = {id(ways[k]): _kept(ways[k], samples, samples.way == k, off) for k in off_ways}
+    edges = tuple(
+        replace(edge, lanes=tuple(piece for lane in edge.lanes for piece in pieces.get(id(lane), [lane])))
+        for edge in net.edges
+    )
+    high = [j.z_m.size > 0 and np.abs(j.z_m - relief.at(j.outline_m)).min() > OFF_M for j in net.junctions]
+    junctions = tuple(
+        replace(j, outline_m=j.outline_m[:0], z_m=j.z_m[:0]) if drop else j
+        for j, drop in zip(net.junctions, high, strict=True)
+    )
+    return replace(net, edges=edges, junctions=junctions)
+
+
+def _ways(net: Net) -> list[Lane]:
+    return [lane for edge in net.edges for lane in edge.lanes if len(lane.points_m) > 1]
+
+
+def _samples(ways: list[Lane]) -> _Samples:
+    """Points every few metres along all ways, corners among them."""
+    parts: list[tuple[F64, F64]] = []
+    counts: list[int] = []
+    for way in ways:
+        step_m = np.hypot(*np.diff(way.points_m, axis=0).T)
+        corner_m = np.r_[0.0, np.cumsum(step_m)]
+        at_m = np.linspace(0.0, corner_m[-1], 2 + int(corner_m[-1] // SAMPLE_M))
+        grade = np.abs(np.diff(way.z_m)) / np.maximum(step_m, 1e-6)
+        absurd = grade[np.clip(np.searchsorted(corner_m, at_m) - 1, 0, len(grade) - 1)] > ABSURD
+        columns = [np.interp(at_m, corner_m, column) for column in (*way.points_m.T, way.z_m)]
+        weight_m = corner_m[-1] / len(at_m) * np.where(absurd, 0.02, 1.0) + 1e-3
+        parts.append((np.stack([*columns, weight_m, at_m]), at_m))
+        counts.append(len(at_m))
+    x, y, z_m, weight, arc_m = np.concatenate([part for part, _ in parts], axis=1)
+    way_of = np.repeat(np.arange(len(ways), dtype=np.int32), counts)
+    return _Samples(p_m=np.stack([x, y], axis=1), z_m=z_m, weight_m=weight, way=way_of, arc_m=arc_m)
+
+
+def _on_bridge(samples: _Samples) -> Bool:
+    """Which samples (n,) lie on a way near a place where it passes over another one, or over itself."""
+    places = shapely.points(samples.p_m)
+    tree = shapely.STRtree(places)
+    over: list[I32] = []
+    for start in range(0, len(places), AT_ONCE):
+        upper, lower = tree.query(places[start : start + AT_ONCE], predicate="dwithin", distance=BESIDE_M)
+        tall = samples.z_m[upper + start] - samples.z_m[lower] > OVER_M
+        over.append((upper[tall] + start).astype(np.int32))
+    key_m = samples.way * FAR_M + samples.arc_m  # ascending: ways follow each other
+    here_m = key_m[np.unique(np.concatenate(over))]
+    ends = np.zeros(len(places) + 1, dtype=np.int64)
+    np.add.at(ends, np.searchsorted(key_m, here_m - BRIDGE_M), 1)
+    np.add.at(ends, np.searchsorted(key_m, here_m + BRIDGE_M), -1)
+    return np.cumsum(ends)[:-1] > 0
+
+
+def _kept(way: Lane, samples: _Samples, own: Bool, off: Bool) -> list[Lane]:
+    """The pieces of a way that are ground; a walking area stays or goes as a whole."""
+    if way.kind is LaneKind.WALKINGAREA:
+        return []
+    good = np.r_[False, ~off[own], False]
+    starts, ends = np.flatnonzero(np.diff(good.astype(int)) > 0), np.flatnonzero(np.diff(good.astype(int)) < 0)
+    p_m, z_m = samples.p_m[own], samples.z_m[own]
+    return [replace(way, points_m=p_m[a:b], z_m=z_m[a:b]) for a, b in zip(starts, ends, strict=True) if b - a > 1]
+
+
+def _corners(at: F64, shape: tuple[int, int]) -> tuple[I32, F64]:
+    """The three lattice corners (n, 3) around points given in cells, and their shares (n, 3), as `Relief.at` cuts."""
+    cell = np.clip(at.astype(int), 0, (shape[1] - 2, shape[0] - 2))
+    u, v = (np.clip(at - cell, 0.0, 1.0)).T
+    first = cell[:, 1] * shape[1] + cell[:, 0]
+    corners = np.stack([first, first + np.where(u >= v, 1, shape[1]), first + shape[1] + 1], axis=1)
+    big, small = np.maximum(u, v), np.minimum(u, v)
+    return corners.astype(np.int32), np.stack([1.0 - big, big - small, small], axis=1)
+
+
+def _fitted(z: F64, cell_m: float, corners: I32, share: F64, height_m: F64, weight_m: F64) -> F64:
+    """The lattice (rows, cols) of least squares, by conjugate gradients from a first guess."""
+    flat, weighted = corners.reshape(-1), share * weight_m[:, None]
+
+    def spread(values: F64) -> F64:
+        return _counted(flat, weighted * values[:, None], z.shape)
+
+    def gradient(field: F64) -> F64:
+        return spread((field.reshape(-1)[corners] * share).sum(axis=1)) + _stiffness(field, cell_m)
+
+    scale = 1.0 / (_counted(flat, weighted * share, z.shape) + 20.0 * STIFF_M3 / cell_m**2)
+    rest = spread(height_m) - gradient(z)
+    step = scale * rest
+    power = float((rest * step).sum())
+    for _ in range(STEPS):
+        if power < 1e-9:
+            break
+        pushed = gradient(step)
+        length = power / float((step * pushed).sum())
+        z = z + length * step
+        rest = rest - length * pushed
+        fresh = scale * rest
+        power, before = float((rest * fresh).sum()), power
+        step = fresh + (power / before) * step
+    return z
+
+
+def _counted(nodes: I32, values: F64, shape: tuple[int, ...]) -> F64:
+    """Sums of values, node by node of a lattice."""
+    sums: F64 = np.bincount(nodes, values.reshape(-1), minlength=shape[0] * shape[1]).astype(np.float64)
+    return sums.reshape(shape)
+
+
+def _stiffness(z: F64, cell_m: float) -> F64:
+    """How bending and, much weaker, slope pull at the lattice's nodes (rows, cols)."""
+    bend, level = STIFF_M3 / cell_m**2, STIFF_M3 / LEVEL_M**2
+    pull = np.zeros_like(z)
+    for field, out in ((z, pull), (z.T, pull.T)):
+        slope = level * (field[1:] - field[:-1])
+        out[1:] += slope
+        out[:-1] -= slope
+        if len(field) > 2:
+            curve = bend * (field[2:] - 2.0 * field[1:-1] + field[:-2])
+            out[2:] += curve
+            out[1:-1] -= 2.0 * curve
+            out[:-2] += curve
+    twist = 2.0 * bend * (z[1:, 1:] - z[1:, :-1] - z[:-1, 1:] + z[:-1, :-1])
+    pull[1:, 1:] += twist
+    pull[1:, :-1] -= twist
+    pull[:-1, 1:] -= twist
+    pull[:-1, :-1] += twist
+    return pull
+
+
+def steepest_run(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) -> float:
+    """The largest rise over run of lines of heights (n,) and lengths (n - 1,) in metres, of those that are driven."""
+    worst = 0.0
+    for z_m, run_m, counts in zip(heights_m, runs_m, driven, strict=True):
+        if counts and len(run_m):
+            worst = max(worst, float((np.abs(np.diff(z_m)) / np.maximum(run_m, SHORTEST_M)).max()))
+    return worst
+
+
+def steepest_grade(net: Net) -> float:
+    """The largest rise over run along any lane of a net."""
+    lanes = [lane for edge in net.edges for lane in edge.lanes]
+    runs_m = [np.hypot(*np.diff(lane.points_m, axis=0).T) for lane in lanes]
+    return steepest_run([lane.z_m for lane in lanes], runs_m, [True] * len(lanes))

@@ -1,0 +1,208 @@
+"""What the ground of a town is, as polygons: carriageway, crossings, pavement, and the rest inside the town's edge."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.towns.ground.tiled_geometry import Patches, buffered
+from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
+
+GRID_M = 0.01  # all ground points lie on this grid
+SIMPLIFY_M = 0.05
+CLOSE_M = 0.15  # gaps narrower than twice this are closed
+STRIP_M = 0.35  # half of the width below which a strip of road or between roads is not worth a kerb
+POCKET_M2 = 12.0
+HOLE_M2 = 150.0  # grass inside a turning loop
+CRUMB_M2 = 1.0
+REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
+DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
+MARGIN_M = 15.0  # terrain beyond the outermost street
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surfaces:
+    """Disjoint areas that together fill `hull`, in W; the terrain is what is left of it."""
+
+    low: BaseGeometry  # carriageway and crossings: height 0
+    crossing: BaseGeometry  # part of `low`
+    unpainted: BaseGeometry = field(default_factory=MultiPolygon)  # part of `crossing`: it looks like the road
+    rail: BaseGeometry  # part of `low` that rail vehicles have to themselves
+    pavement: BaseGeometry
+    hull: BaseGeometry
+    paved: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: squares, yards, ground of a town
+    parking: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: car parks
+
+
+def surfaces_of(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[str] = ()) -> Surfaces:
+    """Derive the areas from a net: a carriageway wins over a footway drawn on it, a crossing wins over both.
+
+    Args:
+        net: The net, on its land.
+        chair_ways: What counts as pavement.
+        unmarked: Edges of crossings without paint.
+    """
+    low_lanes, walk_lanes = _split(net, chair_ways)
+    motor = shapely.union_all(
+        [lane_area(lane) for lane in low_lanes if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL) and not lane.internal]
+    )
+    other = shapely.union_all([lane_area(lane) for lane in low_lanes])
+    crossing = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.CROSSING)])
+    walk = shapely.union_all([lane_area(lane) for lane in walk_lanes] + _outlines(net))
+    junctions = shapely.union_all([_polygon(j.outline_m) for j in net.junctions if j.kind != "internal"])
+    walk = walk.union(_corners(junctions, other, walk))
+    inner = shapely.union_all([junctions, other]).difference(buffered(walk, GRID_M))
+    low = shapely.union_all([motor, inner, crossing])
+    both = _cleaned(shapely.union_all([low, walk]))
+    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * STRIP_M and not lane.internal]
+    low = shapely.union_all([_opened(_closed(low, STRIP_M), STRIP_M), *narrow])
+    low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
+    pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
+    painted = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id not in unmarked]
+    plain = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id in unmarked]
+    crossing = _with_ends([*painted, *plain], low, pavement)
+    unpainted = crossing.difference(_with_ends(painted, low, pavement)) if plain else MultiPolygon()
+    hull = shapely.set_precision(both.convex_hull.buffer(MARGIN_M, quad_segs=2), GRID_M)
+    rail = _rail(low_lanes, low, [crossing, junctions])
+    return Surfaces(
+        low=low,
+        crossing=_areas(crossing),
+        unpainted=_areas(unpainted),
+        rail=rail,
+        pavement=_areas(pavement),
+        hull=hull,
+    )
+
+
+def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> BaseGeometry:
+    """The areas of crossings, drawn out to meet the pavement."""
+    areas = shapely.union_all([lane_area(lane) for lane in crossings])
+    reaches = _reaches(crossings, low, pavement)
+    whole: BaseGeometry = shapely.set_precision(shapely.union_all([areas.intersection(low), *reaches]), GRID_M)
+    return whole
+
+
+def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> BaseGeometry:
+    """Where only rail vehicles drive, between junctions."""
+    rail = shapely.union_all([lane_area(lane) for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal])
+    if rail.is_empty:
+        return MultiPolygon()
+    others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
+    own = _opened(rail.difference(shapely.union_all([*others, *taken])), STRIP_M).simplify(SIMPLIFY_M)
+    parts = shapely.get_parts(_areas(shapely.set_precision(own.intersection(low), GRID_M)))
+    return MultiPolygon([part for part in parts if part.area > POCKET_M2])
+
+
+def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
+    """Parts of junctions beside the pavement that no vehicle comes near: SUMO's walking areas leave them out."""
+    near = buffered(buffered(driven, DRIVEN_M, quad_segs=2), 0.5 - DRIVEN_M, quad_segs=2)
+    corners = _opened(junctions.difference(walk).difference(near), 0.2)
+    shapely.prepare(walk)
+    return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, CLOSE_M)])
+
+
+def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> list[BaseGeometry]:
+    """Road between the end of a crossing and the pavement: SUMO ends a crossing at the junction's own outline."""
+    shapely.prepare(pavement)
+    roads, pavements = Patches(low), Patches(pavement)
+    found: list[BaseGeometry] = []
+    for lane in crossings:
+        area = lane_area(lane)
+        for end, inner in ((0, 1), (-1, -2)):
+            along = lane.points_m[end] - lane.points_m[inner]
+            along = along / max(1e-6, float(np.hypot(*along)))
+            ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
+            strip = ahead.buffer(lane.width_m / 2, cap_style="flat")
+            strip = strip.difference(pavements.near(strip.bounds)).intersection(roads.near(strip.bounds))
+            parts = [part for part in shapely.get_parts(strip) if part.geom_type == "Polygon" and part.intersects(area)]
+            found += [part for part in parts if shapely.dwithin(pavement, part, 2 * GRID_M)]
+    return found
+
+
+def walkable_lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
+    """Lanes that count as pavement in this town."""
+    return _split(net, chair_ways)[1]
+
+
+def lane_area(lane: Lane) -> BaseGeometry:
+    """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
+    if lane.kind is LaneKind.WALKINGAREA:
+        return _polygon(lane.points_m)
+    if len(lane.points_m) < 2:
+        return Polygon()
+    points_m = lane.points_m[np.r_[True, np.any(np.diff(lane.points_m, axis=0) != 0.0, axis=1)]]
+    if len(points_m) < 2:
+        return Polygon()
+    return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2.0)
+
+
+def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane]]:
+    """Lanes at the height of the road, and those that are pavement, as a cycle track is where chairs may use it."""
+    low: list[Lane] = []
+    walk: list[Lane] = []
+    for edge in net.edges:
+        tracks_only = all(lane.kind in WALK_KINDS | {LaneKind.BIKE} for lane in edge.lanes)
+        for lane in edge.lanes:
+            if lane.kind in WALK_KINDS or (lane.kind is LaneKind.BIKE and tracks_only and "cycleway" in chair_ways):
+                walk.append(lane)
+            elif lane.kind in (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE):
+                low.append(lane)
+    return low, walk
+
+
+def _outlines(net: Net) -> list[BaseGeometry]:
+    return [_polygon(lane.points_m) for lane in net.lanes(LaneKind.WALKINGAREA)]
+
+
+def _polygon(points_m: np.ndarray) -> BaseGeometry:
+    """A polygon from an outline that may cross itself: SUMO draws some walking areas as bow-ties."""
+    if len(points_m) < 3:
+        return Polygon()
+    polygon = Polygon(points_m)
+    return polygon if polygon.is_valid else _areas(shapely.make_valid(polygon))
+
+
+def _cleaned(area: BaseGeometry) -> BaseGeometry:
+    """Gaps closed, points thinned and put on the grid."""
+    return _areas(shapely.set_precision(_closed(area, CLOSE_M).simplify(SIMPLIFY_M), GRID_M))
+
+
+def _closed(area: BaseGeometry, half_m: float) -> BaseGeometry:
+    """With gaps narrower than twice `half_m` filled."""
+    return _mitred(_mitred(area, half_m), -half_m)
+
+
+def _mitred(area: BaseGeometry, distance_m: float) -> BaseGeometry:
+    return buffered(area, distance_m, join_style="mitre", mitre_limit=2.0)
+
+
+def _opened(area: BaseGeometry, half_m: float) -> BaseGeometry:
+    """Without strips narrower than twice `half_m`."""
+    return _areas(_mitred(_mitred(area, -half_m), half_m).intersection(area))
+
+
+def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:
+    """Without small bits of junction that no vehicle drives on: they would be holes in the pavement."""
+    parts = shapely.get_parts(low)
+    shapely.prepare(motor)
+    return MultiPolygon([part for part in parts if part.area > POCKET_M2 or shapely.intersects(motor, part)])
+
+
+def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
+    """With small islands of grass in the road filled, as a lane that turns round at a dead end leaves one."""
+    shapely.prepare(walk)
+    holes = [Polygon(ring) for part in shapely.get_parts(low) for ring in part.interiors]
+    small = [hole for hole in holes if hole.area < HOLE_M2 and walk.intersection(hole).area < CRUMB_M2]
+    return _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M)) if small else low
+
+
+def _areas(geometry: BaseGeometry) -> BaseGeometry:
+    """Only the polygons of a geometry, crumbs left out."""
+    parts = [part for part in shapely.get_parts(geometry) if part.geom_type in ("Polygon", "MultiPolygon")]
+    flat = [p for part in parts for p in shapely.get_parts(part) if p.area > 0.05]
+    return MultiPolygon(flat)

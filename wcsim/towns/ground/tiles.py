@@ -1,0 +1,219 @@
+"""A street in square tiles: packed once when it is built, and in memory only where somebody is near."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+import numpy as np
+import zstandard
+
+from wcsim.errors import TownError
+from wcsim.towns.ground.raster import CELL_M, Box, GridMaker
+from wcsim.towns.ground.triangulation import CELL_M as CHUNK_M
+from wcsim.types import F64, U8, Relief, StreetGrid, StreetMesh, TileKey
+from wcsim.types.street import AROUND_M
+
+TILE_M = 3 * CHUNK_M
+RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
+KEPT_RASTERS = 36  # 2.5 MB each; a chair and those around it stand on about four
+_RASTERS = ("height_cm", "ground_class", "clearance_dm")
+_MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
+
+Packed = Mapping[str, np.ndarray]
+T = TypeVar("T")
+
+
+def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
+    """All tiles of a street as named arrays; the rasters are compressed."""
+    west, south, east, north = grid.bounds()
+    first = np.floor(np.array([west, south]) / TILE_M).astype(int)
+    last = np.floor(np.array([east, north]) / TILE_M - 1e-9).astype(int)
+    keys = [(x, y) for x in range(first[0], last[0] + 1) for y in range(first[1], last[1] + 1)]
+    owner = _tile_of_chunk(mesh, first, last)
+    arrays: dict[str, np.ndarray] = {"tile_range": np.array([*first, *last])}
+    spans = []
+    for key in keys:
+        part = _chunks_of(mesh, np.flatnonzero((owner == key).all(axis=1)))
+        arrays |= {_name(key, name): getattr(part, name) for name in _MESH}
+        spans.append(_span(key, part))
+    arrays["tile_spans"] = np.array(spans)
+    return arrays | _packed_rasters(grid)
+
+
+def _packed_rasters(grid: GridMaker) -> dict[str, np.ndarray]:
+    west, south, east, north = grid.bounds()
+    columns = range(math.floor(west / RASTER_M), math.floor(east / RASTER_M - 1e-9) + 1)
+    rows = range(math.floor(south / RASTER_M), math.floor(north / RASTER_M - 1e-9) + 1)
+    packer = zstandard.ZstdCompressor(level=1)
+    arrays = {"raster_range": np.array([columns[0], rows[0], columns[-1], rows[-1]])}
+    for key in ((x, y) for x in columns for y in rows):
+        piece = grid.piece(_box(key))
+        arrays |= {
+            # a copy, because the packer's own bytes hold as much memory as what they were made of
+            _name(key, n): np.frombuffer(packer.compress(getattr(piece, n).tobytes()), np.uint8).copy()
+            for n in _RASTERS
+        }
+    return arrays
+
+
+class TileStore:
+    """The tiles of one street, read when somebody asks for a place; the rasters of the last few places stay in memory.
+
+    It is both the street's `Ground` and its `StreetTiles`. Places outside the town have the ground of its border.
+    """
+
+    def __init__(self, packed: Packed, relief: Relief) -> None:
+        self._packed = packed
+        self._relief = relief
+        west, south, east, north = (int(number) for number in packed["tile_range"])
+        corners = [int(number) for number in packed["raster_range"]]
+        self._first, self._last = (corners[0], corners[1]), (corners[2], corners[3])
+        self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
+        self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
+        self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()
+
+    @property
+    def keys(self) -> tuple[TileKey, ...]:
+        """See `StreetTiles`."""
+        return self._keys
+
+    def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
+        """See `StreetTiles`."""
+        points = points_W_m[:, None, :2]
+        out = np.maximum(np.maximum(self._spans[:, :2] - points, points - self._spans[:, 2:]), 0.0)  # (n, tiles, 2)
+        close = ((out**2).sum(-1) <= reach_m**2).any(axis=0)
+        return tuple(self._keys[i] for i in np.flatnonzero(close))
+
+    def mesh(self, key: TileKey) -> StreetMesh:
+        """See `StreetTiles`."""
+        return self._guarded(lambda: StreetMesh(**{name: self._packed[_name(key, name)] for name in _MESH}))
+
+    def height_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        return self._ask(p_W_m, lambda grid, points: grid.height_at(points))
+
+    def raised_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        return self._ask(p_W_m, lambda grid, points: grid.raised_at(points))
+
+    def clearance_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        return self._ask(p_W_m, lambda grid, points: grid.clearance_at(points))
+
+    def class_at(self, p_W_m: F64) -> U8:
+        """See `Ground`."""
+        classes: U8 = self._ask(p_W_m, lambda grid, points: grid.class_at(points)).astype(np.uint8, copy=False)
+        return classes
+
+    def height_here(self, x_W_m: float, y_W_m: float) -> float:
+        """See `Ground`."""
+        return self._grid(x_W_m, y_W_m).height_here(x_W_m, y_W_m)
+
+    def class_here(self, x_W_m: float, y_W_m: float) -> int:
+        """See `Ground`."""
+        return self._grid(x_W_m, y_W_m).class_here(x_W_m, y_W_m)
+
+    def around(self, p_W_m: F64) -> StreetGrid:
+        """See `Ground`."""
+        return self._grid(float(p_W_m[0]), float(p_W_m[1]))
+
+    def _grid(self, x_W_m: float, y_W_m: float) -> StreetGrid:
+        (west, south), (east, north) = self._first, self._last
+        x, y = math.floor(x_W_m / RASTER_M), math.floor(y_W_m / RASTER_M)
+        return self._raster((min(max(x, west), east), min(max(y, south), north)))
+
+    def _ask(self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray]) -> np.ndarray:
+        """The answer for points (..., 2 or 3), tile by tile; nearly always one tile holds them all."""
+        if p_W_m.ndim == 1:
+            return question(self.around(p_W_m), p_W_m)
+        tiles = np.clip(np.floor(p_W_m[..., :2] / RASTER_M).astype(int), self._first, self._last).reshape(-1, 2)
+        if not len(tiles):
+            return question(self._raster(self._first), p_W_m)
+        if (tiles == tiles[0]).all():
+            return question(self._raster((int(tiles[0, 0]), int(tiles[0, 1]))), p_W_m)
+        points = p_W_m.reshape(-1, p_W_m.shape[-1])
+        found = np.empty(len(points))
+        for x, y in np.unique(tiles, axis=0).tolist():
+            mine = (tiles == (x, y)).all(axis=1)
+            found[mine] = question(self._raster((x, y)), points[mine])
+        return found.reshape(p_W_m.shape[:-1])
+
+    def _raster(self, key: TileKey) -> StreetGrid:
+        grid = self._kept.get(key)
+        if grid is None:
+            grid = self._kept[key] = self._guarded(lambda: self._unpacked(key))
+            if len(self._kept) > KEPT_RASTERS:
+                self._kept.popitem(last=False)
+        else:
+            self._kept.move_to_end(key)
+        return grid
+
+    def _guarded(self, read: Callable[[], T]) -> T:
+        try:
+            return read()
+        except (OSError, ValueError, zipfile.BadZipFile, zlib.error, zstandard.ZstdError) as error:
+            raise TownError(
+                f"the built street cannot be read any more ({error}); delete ~/.cache/wcsim and start again"
+            ) from None
+
+    def _unpacked(self, key: TileKey) -> StreetGrid:
+        unpacker = zstandard.ZstdDecompressor()
+        x0, y0, x1, y1 = _box(key)
+        shape = (round((y1 - y0) / CELL_M), round((x1 - x0) / CELL_M))
+        rasters: dict[str, U8] = {}
+        for name in _RASTERS:
+            data = unpacker.decompress(self._packed[_name(key, name)].tobytes())
+            rasters[name] = np.frombuffer(data, np.uint8).reshape(shape)
+        return StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
+
+
+def _name(key: TileKey, name: str) -> str:
+    return f"tile {key[0]} {key[1]} {name}"
+
+
+def _box(key: TileKey) -> Box:
+    """The ground that a raster covers: its square and AROUND_M more on each side."""
+    x, y = key[0] * RASTER_M, key[1] * RASTER_M
+    return x - AROUND_M, y - AROUND_M, x + RASTER_M + AROUND_M, y + RASTER_M + AROUND_M
+
+
+def _tile_of_chunk(mesh: StreetMesh, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """The tile (C, 2) in which the middle of each chunk lies."""
+    starts = mesh.chunk_vertices[:-1]
+    xy_m = mesh.vertices_W_m[:, :2].astype(np.float64)
+    middle_m = 0.5 * (np.minimum.reduceat(xy_m, starts) + np.maximum.reduceat(xy_m, starts))
+    tiles: np.ndarray = np.clip(np.floor(middle_m / TILE_M).astype(int), first, last)
+    return tiles
+
+
+def _chunks_of(mesh: StreetMesh, chunks: np.ndarray) -> StreetMesh:
+    """Some chunks of a mesh as a mesh of its own."""
+    spans = [
+        (mesh.chunk_vertices[c], mesh.chunk_vertices[c + 1], mesh.chunk_faces[c], mesh.chunk_faces[c + 1])
+        for c in chunks
+    ]
+    chunk_vertices = np.cumsum([0, *(v1 - v0 for v0, v1, _, _ in spans)]).astype(np.int32)
+    chunk_faces = np.cumsum([0, *(f1 - f0 for _, _, f0, f1 in spans)]).astype(np.int32)
+    faces = [mesh.faces[f0:f1] - v0 + at for (v0, _, f0, f1), at in zip(spans, chunk_vertices, strict=False)]
+    return StreetMesh(
+        vertices_W_m=np.concatenate(
+            [np.zeros((0, 3), np.float32), *(mesh.vertices_W_m[v0:v1] for v0, v1, _, _ in spans)]
+        ),
+        faces=np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32),
+        face_class=np.concatenate([np.zeros(0, np.uint8), *(mesh.face_class[f0:f1] for _, _, f0, f1 in spans)]),
+        chunk_vertices=chunk_vertices,
+        chunk_faces=chunk_faces,
+    )
+
+
+def _span(key: TileKey, part: StreetMesh) -> Box:
+    """What a tile's square and its mesh cover together: a building may reach over the border."""
+    x, y = key[0] * TILE_M, key[1] * TILE_M
+    xy_m = np.concatenate([part.vertices_W_m[:, :2].astype(np.float64), [(x, y), (x + TILE_M, y + TILE_M)]])
+    (west, south), (east, north) = xy_m.min(axis=0), xy_m.max(axis=0)
+    return float(west), float(south), float(east), float(north)

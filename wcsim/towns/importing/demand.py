@@ -1,0 +1,264 @@
+"""Endless traffic for a town: flows of every class that do not run dry, from a seed.
+
+Ways from edge to edge are drawn, routed once by SUMO's `duarouter`, and those that it cannot route are left out; the
+flows carry the routes, so that nothing is left to fail while the simulation runs. SUMO makes all people of a personFlow
+when it reads it (48 hours of them: 2.4 s and 200 MB), but reads its files only a little ahead of the clock; so the
+people come in slices, each along a part of the ways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from wcsim.core.seeding import derive, generator
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.sumo.net import Edge, Net
+from wcsim.towns.sumo.tools import run_tool
+from wcsim.towns.sumo.xml_io import read_root
+from wcsim.types import F64
+
+END_S = 1_000_000  # eleven days: longer than any run
+WALK_END_S = 172_800
+SLICE_S = 600
+SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
+MOST_PER_HOUR = 100_000
+VTYPES = "vtypes.xml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """How much of one class a town gets."""
+
+    types: str  # id of the vType or vTypeDistribution
+    vclass: str
+    per_h_km: float  # departures per hour and kilometre of lane that the class may use
+    flows_per_km: float  # how many different ways these are spread over
+    shortest_m: float
+    longest_m: float  # straight line between the ends
+    fringe: float  # how much likelier a way starts or ends where the town is cut off
+
+    @property
+    def walks(self) -> bool:
+        """True for those on foot."""
+        return self.vclass == "pedestrian"
+
+
+# Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
+MIX = (
+    Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
+    Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
+    Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
+    Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
+    Traffic(
+        types="motorcycles", vclass="motorcycle", per_h_km=7, flows_per_km=1.5, shortest_m=150, longest_m=9e9, fringe=8
+    ),
+    Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
+    Traffic(types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2),
+    *(
+        Traffic(
+            types=types, vclass=vclass, per_h_km=per_h_km, flows_per_km=0.3, shortest_m=200, longest_m=9e9, fringe=8
+        )
+        for types, vclass, per_h_km in (
+            ("taxis", "taxi", 3.0),
+            ("deliveries", "delivery", 3.0),
+            ("mopeds", "moped", 2.0),
+            ("coaches", "coach", 0.6),
+            ("emergencies", "emergency", 0.3),
+            ("scooters", "scooter", 8.0),
+        )
+    ),
+)
+CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """A routed way of one class."""
+
+    traffic: Traffic
+    edges: tuple[str, ...]
+    length_m: float
+
+
+def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, ...]:
+    """Ways of all classes through a net; `folder` is for files in between. Raises SumoError."""
+    drawn = [(traffic, pair) for traffic in MIX for pair in _draw(net, traffic, seed)]
+    return _choose(net, drawn, _route(net_path, folder, drawn, seed))
+
+
+def vtypes_text(more: Sequence[str] = ()) -> str:
+    """The vehicle and person types that the flows name, as a SUMO additional file, with `more` elements in it."""
+    text = (Path(__file__).parent / VTYPES).read_text(encoding="utf-8")
+    return text.replace("</additional>", "".join(f"    {line}\n" for line in more) + "</additional>")
+
+
+def check_rates(per_hour: Mapping[str, float]) -> None:
+    """Raise TownError unless these are departures an hour of classes that towns know."""
+    for vclass, rate in per_hour.items():
+        if vclass not in CLASSES:
+            raise TownError(f"no traffic is known of class {vclass!r}; expected some of: {', '.join(CLASSES)}")
+        if not 0.0 <= rate <= MOST_PER_HOUR:
+            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {MOST_PER_HOUR}")
+
+
+def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[str, ...]:
+    """Classes that were ordered and that no way was found for."""
+    found = {way.traffic.vclass for way in ways}
+    return tuple(vclass for vclass, rate in per_hour.items() if rate > 0.0 and vclass not in found)
+
+
+def usable_km(net: Net, vclass: str) -> float:
+    """Kilometres of street lane that a class may use."""
+    return (
+        sum(lane.length_m for edge in net.edges if not edge.function for lane in edge.lanes if lane.permits(vclass))
+        / 1e3
+    )
+
+
+def _wanted_flows(net: Net, traffic: Traffic) -> int:
+    km = usable_km(net, traffic.vclass)
+    return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
+
+
+def _draw(net: Net, traffic: Traffic, seed: int) -> list[tuple[str, str]]:
+    """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
+    edges = [e for e in net.edges if not e.function and any(lane.permits(traffic.vclass) for lane in e.lanes)]
+    wanted = _wanted_flows(net, traffic) * 5
+    if len(edges) < 2 or not wanted:
+        return []
+    rng = generator(seed, "demand", traffic.types)
+    first = _weights(edges, {e.end for e in edges}, traffic, start=True)
+    last = _weights(edges, {e.start for e in edges}, traffic, start=False)
+    middle_m = np.array([_middle_m(e) for e in edges])  # (E, 2)
+    pairs: dict[tuple[str, str], None] = {}
+    for _ in range(wanted * 4):
+        a = int(rng.choice(len(edges), p=first))
+        far_m = np.hypot(*(middle_m - middle_m[a]).T)
+        weight = last * ((far_m >= 0.6 * traffic.shortest_m) & (far_m <= traffic.longest_m))
+        if weight.sum() > 0:
+            b = int(rng.choice(len(edges), p=weight / weight.sum()))
+            pairs[edges[a].id, edges[b].id] = None
+        if len(pairs) >= wanted:
+            break
+    return list(pairs)
+
+
+def _middle_m(edge: Edge) -> F64:
+    """The point (2,) at half the length of an edge: streets that bow between the same junctions have different ones."""
+    points_m = edge.lanes[0].points_m
+    arc_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))]
+    return np.array([np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T])
+
+
+def _weights(edges: list[Edge], joined: set[str], traffic: Traffic, *, start: bool) -> F64:
+    """Chance (E,) of each edge to be an end: by length inside the town, by capacity where the town is cut off."""
+    weights = np.empty(len(edges))
+    for i, edge in enumerate(edges):
+        lanes = [lane for lane in edge.lanes if lane.permits(traffic.vclass)]
+        cut = (edge.start if start else edge.end) not in joined
+        length_m = max(lane.length_m for lane in lanes)
+        capacity = 10.0 * len(lanes) * max(lane.speed_mps for lane in lanes)
+        weights[i] = (
+            traffic.fringe * capacity if cut and not traffic.walks else length_m * (traffic.fringe if cut else 1.0)
+        )
+        if length_m < 12.0 and not traffic.walks:
+            weights[i] = 0.0  # too short to put a vehicle on
+    return weights / weights.sum() if weights.sum() > 0 else np.full(len(edges), 1.0 / len(edges))
+
+
+def _route(
+    net_path: Path, folder: Path, drawn: list[tuple[Traffic, tuple[str, str]]], seed: int
+) -> dict[int, list[str]]:
+    """Edges of each drawn way that duarouter finds, by its number."""
+    trips, types, out = folder / "demand.trips.xml", folder / "demand.types.xml", folder / "demand.routes.xml"
+    lines = ["<routes>"]
+    for number, (traffic, (a, b)) in enumerate(drawn):
+        ends = f"from={quoteattr(a)} to={quoteattr(b)}"
+        if traffic.walks:
+            lines.append(f'<person id="{number}" depart="{number}"><walk {ends}/></person>')
+        else:
+            lines.append(f'<trip id="{number}" type="{traffic.types}" depart="{number}" {ends}/>')
+    trips.write_text("\n".join([*lines, "</routes>"]), encoding="utf-8")
+    types.write_text(vtypes_text(), encoding="utf-8")
+    options = ["-n", str(net_path.resolve()), "-r", trips.name, "-a", types.name, "-o", out.name]
+    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--seed", str(derive(seed, "duarouter"))]
+    run = run_tool("duarouter", [*options, "--xml-validation", "never"], folder)
+    if run.returncode:
+        raise SumoError(f"no demand could be built: {run.reason()}")
+    found: dict[int, list[str]] = {}
+    for element in read_root(out):
+        child = element.find("walk" if element.tag == "person" else "route")
+        if child is not None and child.get("edges"):
+            found[int(element.attrib["id"])] = child.attrib["edges"].split()
+    for path in (trips, types, out, out.with_suffix(".alt.xml")):
+        path.unlink(missing_ok=True)
+    return found
+
+
+def _choose(net: Net, drawn: list[tuple[Traffic, tuple[str, str]]], routed: dict[int, list[str]]) -> tuple[Way, ...]:
+    length_m = {edge.id: edge.lanes[0].length_m for edge in net.edges if edge.lanes}
+    left = {traffic.types: _wanted_flows(net, traffic) for traffic in MIX}
+    ways: list[Way] = []
+    for number, (traffic, _) in enumerate(drawn):
+        edges = routed.get(number, [])
+        way_m = sum(length_m[edge] for edge in edges)
+        if left[traffic.types] and edges and way_m >= traffic.shortest_m:
+            left[traffic.types] -= 1
+            ways.append(Way(traffic=traffic, edges=tuple(edges), length_m=way_m))
+    return tuple(ways)
+
+
+def flows_text(
+    net: Net,
+    ways: Sequence[Way],
+    seed: int,
+    scale: float = 1.0,
+    per_hour: Mapping[str, float] | None = None,
+    first: Sequence[str] = (),
+) -> str:
+    """A SUMO route file of endless flows along `ways`, after the elements `first`; their types are in `vtypes.xml`.
+
+    A class has as many departures an hour as `per_hour` says, else those of MIX, all times `scale`. Vehicle flows come
+    first, then person flows by their begin, as SUMO's reading ahead needs it.
+    """
+    lines = ["<routes>", *(f"    {line}" for line in first)]
+    order = sorted(MIX, key=lambda traffic: traffic.walks)
+    for traffic in order:
+        mine = [way for way in ways if way.traffic is traffic]
+        per_s = scale * _per_hour(net, traffic, per_hour or {}) / 3600.0
+        if not mine or per_s <= 0.0:
+            continue
+        if traffic.walks:
+            lines += _walks(mine, traffic, per_s, generator(seed, "demand", "slices"))
+            continue
+        for number, way in enumerate(mine):
+            head = f'id="{traffic.types}.{number}" type="{traffic.types}" begin="0" end="{END_S}"'
+            route = f"<route edges={quoteattr(' '.join(way.edges))}/>"
+            rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
+            lines.append(f"    <flow {head} {rate}>{route}</flow>")
+    return "\n".join([*lines, "</routes>", ""])
+
+
+def _per_hour(net: Net, traffic: Traffic, per_hour: Mapping[str, float]) -> float:
+    usual = traffic.per_h_km * usable_km(net, traffic.vclass)
+    return per_hour.get(traffic.vclass, usual)
+
+
+def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
+    if not ways:
+        return []
+    lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
+    used = max(1, round(SLICE_SHARE * len(ways)))
+    rate = f'period="exp({per_s / used:.6f})"'
+    for number, begin in enumerate(range(0, WALK_END_S, SLICE_S)):
+        for way in np.sort(rng.choice(len(ways), used, replace=False)):
+            span = f'begin="{begin}" end="{begin + SLICE_S}" {rate}'
+            head = f'id="{traffic.types}.{number}.{way}" type="{traffic.types}" {span}'
+            walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
+            lines.append(f'    <personFlow {head} departPos="random" departPosLat="random">{walk}</personFlow>')
+    return lines

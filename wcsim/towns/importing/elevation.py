@@ -1,0 +1,288 @@
+"""Heights for a town: a GeoTIFF or a synthetic hill, made smooth enough that no street is too steep.
+
+`towns/importing/lift.py` writes them into the net, from which SUMO and the street mesh take them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from wcsim.core.reading import FileKind, read_bytes, shown
+from wcsim.core.seeding import generator
+from wcsim.errors import TownError
+from wcsim.towns.osm.area import Box, grown, size_m
+from wcsim.types import F64
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
+CELL_M = 10.0
+HIGHEST_M = 9000.0
+MARGIN_M = 400.0  # around the box: streets reach out of it, and smoothing needs neighbours
+_PROJ_PLACES = ("PROJ_LIB", "PROJ_DATA")
+_DONE = "WCSIM_MAX_GRADE"  # tag of a file that this module wrote: it is taken as it is
+MAX_CELLS = 200_000_000
+MAX_OWN_CELLS = 10_000_000  # of a file that is taken as it is
+MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each of its cells
+MAX_BANDS = 8
+_GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=TownError)
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
+_WANTED = "expected a GeoTIFF of heights in metres with a coordinate system, as gdalwarp writes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heights:
+    """Where the heights of a town come from; it is level when neither is given."""
+
+    dem: Path | None = None  # GeoTIFF in any coordinate system
+    hill_m: float = 0.0  # height of a synthetic hill
+    max_grade: float = 0.12  # rise over run that no street exceeds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dem:
+    """Heights over an area."""
+
+    height_m: F64  # (rows, cols), north first
+    box: Box  # outer edges
+    smooth: bool = False  # nothing is to be done to it
+
+
+def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
+    """The heights of a town's area and its surroundings, None for a level town. Raises TownError."""
+    if not 0.01 <= relief.max_grade <= 0.25:
+        raise TownError(f"a largest grade of {relief.max_grade} is not possible; expected 0.01 to 0.25")
+    area = grown(box, MARGIN_M)
+    if relief.dem is not None:
+        return _read(relief.dem, area, relief.max_grade)
+    if relief.hill_m == 0.0:
+        return None
+    if not 0.0 < relief.hill_m <= 200.0:
+        raise TownError(f"a hill of {relief.hill_m} m is not possible; expected more than 0 and at most 200 m")
+    return Dem(height_m=_hill(relief.hill_m, _shape(area), seed), box=area)
+
+
+def heights_at(dem: Dem, places: F64) -> F64:
+    """Heights (n,) at longitudes and latitudes (n, 2), bilinear between the middles of the cells."""
+    west, south, east, north = dem.box
+    rows, cols = dem.height_m.shape
+    col = np.clip((places[:, 0] - west) / (east - west) * cols - 0.5, 0.0, cols - 1.001)
+    row = np.clip((north - places[:, 1]) / (north - south) * rows - 0.5, 0.0, rows - 1.001)
+    c, r = np.floor(col).astype(np.intp), np.floor(row).astype(np.intp)
+    u, v = col - c, row - r
+    z = dem.height_m
+    upper, lower = (1 - u) * z[r, c] + u * z[r, c + 1], (1 - u) * z[r + 1, c] + u * z[r + 1, c + 1]
+    return np.asarray((1 - v) * upper + v * lower, np.float64)
+
+
+def smoothed(dem: Dem, sigma_m: float) -> Dem:
+    """The same land with hills and dips narrower than about `sigma_m` taken out."""
+    sigma = sigma_m / CELL_M
+    blurred = cv2.GaussianBlur(dem.height_m, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return replace(dem, height_m=np.asarray(blurred, np.float64))
+
+
+def scaled(dem: Dem, factor: float) -> Dem:
+    """The same land with all heights `factor` times as far from their mean."""
+    mean_m = dem.height_m.mean()
+    return replace(dem, height_m=mean_m + factor * (dem.height_m - mean_m))
+
+
+def as_stored(dem: Dem) -> Dem:
+    """The same land as a file holds it, so that a town made from the file is the same."""
+    return replace(dem, height_m=np.round(dem.height_m, 3).astype(np.float32).astype(np.float64))
+
+
+def _shape(area: Box) -> tuple[int, int]:
+    wide_m, high_m = size_m(area)
+    return max(8, round(high_m / CELL_M)), max(8, round(wide_m / CELL_M))
+
+
+def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
+    """A few broad bumps (rows, cols) between 0 and the given height."""
+    rng = generator(seed, "hill")
+    row, col = np.meshgrid(np.linspace(0.0, 1.0, shape[0]), np.linspace(0.0, 1.0, shape[1]), indexing="ij")
+    field = np.zeros(shape)
+    for _ in range(4):
+        (y, x), wide, high = rng.uniform(0.2, 0.8, 2), rng.uniform(0.2, 0.35), rng.uniform(0.5, 1.0)
+        field += high * np.exp(-((row - y) ** 2 + (col - x) ** 2) / (2.0 * wide**2))
+    field -= field.min()
+    return np.asarray(height_m * field / field.max())
+
+
+@contextmanager
+def own_projections() -> Iterator[None]:
+    """Let rasterio find its own coordinate systems: libsumo, once loaded, points the process to SUMO's older ones."""
+    from rasterio.env import PROJDataFinder
+
+    found = PROJDataFinder().search_wheel()
+    kept = {name: os.environ[name] for name in _PROJ_PLACES if name in os.environ}
+    os.environ.update(dict.fromkeys(kept, found) if found else {})
+    try:
+        yield
+    finally:
+        os.environ.update(kept)
+
+
+def _require_usable(path: Path, file: DatasetReader) -> None:
+    """Raise TownError for a grid that is too large to be read, or whose place on the globe another file must say."""
+    cells, block = file.width * file.height, max(rows * cols for rows, cols in file.block_shapes)
+    if file.count > MAX_BANDS or cells > MAX_CELLS or block > MAX_BLOCK_CELLS:
+        raise TownError(
+            f"--dem {path}: has {file.width} x {file.height} cells in {file.count} bands, {block} in a block; expected "
+            f"at most {MAX_CELLS} cells, {MAX_BANDS} bands, {MAX_BLOCK_CELLS} in a block: cut it with gdalwarp -te"
+        )
+    if np.dtype(file.dtypes[0]).kind not in "iuf":
+        raise TownError(f"--dem {path}: holds cells of {file.dtypes[0]}; {_WANTED}")
+    if file.crs is None:
+        raise TownError(f"--dem {path}: has no coordinate system; {_WANTED}")
+    if _GRIDS.search(file.crs.to_wkt()):
+        raise TownError(f"--dem {path}: its coordinate system names a file; {_WANTED}")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let nothing be printed of a broken file but the one error: GDAL quotes its bytes, which may be no text."""
+    unraisable, raised = sys.unraisablehook, sys.excepthook
+    sys.unraisablehook = lambda _: None  # called where rasterio cannot put such words into its log
+    sys.excepthook = lambda *_: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of files without a place, which are refused below
+            yield
+    finally:
+        sys.unraisablehook, sys.excepthook = unraisable, raised
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[DatasetReader]:
+    """A GeoTIFF out of this process's memory, where nothing lies beside it that could be taken for a part of it."""
+    from rasterio import Env
+    from rasterio.io import MemoryFile
+
+    data = read_bytes(path, _GEOTIFF)
+    if not data.startswith(_MAGIC):
+        raise TownError(f"--dem {path}: cannot be read (it does not begin as a TIFF file does); {_WANTED}")
+    alone = Env(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
+    with alone, MemoryFile(data) as memory, memory.open(driver="GTiff") as file:
+        yield file
+
+
+def _read(path: Path, area: Box, max_grade: float) -> Dem:
+    import rasterio
+    from rasterio.transform import from_bounds
+    from rasterio.warp import Resampling, reproject, transform_bounds
+
+    shape = _shape(area)
+    found = np.full(shape, np.nan, np.float32)
+    try:
+        with own_projections(), _quiet(), _opened(path) as file:
+            _require_usable(path, file)
+            if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
+                return _taken_as_it_is(path, file)
+            place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
+            reproject(
+                rasterio.band(file, 1),
+                found,
+                dst_transform=from_bounds(*area, shape[1], shape[0]),
+                dst_crs="EPSG:4326",
+                dst_nodata=np.nan,
+                resampling=Resampling.bilinear,
+            )
+    except TownError:
+        raise
+    except Exception as error:  # GDAL's errors have no base in common
+        raise TownError(f"--dem {path}: cannot be read ({_one_line(error)}); {_WANTED}") from None
+    height_m = np.where(np.isfinite(found) & (np.abs(found) < HIGHEST_M), found, np.nan).astype(np.float64)
+    known = float(np.isfinite(height_m).mean())
+    if known < 0.5:
+        raise TownError(
+            f"--dem {path}: knows the heights of {known:.0%} of the area; it covers {_told(place)} and the town needs "
+            f"{_told(area)}: give one that covers the town"
+        )
+    return Dem(height_m=_filled(height_m), box=area)
+
+
+def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
+    """The heights of a file that this module wrote, or that says so."""
+    if file.width * file.height > MAX_OWN_CELLS or min(file.width, file.height) < 2:
+        raise TownError(
+            f"--dem {path}: has {file.width} x {file.height} cells; expected 2 x 2 to {MAX_OWN_CELLS} in all"
+        )
+    height_m = file.read(1).astype(np.float64)
+    if not (np.abs(height_m) < HIGHEST_M).all():
+        raise TownError(f"--dem {path}: holds heights that are none; {_WANTED}")
+    return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
+
+
+def _one_line(error: Exception) -> str:
+    return shown(" ".join(str(error).split()), 300)
+
+
+def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
+    """True for a file that this module wrote, of land that needs no more smoothing."""
+    try:
+        return float(tags.get(_DONE, "inf")) <= max_grade
+    except ValueError:
+        return False
+
+
+def _covers(place: Box, area: Box) -> bool:
+    slack = 1e-6  # degrees
+    return (
+        place[0] <= area[0] + slack
+        and place[1] <= area[1] + slack
+        and place[2] >= area[2] - slack
+        and place[3] >= area[3] - slack
+    )
+
+
+def _told(box: Box) -> str:
+    return ",".join(f"{value:.4f}" for value in box)
+
+
+def _filled(height_m: F64) -> F64:
+    """Holes filled from their surroundings, step by step outwards."""
+    known = np.isfinite(height_m)
+    filled = np.where(known, height_m, 0.0)
+    while not known.all():
+        weight = cv2.blur(known.astype(np.float64), (3, 3), borderType=cv2.BORDER_CONSTANT)
+        total_m = cv2.blur(np.where(known, filled, 0.0), (3, 3), borderType=cv2.BORDER_CONSTANT)
+        mean_m = total_m / np.maximum(weight, 1e-9)
+        fresh = ~known & (weight > 1e-9)
+        filled[fresh] = mean_m[fresh]
+        known |= fresh
+    return filled
+
+
+def write_dem(dem: Dem, relief: Heights, path: Path) -> None:
+    """Write heights as a GeoTIFF in longitude and latitude."""
+    import rasterio
+    from rasterio.transform import from_bounds
+
+    rows, cols = dem.height_m.shape
+    profile = {
+        "driver": "GTiff",
+        "width": cols,
+        "height": rows,
+        "count": 1,
+        "dtype": "float32",
+        "crs": "EPSG:4326",
+        "transform": from_bounds(*dem.box, cols, rows),
+        "compress": "deflate",
+    }
+    with own_projections(), rasterio.open(path, "w", **profile) as file:
+        file.write(dem.height_m.astype(np.float32), 1)
+        file.update_tags(**{_DONE: f"{relief.max_grade:g}"})

@@ -1,0 +1,107 @@
+"""The text files of a town's folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+_SUMOCFG = """\
+<sumoConfiguration>
+    <input>
+        <net-file value="{name}.net.xml.gz"/>
+        <route-files value="{routes}"/>
+{additional}    </input>
+    <time>
+        <begin value="0"/>
+        <step-length value="0.1"/>
+    </time>
+    <processing>
+        <lateral-resolution value="0.8"/>
+        <collision.action value="warn"/>
+        <intermodal-collision.action value="warn"/>
+        <collision.check-junctions value="true"/>
+        <time-to-teleport value="300"/>
+        <max-depart-delay value="120"/>
+        <ignore-route-errors value="true"/>
+        <default.speeddev value="0.1"/>
+    </processing>
+    <report>
+        <no-step-log value="true"/>
+    </report>
+    <random_number>
+        <seed value="{seed}"/>
+    </random_number>
+</sumoConfiguration>
+"""
+
+_LICENSE = """\
+The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
+
+    (c) OpenStreetMap contributors
+
+and available under the Open Database License 1.0 (ODbL): https://opendatacommons.org/licenses/odbl/1-0/ See
+https://www.openstreetmap.org/copyright. Derived data that you publish must stay under the ODbL and name its source;
+pictures and results made with it need only the attribution. The way it was derived is wcsim's own importer
+(wcsim/towns/importing/importer.py), run on osm/{name}.osm.xml.gz with the bounding box of osm/bbox. The code of wcsim
+is under a licence of its own and not affected.
+"""
+
+_HEIGHTS = """
+The heights in the net and in {name}.dem.tif were made of a terrain model that is not part of OpenStreetMap. Its own
+licence holds for them: name its source and follow its terms when you pass them on.
+"""
+
+_FOREIGN = """\
+The files in this folder, but for town.toml and this one, are copies of somebody's scenario ({config}). They are its
+author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
+"""
+
+
+def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...]) -> str:
+    """A .sumocfg that opens in sumo-gui as it is: file names are relative.
+
+    Vehicles that cannot depart within 120 s are dropped: in a run of days a blocked entry would else pile up for ever.
+    """
+    line = f'        <additional-files value="{",".join(additional)}"/>\n' if additional else ""
+    return _SUMOCFG.format(name=name, seed=seed, routes=routes, additional=line)
+
+
+def license_text(name: str, source: str = "", heights: bool = False) -> str:
+    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
+    text = _LICENSE.format(name=name)
+    if heights:
+        text += _HEIGHTS.format(name=name)
+    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
+
+
+def foreign_license_text(config: str, notices: tuple[str, ...]) -> str:
+    """The notice that lies beside somebody's scenario."""
+    beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
+    return _FOREIGN.format(config=config, beside=beside)
+
+
+def town_toml_text(
+    *,
+    name: str,
+    split: str,
+    origin_m: tuple[int, int] = (0, 0),
+    kerb_height_m: float = 0.12,
+    source: str = "",
+    attribution: str = "",
+    rebuild: str = "",
+    hashes: Mapping[str, str] | None = None,
+) -> str:
+    """`town.toml`, in the order and wording of `config.TownFile`."""
+    lines = [
+        f"name = {json.dumps(name)}",
+        f"split = {json.dumps(split)}",
+        f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
+        f"kerb_height_m = {kerb_height_m}",
+        "lowered_kerb_m = 0.0",
+        'chair_ways = ["sidewalk", "crossing", "shared"]',
+    ]
+    texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
+    lines += [f"{key} = {json.dumps(text)}" for key, text in texts if text]
+    if hashes:
+        lines += ["", "[hashes]", *(f"{json.dumps(key)} = {json.dumps(value)}" for key, value in hashes.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,292 @@
+"""Import a town from OpenStreetMap: read, clean, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
+
+Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.importing.build_net import EXTRACT, BuiltNet, build_net
+from wcsim.towns.importing.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
+from wcsim.towns.importing.elevation import Heights, make_dem, write_dem
+from wcsim.towns.importing.folder_texts import license_text, sumocfg_text, town_toml_text
+from wcsim.towns.importing.jam_trial import ROUNDS, stuck_ways
+from wcsim.towns.importing.lift import lift_net
+from wcsim.towns.importing.map_marks import MapMarks, map_marks
+from wcsim.towns.importing.netconvert import NetOrder, convert_polygons
+from wcsim.towns.importing.parking import Parking, find_parking
+from wcsim.towns.importing.work_folder import move_in_place, workplace
+from wcsim.towns.osm.area import Box, check_box, middle_of, size_m
+from wcsim.towns.osm.driving_side import Side, side_at
+from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_note, left_out_of, stops_inside, ways_inside
+from wcsim.towns.osm.read import Extract, read_extract
+from wcsim.towns.scenario.manifest import hashes_of, own_work
+from wcsim.towns.scenario.town import NOT_TOWNS, Town, open_town
+from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.xml_io import without_comments, write_gzip
+from wcsim.towns.walking.islands import ways_of
+
+Stage = Callable[[str], None]  # what begins now, in words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportOrder:
+    """What to import and where to put it."""
+
+    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf
+    bbox: Box | None = None  # west, south, east, north; None: all of the extract
+    name: str
+    split: str  # "train" or "test"
+    out: Path  # the town's folder
+    lefthand: bool | None = None  # None: as the country does
+    seed: int = 42
+    traffic: float = 1.0  # how dense, against `demand.MIX` or `per_hour`; 0: none
+    per_hour: Mapping[str, float] = field(default_factory=dict)  # departures an hour by SUMO vehicle class
+    parked: float = 0.7  # share of the mapped parking spaces that is taken
+    relief: Heights = field(default_factory=Heights)
+    keep_service: bool = False  # driveways and yards too, each with a crossing of its own
+    source: str = ""
+    overwrite: bool = False  # a town that somebody has worked on
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """A town that was made, and what was found on the way."""
+
+    town: Town
+    side: Side
+    walkable_share: float  # of the walkable ground, in its largest part
+    notes: tuple[str, ...] = ()  # what the town does not have that the map or the order has
+    left_out: LeftOut = field(default_factory=LeftOut)
+    parked: int = 0  # cars in the car parks, which never drive
+    crossings_mapped: int = 0  # that the map has; the others of the net are guessed
+    crossings_unpainted: int = 0  # of the net: guessed, or unmarked on the map
+    stops_mapped: int = 0  # of buses, that the map has
+    stops: int = 0  # of SUMO's, that were made of them
+
+
+def import_town(
+    order: ImportOrder, meanwhile: Callable[[Town], object] | None = None, stage: Stage = lambda told: None
+) -> Imported:
+    """Build the town and move it to `order.out`, replacing a town that is there if nobody has worked on it.
+
+    Args:
+        order: what and where to.
+        meanwhile: called with the town, before it is in place, while its demand is tried on another core.
+        stage: called with what begins now, before anything that takes long.
+
+    Raises:
+        TownError: the order or the extract cannot be used, or the folder holds something else or somebody's work.
+        SumoError: one of SUMO's tools failed.
+    """
+    given, order = order.out, replace(order, out=order.out.resolve())
+    _check(order)
+    stage(f"reading {order.osm}")
+    extract = read_extract(order.osm, order.bbox)
+    side = _side(order, extract.box)
+    try:
+        with workplace(order.name, order.out) as work:
+            made = _build(order, extract, side, work, meanwhile, stage)
+            move_in_place(work, order.out)
+    except (TownError, SumoError) as error:
+        raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
+    shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
+    return replace(made, town=open_town(shown))
+
+
+def _check(order: ImportOrder) -> None:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", order.name):
+        raise TownError(f"a town cannot be named {order.name!r}; expected letters, digits, - and _")
+    if order.name in NOT_TOWNS:
+        raise TownError(f"a town cannot be named {order.name!r}, for that is no town's folder; choose another name")
+    if order.split not in ("train", "test"):
+        raise TownError(f"unknown split {order.split!r} of town {order.name}; expected train or test")
+    if order.bbox is not None:
+        check_box(order.bbox)
+    check_rates(order.per_hour)
+    if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
+        raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
+    if order.out.is_dir() and any(order.out.iterdir()) and not (order.out / "town.toml").is_file():
+        raise TownError(f"{order.out} is not empty and not a town; give another folder, or empty it")
+    work = own_work(order.out) if (order.out / "town.toml").is_file() and not order.overwrite else ()
+    if work:
+        raise TownError(
+            f"{order.out} holds what was changed or added since its import: {', '.join(work[:5])}"
+            f"{' and more' * (len(work) > 5)}; choose another --name or --out, or give --replace: all that is lost then"
+        )
+
+
+def _side(order: ImportOrder, box: Box) -> Side:
+    return side_at(*middle_of(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
+
+
+def _build(
+    order: ImportOrder,
+    extract: Extract,
+    side: Side,
+    work: Path,
+    meanwhile: Callable[[Town], object] | None,
+    stage: Stage,
+) -> Imported:
+    name, mapped = order.name, ways_inside(extract.root, extract.box)
+    crossings_mapped, stops_mapped = (of(extract.root, extract.box) for of in (crossings_inside, stops_inside))
+    stage(f"building the net of {_size(extract.box)}")
+    (work / "osm").mkdir()
+    write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
+    dem = make_dem(order.relief, extract.box, order.seed)
+    net_order = NetOrder(
+        name=name,
+        box=extract.box,
+        lefthand=side.lefthand,
+        keep_service=order.keep_service,
+    )
+    built = build_net(net_order, extract.root, work)
+    net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
+    kept = {way for ways in ways_of(net_path).values() for way in ways}
+    left_out = left_out_of(mapped, kept)
+    stage("buildings, trees, parked cars and ways of the traffic")
+    marks = _marks(name, built, work)
+    if dem is not None:
+        write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
+        built = replace(built, net=read_net(net_path))
+    parking = find_parking(built.net, poly_path, order.parked, order.seed)
+    ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
+    for path in (net_path, poly_path):
+        write_gzip(work / f"{path.name}.gz", without_comments(path.read_bytes()))
+        path.unlink()
+    _write_folder(order, extract, work, (*parking.areas, *marks.elements))
+    _write_manifest(order, side, work, built, extract.box)
+    stage("building the street, and trying the traffic")
+    with ThreadPoolExecutor(1) as pool:
+        demand = pool.submit(_write_demand, order, work, built, ways, parking)
+        if meanwhile is not None:
+            meanwhile(_unfinished(work, order))
+        demand.result()
+    _write_manifest(order, side, work, built, extract.box)
+    told = (left_out_note(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    return Imported(
+        town=_unfinished(work, order),
+        side=side,
+        walkable_share=built.share,
+        notes=(*_notes(order, built, ways), *filter(None, told), *_unbounded_note(extract)),
+        left_out=left_out,
+        parked=len(parking.vehicles),
+        crossings_mapped=crossings_mapped,
+        crossings_unpainted=marks.unpainted,
+        stops_mapped=stops_mapped,
+        stops=marks.stops,
+    )
+
+
+def _marks(name: str, built: BuiltNet, work: Path) -> MapMarks:
+    """Make <name>.poly.xml, and read what else the extract says; the extract is not needed any more then."""
+    poly, ground = (convert_polygons(name, EXTRACT, work, what) for what in ("poly", "ground"))
+    marks = map_marks(built.net, poly, ground)
+    for path in (work / EXTRACT, ground):
+        path.unlink()
+    return marks
+
+
+def _counts(
+    net: Net, crossings_mapped: int, stops_mapped: int, marks: MapMarks, parking: Parking
+) -> tuple[str, str, str]:
+    crossings = (
+        f"the map has {crossings_mapped} crossings and the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
+        f"guessed; {marks.unpainted} have no paint, for they are guessed or unmarked, and not at a signal"
+    )
+    stops = (
+        f"the map has {stops_mapped} bus stops and SUMO {marks.stops}: only those beside a lane of buses "
+        "(bus stations are service ways: --keep-service)"
+    )
+    parked = f"{len(parking.vehicles)} of the vehicles are parked and never drive"
+    return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
+
+
+def _unbounded_note(extract: Extract) -> tuple[str, ...]:
+    told = f"the extract names no bounds, so it was taken at {_size(extract.box)}; --bbox W,S,E,N cuts it"
+    return () if extract.bounded else (told,)
+
+
+def _size(box: Box) -> str:
+    wide_m, high_m = size_m(box)
+    return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
+
+
+def _notes(order: ImportOrder, built: BuiltNet, ways: tuple[Way, ...]) -> tuple[str, ...]:
+    """What the map or the order has and the town has not."""
+    found = []
+    if built.bridges:
+        names = ", ".join(built.bridges[:8]) + " and more" * (len(built.bridges) > 8)
+        found.append(f"bridges over other streets left out, for the town has one level: {names}")
+    idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
+    found += [f"no traffic of class {vclass}: no street or track of this town is open to it" for vclass in idle]
+    return tuple(found)
+
+
+def _unfinished(work: Path, order: ImportOrder) -> Town:
+    """The town without its demand, which is still being tried."""
+    town = open_town(work / f"{order.name}.sumocfg")
+    return replace(town, routes=())
+
+
+def _write_demand(order: ImportOrder, work: Path, built: BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
+    """Write the flows, without the walking ways on which people get stuck."""
+    for trials_left in reversed(range(ROUNDS + 1)):
+        text = flows_text(built.net, ways, order.seed, order.traffic, order.per_hour, parking.vehicles)
+        write_gzip(work / f"{order.name}.rou.xml.gz", text.encode())
+        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways) if trials_left and ways else ()
+        if not stuck:
+            return
+        ways = tuple(way for way in ways if way not in stuck)
+
+
+def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tuple[str, ...]) -> None:
+    name = order.name
+    (work / f"{name}.add.xml").write_text(vtypes_text(elements), encoding="utf-8")
+    routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
+    (work / f"{name}.sumocfg").write_text(sumocfg_text(name, order.seed, routes, additional), encoding="utf-8")
+    write_gzip(work / routes, b"<routes/>")  # until the demand is there
+    (work / "LICENSE-DATA").write_text(license_text(name, order.source, order.relief.dem is not None), encoding="utf-8")
+    (work / "osm" / "bbox").write_text(",".join(map(str, extract.box)) + "\n", encoding="utf-8")
+
+
+def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet, box: Box) -> None:
+    corners_m = np.concatenate([lane.points_m for edge in built.net.edges for lane in edge.lanes])
+    middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
+    text = town_toml_text(
+        name=order.name,
+        split=order.split,
+        origin_m=(round(float(middle_m[0])), round(float(middle_m[1]))),
+        source=order.source,
+        attribution="(c) OpenStreetMap contributors, ODbL 1.0",
+        rebuild=rebuild_command(order, box, side.lefthand),
+        hashes=hashes_of(work, order.name),
+    )
+    (work / "town.toml").write_text(text, encoding="utf-8")
+
+
+def rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
+    """The command that makes the same town again from what its folder holds, run in that folder."""
+    words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
+    words += [f"--bbox={','.join(map(str, box))}", "--lefthand" if lefthand else "--righthand"]
+    words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
+    if order.per_hour:
+        words += ["--per-hour", ",".join(f"{key}={value:g}" for key, value in order.per_hour.items())]
+    if order.relief.dem is not None:
+        words += ["--dem", f"{order.name}.dem.tif"]
+    if order.relief.hill_m:
+        words += ["--hill", f"{order.relief.hill_m:g}"]
+    if order.relief.dem is not None or order.relief.hill_m:
+        words += ["--max-grade", f"{order.relief.max_grade:g}"]
+    words += ["--keep-service"] * order.keep_service
+    words += ["--source", order.source] if order.source else []
+    return shlex.join(["wcsim", "town", "import", *words])

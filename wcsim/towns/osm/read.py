@@ -1,0 +1,233 @@
+"""Read an OpenStreetMap extract of any common format, cut to an area, as clean elements with nothing dangling."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from wcsim.core.reading import FileKind, opened, regular_size, shown
+from wcsim.errors import TownError
+from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, size_m
+from wcsim.towns.sumo.tools import Limits, run_child
+from wcsim.towns.sumo.unpack import bunzip2
+from wcsim.towns.sumo.xml_io import MAX_TAG_BYTES, MAX_TAGS, MAX_XML_BYTES, parse_root, read_bytes, require_plain
+
+SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
+MARGIN_M = 150.0  # kept around the box: buildings and trees beside streets that reach out of it
+FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
+EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf"
+_EXTRACT = FileKind(what=EXPECTED.removeprefix("expected "), limit_bytes=1 << 40, error=TownError)
+_OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
+_LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
+_CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extract:
+    """An extract cut to `box`: every node has a place, every way at least two nodes that are there."""
+
+    root: Element
+    box: Box
+    bounded: bool = True  # the box was ordered, or is the extract's own; else it is the reach of its streets
+
+    def xml(self) -> bytes:
+        """As .osm XML."""
+        return bytes(ElementTree.tostring(self.root, encoding="utf-8", xml_declaration=True))
+
+
+def read_extract(path: Path, box: Box | None = None) -> Extract:
+    """Read and cut an extract; without a box it is taken at its own bounds, or at those of its streets.
+
+    Raises TownError when it is no extract, or holds no streets there.
+    """
+    root = parse_root(_xml_of(path, box), str(path))
+    if root.tag != "osm":
+        raise TownError(f"{path}: is not an OpenStreetMap extract (root <{root.tag}>); {EXPECTED}")
+    places = _places(root)
+    streets = _streets(root)
+    cover = _cover(places, streets)
+    if cover is None:
+        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it; {EXPECTED}, of an area with some")
+    named = box or _bounds(root)
+    try:
+        box = named or cover
+        check_box(box)
+    except TownError as error:
+        raise TownError(f"{path}: {error}") from None
+    _cut(root, places, box)
+    if not _streets(root):
+        told = ",".join(f"{value:.5f}" for value in cover)
+        raise TownError(
+            f"{path}: no street lies in the bounding box {box}; its streets lie in {told}: give a box there"
+        )
+    return Extract(root=root, box=box, bounded=named is not None)
+
+
+def _xml_of(path: Path, box: Box | None) -> bytes:
+    kind = _kind(path)
+    if kind == "pbf":
+        return _cut_by_osmium(path, "pbf", box)
+    if kind == "osm" and regular_size(path, _EXTRACT) > SMALL_BYTES:
+        _require_tags(path)
+        return _cut_by_osmium(path, kind, box)
+    most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
+    data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
+    if len(data) > SMALL_BYTES and box is not None:
+        require_plain(data, shown(path), 8 * MAX_TAGS)
+        return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
+    return data
+
+
+def _kind(path: Path) -> str:
+    """How a file is packed, by its first bytes: names say it wrongly too often. Raises TownError."""
+    with opened(path, _EXTRACT) as file:
+        head = file.read(64)
+    if b"OSMHeader" in head:
+        return "pbf"
+    for magic, name in _OTHERS.items():
+        if head.startswith(magic):
+            raise TownError(f"{path}: is packed as {name}; {EXPECTED}: unpack it")
+    if path.suffix == ".pbf":
+        raise TownError(f"{path}: is not a .pbf file; {EXPECTED}: download it again, or check it: osmium fileinfo")
+    return "gz" if head.startswith(b"\x1f\x8b") else "bz2" if head.startswith(b"BZh") else "osm"
+
+
+def _unpack_bz2(path: Path, most: int) -> bytes:
+    try:
+        with opened(path, _EXTRACT) as file:
+            data = bunzip2(file, most + 1)
+    except (EOFError, ValueError) as error:
+        raise TownError(f"{shown(path)}: cannot be read ({error}); {EXPECTED}") from None
+    if len(data) > most:
+        raise TownError(f"{shown(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
+    return data
+
+
+def _require_tags(path: Path) -> None:
+    """Raise TownError for a large file that libosmium would take minutes to find no XML in."""
+    with opened(path, _EXTRACT) as file:
+        while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
+            if b">" not in part or b"\0" in part:
+                raise TownError(
+                    f"{shown(path)}: is no XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
+                )
+
+
+def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
+    place = [",".join(map(repr, grown(box, MARGIN_M)))] if box is not None else []
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "cut.osm"
+        words = ["-m", "wcsim.towns.osm.cut", str(path.resolve()), file_format, str(out), *place]
+        run = run_child("osmium", [sys.executable, *words], Path(folder), os.environ, _LIMITS)
+        if run.returncode:
+            cure = "" if box is not None else "; a large one needs --bbox W,S,E,N"
+            raise TownError(f"{path}: cannot be read as an extract ({run.reason()}); {EXPECTED}{cure}")
+        return out.read_bytes()
+
+
+def _places(root: Element) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude of nodes; those without a proper one are left out, as are doubles and deleted ones."""
+    places: dict[str, tuple[float, float]] = {}
+    kept = []
+    for item in root:
+        if item.get("action") == "delete" or item.get("visible") == "false" or not _is_number(item.get("id", "0")):
+            continue
+        if item.tag == "node":
+            place = _place(item)
+            if place is None or item.get("id", "") in places or "id" not in item.attrib:
+                continue
+            places[item.attrib["id"]] = place
+        kept.append(item)
+    root[:] = kept
+    return places
+
+
+def _is_number(text: str) -> bool:
+    return text.lstrip("-").isascii() and text.lstrip("-").isdigit()
+
+
+def _place(node: Element) -> tuple[float, float] | None:
+    try:
+        longitude, latitude = float(node.attrib["lon"]), float(node.attrib["lat"])
+    except (KeyError, ValueError):
+        return None
+    good = math.isfinite(longitude) and math.isfinite(latitude) and abs(longitude) <= 180 and abs(latitude) <= 90
+    return (longitude, latitude) if good else None
+
+
+def _streets(root: Element) -> list[Element]:
+    return [way for way in root.iterfind("way") if any(item.get("k") == "highway" for item in way.iterfind("tag"))]
+
+
+def _cover(places: dict[str, tuple[float, float]], streets: list[Element]) -> Box | None:
+    """The box of nearly all street nodes: an extract holds streets whole, and a few reach far out of it."""
+    found = [places[ref] for way in streets for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
+    if not found:
+        return None
+    few = len(found) // 100
+    longitudes, latitudes = (sorted(values) for values in zip(*found, strict=True))
+    margin = 1e-5  # a street that runs along the edge is inside
+    west, east = longitudes[few] - margin, longitudes[-1 - few] + margin
+    return west, latitudes[few] - margin, east, latitudes[-1 - few] + margin
+
+
+def _bounds(root: Element) -> Box | None:
+    """The box that the extract itself names, where it is one: <bounds> of most tools, <bound> of osmosis."""
+    try:
+        if (element := root.find("bounds")) is not None:
+            west, south, east, north = (float(element.attrib[key]) for key in ("minlon", "minlat", "maxlon", "maxlat"))
+        elif (element := root.find("bound")) is not None:
+            south, west, north, east = (float(part) for part in element.attrib["box"].split(","))
+        else:
+            return None
+    except (KeyError, ValueError):
+        return None
+    box = (west, south, east, north)
+    sane = west < east and south < north and max(size_m(box)) <= LONGEST_M
+    return box if sane else None
+
+
+def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> None:
+    """Leave in `root` what lies around a box, in order and spelt in one way; users' names and time stamps go too."""
+    near, far = grown(box, MARGIN_M), grown(box, FAR_M)
+    inside = {key for key, place in places.items() if _within(place, near)}
+    reachable = {key for key, place in places.items() if _within(place, far)}
+    needed, ways, elsewhere = set(inside), set(), set()
+    for way in root.iterfind("way"):
+        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
+        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
+        if len(refs) < 2 or refs.isdisjoint(inside) or way.get("id") in ways or "id" not in way.attrib:
+            elsewhere.add(way)
+        else:
+            needed |= refs
+            ways.add(way.attrib["id"])
+    root[:] = [item for item in root if item not in elsewhere and _is_needed(item, needed, ways)]
+    for item in root:
+        for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
+            item.attrib.pop(key, None)
+        item[:] = [child for child in item if child.tag in _CHILDREN]
+        if item.tag == "node":
+            longitude, latitude = places[item.attrib["id"]]
+            item.attrib |= {"lat": f"{latitude:.7f}", "lon": f"{longitude:.7f}"}
+    root.attrib.clear()
+    root.set("version", "0.6")
+    ElementTree.indent(root, "")
+
+
+def _is_needed(item: Element, nodes: set[str], ways: set[str]) -> bool:
+    if item.tag == "node":
+        return item.attrib["id"] in nodes
+    if item.tag == "relation":
+        return any(m.get("type") == "way" and m.get("ref") in ways for m in item.iterfind("member"))
+    return item.tag == "way"
+
+
+def _within(place: tuple[float, float], box: Box) -> bool:
+    west, south, east, north = box
+    return west <= place[0] <= east and south <= place[1] <= north

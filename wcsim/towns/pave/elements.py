@@ -1,0 +1,204 @@
+"""What changes in the elements of a scenario's files when its net gets pavements: lanes, positions on them, signals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from xml.etree.ElementTree import Element
+
+from wcsim.errors import TownError
+from wcsim.towns.pave.lanes import LaneMap
+from wcsim.towns.pave.signals import SignalLinks, padded
+
+SAME_M = 0.01  # as nets are written
+FAR_M = 0.05  # a place that moved farther is told
+LEAST_M = 1.0  # of a stop or an area of which a junction has taken the rest
+_SPANS = frozenset(
+    (
+        "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea", "stop", "laneAreaDetector",
+        "e2Detector", "overheadWireSegment"
+    )
+)  # fmt: skip
+_AREAS = ("laneAreaDetector", "e2Detector")  # their `length` lies on the lane
+_IDS = (("closingLaneReroute", "id"), ("lane", "id"), ("param", "key"))  # attributes of other names that name lanes
+_POSITIONS = ("pos", "startPos", "endPos")
+_VEHICLES = ("vehicle", "trip", "flow")
+_PEOPLE = ("person", "personFlow")
+Ends = tuple[str, str]  # the first and the last edge of a way
+
+
+@dataclass(slots=True, kw_only=True)
+class Paving:
+    """What is known of a scenario while its files are gone through, and what was done."""
+
+    lanes: LaneMap
+    signals: Mapping[str, SignalLinks]
+    routes: dict[str, Ends] = field(default_factory=dict)  # by id, of all files
+    placed: int = 0  # elements that lie on a lane
+    programs: int = 0
+    moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
+    lost: list[str] = field(default_factory=list)  # lanes within junctions that nobody finds again
+    never_green: list[tuple[str, str]] = field(default_factory=list)  # signal, an edge that is crossed
+    parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
+
+
+def routes_of(root: Element) -> dict[str, Ends]:
+    """The first and the last edge of every route of a file that has a name."""
+    named = (element for element in root.iter() if _tag(element) == "route" and element.get("id"))
+    found = {element.get("id", ""): element.get("edges", "").split() for element in named}
+    return {name: (edges[0], edges[-1]) for name, edges in found.items() if edges}
+
+
+def edits_of(root: Element, paving: Paving) -> dict[int, dict[str, str]]:
+    """Attributes of a file that get other values: number of the element -> attribute -> value."""
+    found: dict[int, dict[str, str]] = {}
+    number_of = {element: number for number, element in enumerate(root.iter())}
+    for element, number in number_of.items():
+        tag = _tag(element)
+        if tag == "tlLogic":
+            found |= _program(element, number_of, paving)
+        changes = _placed(element, tag, paving) | _travelling(element, tag, paving)
+        if changes := {key: value for key, value in changes.items() if value != element.get(key)}:
+            found[number] = changes
+    return found
+
+
+def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
+    """An element on a lane, on an edge, or one that names lanes."""
+    found: dict[str, str] = {}
+    for key in ("lanes", *(key for named, key in _IDS if named == tag)):
+        if value := element.get(key):
+            found[key] = _renamed(value, paving)
+    lanes = [part for part in (element.get("lane") or element.get("lanes", "").replace(",", " ")).split() if part]
+    if element.get("lane"):
+        if lanes[0] not in paving.lanes.lines:
+            named = f"{tag} {element.get('id', '')!r}"
+            raise TownError(f"{named}: names lane {lanes[0]!r}, which the net does not have; correct that name first")
+        paving.placed += 1
+        found["lane"] = _renamed(element.get("lane", ""), paving)
+        if tag == "parkingArea" and paving.lanes.shift(_edge_of(lanes[0])):
+            paving.parking.append(element.get("id", ""))
+    elif element.get("edge") in paving.lanes.before and tag in ("stop", "calibrator"):
+        lanes = [paving.lanes.before[element.get("edge", "")][-1].id]
+    if not lanes or lanes[0] not in paving.lanes.moved or lanes[-1] not in paving.lanes.moved:
+        return found
+    for key in _POSITIONS:
+        if (pos_m := _number(element.get(key))) is not None:
+            lane = lanes[-1] if key == "endPos" else lanes[0]
+            found[key], along_m = _position(lane, pos_m, tag in _SPANS, paving.lanes)
+            _note(element, lane, along_m, paving)
+    return found | _whole(element, tag, lanes, found, paving)
+
+
+def _whole(element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving) -> dict[str, str]:
+    """Keep something of an area that a junction has grown into."""
+    new = paving.lanes.new_lines[paving.lanes.moved[lanes[-1]]]
+    first = "startPos" if "startPos" in found else "pos"
+    start_m, end_m = _number(found.get(first)), _number(found.get("endPos"))
+    if tag in _AREAS and start_m is not None and start_m >= 0.0 and (size_m := _number(element.get("length"))):
+        start_m = min(start_m, max(0.0, new.length_m - LEAST_M))
+        return {first: _text(start_m), "length": _text(min(size_m, new.length_m - start_m))}
+    short = start_m is not None and end_m is not None and 0.0 <= end_m < start_m + LEAST_M
+    if tag not in _SPANS or len(set(lanes)) > 1 or not short or start_m is None or end_m is None:
+        return {}
+    end_m = min(max(end_m, LEAST_M), new.length_m)
+    return {first: _text(max(0.0, end_m - LEAST_M)), "endPos": _text(end_m)}
+
+
+def _position(lane: str, pos_m: float, span: bool, lanes: LaneMap) -> tuple[str, float]:
+    """A position as it is written for the new net, and how far its place moved along the lane."""
+    found_m, along_m = lanes.position(lane, pos_m, span=span)
+    old_m, new_m = lanes.lines[lane].length_m, lanes.new_lines[lanes.moved[lane]].length_m
+    same_m = pos_m if pos_m >= 0.0 else pos_m + old_m
+    kept = abs(found_m - same_m) <= SAME_M and (pos_m >= 0.0 or abs(new_m - old_m) <= SAME_M)
+    return _text(pos_m if kept else found_m), along_m
+
+
+def _note(element: Element, lane: str, along_m: float, paving: Paving) -> None:
+    if along_m > FAR_M:
+        name = f"{_tag(element)} {element.get('id') or 'on ' + lane}"
+        paving.moved_m[name] = max(along_m, paving.moved_m.get(name, 0.0))
+
+
+def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
+    """Where somebody departs and arrives: lanes by number, positions on the first and the last edge."""
+    if tag in _VEHICLES or tag == "walk" or tag == "personTrip":
+        ends = _ends(element, paving)
+    elif tag in _PEOPLE:
+        ends = next((ends for child in element if (ends := _ends(child, paving))), None)
+    else:
+        return {}
+    if ends is None:
+        return {}
+    found = {}
+    for word, edge in (("depart", ends[0]), ("arrival", ends[1])):
+        lane, pos_m = element.get(f"{word}Lane", ""), _number(element.get(f"{word}Pos"))
+        if lane.isdigit():
+            found[f"{word}Lane"] = str(int(lane) + paving.lanes.shift(edge))
+        lines = paving.lanes.before.get(edge)
+        if pos_m is not None and lines and edge in paving.lanes.after:
+            found[f"{word}Pos"] = _position(lines[-1].id, pos_m, True, paving.lanes)[0]
+    return found
+
+
+def _ends(element: Element, paving: Paving) -> Ends | None:
+    """The first and the last edge of somebody's way, None where they are not known."""
+    inner = next((child for child in element.iter() if child.get("edges")), None)
+    edges = inner.get("edges", "").split() if inner is not None else []
+    if edges:
+        return edges[0], edges[-1]
+    named = paving.routes.get(element.get("route", ""))
+    start, end = element.get("from", ""), element.get("to", "")
+    return named or ((start or end, end or start) if start or end else None)
+
+
+def _program(logic: Element, number_of: Mapping[Element, int], paving: Paving) -> dict[int, dict[str, str]]:
+    links = paving.signals.get(logic.get("id", ""))
+    phases = [child for child in logic if _tag(child) == "phase" and child.get("state")]
+    if links is None or not phases:
+        return {}
+    paving.programs += 1
+    states = padded(
+        [phase.get("state", "") for phase in phases],
+        [_number(phase.get("duration")) or 0.0 for phase in phases],
+        links,
+    )
+    never = [link for link in links.crossings if all(state[link] == "r" for state in states)]
+    paving.never_green += [(logic.get("id", ""), min(links.crossings[link])) for link in never]
+    return {
+        number_of[phase]: {"state": state}
+        for phase, state in zip(phases, states, strict=True)
+        if state != phase.get("state")
+    }
+
+
+def _renamed(value: str, paving: Paving) -> str:
+    """Names of lanes, one or several, as they are in the new net."""
+    lost = [word for word in _words(value) if word.startswith(":") and word not in paving.lanes.moved]
+    paving.lost += [word for word in lost if word.rpartition("_")[2].isdigit() and word not in paving.lost]
+    words = {word: paving.lanes.moved[word] for word in _words(value) if word in paving.lanes.moved}
+    comma = "," if "," in value else " "
+    return comma.join(words.get(word, word) for word in _words(value)) if words else value
+
+
+def _words(value: str) -> Iterable[str]:
+    return value.replace(",", " ").split()
+
+
+def _edge_of(lane: str) -> str:
+    return lane.rpartition("_")[0]
+
+
+def _tag(element: Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return None  # a word, as "random" or "max"
+
+
+def _text(number: float) -> str:
+    return f"{number:.2f}".rstrip("0").rstrip(".") if number else "0"

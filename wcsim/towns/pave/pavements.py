@@ -1,0 +1,194 @@
+"""Pavements for a scenario that has none: a copy of it that SUMO runs, with every stop and detector where it lay."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, slowest_street_mps
+from wcsim.towns.importing.adopt import copy_scenario
+from wcsim.towns.pave.edit import edited
+from wcsim.towns.pave.elements import Paving, edits_of, routes_of
+from wcsim.towns.pave.lanes import lane_map
+from wcsim.towns.pave.signals import links_of
+from wcsim.towns.scenario.options import read_configuration
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip
+
+SLOWEST_MPS = 1.0  # of streets that get a pavement
+TOLD = 5  # of each kind of thing in a note
+_LIMITS = Limits(wall_s=300.0, cpu_s=280)
+_PACKED = b"\x1f\x8b"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paved:
+    """A scenario that has got pavements."""
+
+    sumocfg: Path
+    streets: int  # edges with a new pavement
+    crossings: int
+    placed: int  # stops, detectors, ... that lie on a lane
+    programs: int  # of signals, that were given the new links
+    moved_m: tuple[tuple[str, float], ...]  # places that a junction has grown over, and how far they gave way
+    notes: tuple[str, ...]
+
+
+def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
+    """Copy a scenario into the new folder `out`, with pavements, crossings and walking areas, and all that follows.
+
+    Stops, detectors and departures by lane move to the lane that they meant, signal programs get letters for the new
+    crossings. Nothing else of the files is changed.
+
+    Args:
+        town: A scenario whose net has no crossings.
+        out: A folder that is not there yet, or is empty.
+        fastest_mps: Faster streets get no pavement.
+
+    Raises:
+        TownError: the net has crossings already, or can get none, or a file cannot be copied or changed.
+        SumoError: netconvert failed.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise TownError(f"{out} is there already; remove it, or choose another place")
+    net = read_net(town.net, town.file.origin_m)
+    if net.lanes(LaneKind.CROSSING):
+        raise TownError(
+            f"{town.net}: has pavements and crossings already, and more would break them; join what is cut off: "
+            f"{netedit_cure(town)}"
+        )
+    config = read_configuration(town.sumocfg)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
+        work = Path(folder) / out.name
+        base, files = copy_scenario(config, town.border, work)
+        _copy_town_toml(town, work, base)
+        place = work / Path(os.path.normpath(town.net.absolute())).relative_to(base)
+        before = _root(place)
+        _convert(place, _unpaved(net), fastest_mps)
+        after = _root(place)
+        lanes = lane_map(before, after)
+        shifts = {edge: lanes.shift(edge) for edge in lanes.before}
+        paving = Paving(lanes=lanes, signals=links_of(before, after, shifts))
+        _change(tuple(work / path.relative_to(base) for path in files), place, paving)
+        crossings = sum(edge.get("function") == "crossing" for edge in after.iterfind("edge"))
+        if not crossings and not any(shifts.values()):
+            raise TownError(f"{town.net}: none of its streets got a pavement: {_why_none(net, fastest_mps)}")
+        if out.is_dir():
+            out.rmdir()
+        work.replace(out)
+    return Paved(
+        sumocfg=out / config.path.absolute().relative_to(base),
+        streets=sum(shifts.values()),
+        crossings=crossings,
+        placed=paving.placed,
+        programs=paving.programs,
+        moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
+        notes=_notes(paving),
+    )
+
+
+def _unpaved(net: Net) -> list[str]:
+    """Edges on which nobody drives a car, and where none is to walk beside them: tracks, paths and closed ones."""
+    return [
+        edge.id
+        for edge in net.edges
+        if not edge.function and not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)
+    ]
+
+
+def _why_none(net: Net, fastest_mps: float) -> str:
+    slowest_mps = slowest_street_mps(net)
+    if slowest_mps is None:
+        return "it has none that cars use; choose another scenario"
+    if slowest_mps <= fastest_mps:
+        return "netconvert guessed none; draw them in netedit"
+    return f"they are faster than {fastest_mps:g} m/s; take faster ones too, with --max-speed {math.ceil(slowest_mps)}"
+
+
+def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
+    """Let netconvert add what is missing, in place."""
+    data = net.read_bytes()
+    with tempfile.TemporaryDirectory(prefix="wcsim-pave-") as folder:
+        given, made = Path(folder) / "given.net.xml", Path(folder) / "made.net.xml"
+        given.write_bytes(read_bytes(net))
+        options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
+        options += ["--sidewalks.guess.min-speed", str(SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
+        options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
+        options += ["--sidewalks.guess.exclude", ",".join(unpaved)] if unpaved else []
+        run = run_tool("netconvert", [*options, "--xml-validation", "never"], Path(folder), _LIMITS)
+        if run.returncode or not made.is_file():
+            raise SumoError(f"{net.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
+        text = without_comments(made.read_bytes())
+    if data.startswith(_PACKED):
+        write_gzip(net, text)
+    else:
+        net.write_bytes(text)
+
+
+def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
+    """Change what names lanes, positions or signals in the copies, and write those that differ."""
+    others = [path for path in files if path != net and path.suffix != ".sumocfg" and _is_xml(path)]
+    for path in others:
+        paving.routes |= routes_of(_root(path))
+    for path in others:
+        data, root = read_bytes(path), _root(path)
+        if root.tag == "net":
+            continue
+        try:
+            edits = edits_of(root, paving)
+        except TownError as error:
+            raise TownError(f"{path.name}: {error}") from None
+        if not edits:
+            continue
+        text = edited(data, edits, path.name)
+        if path.read_bytes().startswith(_PACKED):
+            write_gzip(path, text)
+        else:
+            path.write_bytes(text)
+
+
+def _notes(paving: Paving) -> tuple[str, ...]:
+    notes = []
+    if paving.parking:
+        names = ", ".join(paving.parking[:TOLD]) + " and more" * (len(paving.parking) > TOLD)
+        notes.append(
+            f"parking areas beside a lane lie on its new pavement: {names}; move them in netedit where chairs must pass"
+        )
+    if paving.never_green:
+        never = tuple(dict.fromkeys(paving.never_green))
+        told = ", ".join(f"over {edge} at {signal}" for signal, edge in never[:TOLD]) + " and more" * (
+            len(never) > TOLD
+        )
+        notes.append(
+            f"crossings that their signal's program never gives green, for cars come over them in every phase: {told}; "
+            "give them a phase in netedit"
+        )
+    if paving.lost:
+        names = ", ".join(paving.lost[:TOLD]) + " and more" * (len(paving.lost) > TOLD)
+        notes.append(f"lanes within junctions that are not there any more: {names}; what names them must be moved")
+    return tuple(notes)
+
+
+def _copy_town_toml(town: Town, work: Path, base: Path) -> None:
+    """What SUMO has no word for goes along; the hashes do not, for the files are others now."""
+    toml = town.folder / "town.toml"
+    if toml.is_file():
+        text = toml.read_text(encoding="utf-8").partition("\n[hashes]")[0]
+        place = work / Path(os.path.normpath(town.folder.absolute())).relative_to(base) / toml.name
+        place.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+
+
+def _is_xml(path: Path) -> bool:
+    return read_bytes(path)[:4096].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+
+
+def _root(path: Path) -> Element:
+    return parse_root(read_bytes(path), path.name)

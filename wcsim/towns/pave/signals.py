@@ -1,0 +1,118 @@
+"""Signal programs for a net that has got crossings: each state is given a letter for every new link."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from xml.etree.ElementTree import Element
+
+SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
+_RED = frozenset("rRs")
+_GREEN = frozenset("Gg")
+_OFF = frozenset("oO")
+_CHANGING = frozenset("yYu")
+_STRAIGHT = "s"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleLink:
+    """A vehicle's way over a junction, as one of its signal's links."""
+
+    link: int
+    start: str  # edge ids
+    end: str
+    straight: bool
+
+
+@dataclass(slots=True, kw_only=True)
+class SignalLinks:
+    """What the links of one traffic light are in the net with crossings."""
+
+    count: int = 0
+    was: dict[int, int] = field(default_factory=dict)  # link -> the link that it was before
+    drives: list[VehicleLink] = field(default_factory=list)
+    crossings: dict[int, frozenset[str]] = field(default_factory=dict)  # link -> the edges that it crosses
+
+
+def links_of(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, SignalLinks]:
+    """The links of all traffic lights of a net that has crossings now; `shifts` says how lane indices moved."""
+    old: dict[tuple[str, str, str, int, int], int] = {}
+    for link in before.iterfind("connection"):
+        if link.get("tl"):
+            old[_key(link, shifts)] = int(link.get("linkIndex", "0"))
+    crossed = {
+        edge.get("id", ""): frozenset(edge.get("crossingEdges", "").split())
+        for edge in after.iterfind("edge")
+        if edge.get("function") == "crossing"
+    }
+    found: dict[str, SignalLinks] = defaultdict(SignalLinks)
+    for link in after.iterfind("connection"):
+        if not link.get("tl"):
+            continue
+        signal, index, key = found[link.get("tl", "")], int(link.get("linkIndex", "0")), _key(link, {})
+        numbers = (index, int(link.get("linkIndex2", "-1")))
+        signal.count = max(signal.count, *(number + 1 for number in numbers))
+        crossing = next((crossed[name] for name in (key[2], key[1]) if name in crossed), None)
+        if crossing is not None and key not in old:
+            signal.crossings |= {number: crossing for number in numbers if number >= 0}
+            continue
+        if key in old:
+            signal.was[index] = old[key]
+        if crossing is None:
+            straight = link.get("dir", "").lower() == _STRAIGHT
+            signal.drives.append(VehicleLink(link=index, start=key[1], end=key[2], straight=straight))
+    return dict(found)
+
+
+def padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with a letter for each new crossing.
+
+    A crossing is green while no vehicle may drive over it, except those that turn into its street and have to yield;
+    it turns red in time: while lights change before it must be red.
+    """
+    moved = [_moved(state, links) for state in states]
+    free = [{link: _free(state, edges, links.drives) for link, edges in links.crossings.items()} for state in moved]
+    changing = [_changes(state, duration_s) for state, duration_s in zip(states, durations_s, strict=True)]
+    made = []
+    for number, letters in enumerate(moved):
+        later = number
+        while changing[later] and (later + 1) % len(moved) != number:
+            later = (later + 1) % len(moved)
+        for link in links.crossings:
+            letters[link] = "G" if free[number][link] and free[later][link] else "r"
+            if all(letters[drive.link] in _OFF for drive in links.drives):
+                letters[link] = "o"
+        for drive in links.drives:
+            if letters[drive.link] == "G" and not drive.straight:
+                green = (edges for link, edges in links.crossings.items() if letters[link] == "G")
+                letters[drive.link] = "g" if any(drive.end in edges for edges in green) else "G"
+        made.append("".join(letters))
+    return tuple(made)
+
+
+def _moved(state: str, links: SignalLinks) -> list[str]:
+    letters = list(state.ljust(links.count, "r"))
+    for link, was in links.was.items():
+        if was < len(state):
+            letters[link] = state[was]
+    return letters
+
+
+def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[VehicleLink]) -> bool:
+    """Whether nobody with a green or yellow light comes over a crossing who need not yield to walkers."""
+    return not any(
+        letters[drive.link] not in _RED and (drive.start in edges or (drive.end in edges and drive.straight))
+        for drive in drives
+    )
+
+
+def _changes(state: str, duration_s: float) -> bool:
+    letters = set(state)
+    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < SHORT_S)
+
+
+def _key(link: Element, shifts: Mapping[str, int]) -> tuple[str, str, str, int, int]:
+    start, end = link.get("from", ""), link.get("to", "")
+    lanes = int(link.get("fromLane", "0")) + shifts.get(start, 0), int(link.get("toLane", "0")) + shifts.get(end, 0)
+    return link.get("tl", ""), start, end, *lanes

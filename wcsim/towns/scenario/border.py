@@ -1,0 +1,41 @@
+"""How far a scenario may reach: files that lie outside of its folder are neither opened nor copied unasked."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from wcsim.core.reading import is_file, shown
+from wcsim.errors import TownError
+
+ALLOW = "--allow-outside"
+
+
+def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
+    """Return when a file lies in the folder `border`, links followed; None is no border.
+
+    Raises:
+        TownError: It lies elsewhere, whether it exists or not; or no system could hold such a file.
+    """
+    try:
+        real = Path(os.path.realpath(path))
+        if border is None or real.is_relative_to(os.path.realpath(border)):
+            return
+    except ValueError as error:  # NUL in the path
+        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
+    raise TownError(
+        f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
+        f"correct the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and run)"
+    )
+
+
+def require_file(path: Path, border: Path | None, named_by: Path) -> None:
+    """Return when a file lies in the folder `border` and is a regular one. Raises TownError."""
+    require_inside(path, border, named_by)
+    if not is_file(path):
+        raise TownError(
+            f"{shown(named_by)}: names a file that is not there: {shown(path)}; restore it or correct "
+            f"{shown(named_by.name)}"
+        )
+    if "," in str(path):
+        raise TownError(f"{shown(path)}: SUMO splits file names at commas; rename the file or its folder")

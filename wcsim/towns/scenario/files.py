@@ -1,0 +1,158 @@
+"""Files of a scenario that name other files: what they write is led into one folder, what they read stays theirs.
+
+A file that writes nothing is left where it is; only one that does is copied, with nothing but those names changed.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from wcsim.core.reading import FileKind, regular_size, shown
+from wcsim.errors import TownError
+from wcsim.towns.scenario.border import require_file, require_inside
+from wcsim.towns.scenario.elements import (
+    NamesFiles,
+    reads,
+    reads_parameter,
+    reads_text,
+    shows,
+    writes,
+    writes_parameter,
+)
+from wcsim.towns.scenario.options import Content, SumoOption
+from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
+
+MAX_DEPTH = 16
+_TEXT = FileKind(what="a file that SUMO reads", limit_bytes=MAX_XML_BYTES, error=TownError)
+_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
+
+
+class FilteredFiles:
+    """The files of one scenario on their way into a folder."""
+
+    def __init__(self, names: OutputNames, copies: Path, border: Path | None) -> None:
+        """Begin with none.
+
+        Args:
+            names: For what is written.
+            copies: The folder for files that need changes.
+            border: The folder outside of which nothing is opened; None for none.
+        """
+        self._names = names
+        self._copies = OutputNames(copies)
+        self._border = border
+        self._done: dict[Path, Path] = {}
+        self.read: dict[Path, None] = {}
+        """Every file that was met, in that order."""
+        self.texts: dict[Path, None] = {}
+        """Those among them that are no XML."""
+        self.pictures: dict[Path, None] = {}
+        """What sumo-gui would show; nothing was looked at."""
+
+    def place(self, path: Path, named_by: Path) -> Path:
+        """The file itself when it writes nothing, else the filtered copy of it.
+
+        Raises:
+            TownError: it is not there, is no XML, includes itself, or lies outside of the border.
+        """
+        return self._place(path, named_by, ())
+
+    def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
+        """The file, or the filtered copy of it, that an option names to be read. Raises TownError as `place` does."""
+        if option.reads is Content.FOLDER:
+            require_inside(path, self._border, named_by)
+            return path.absolute()
+        return self.place(path, named_by) if option.reads is Content.XML else self.place_text(path, named_by)
+
+    def place_text(self, path: Path, named_by: Path) -> Path:
+        """A file that SUMO reads as something else than XML, where it is.
+
+        Raises:
+            TownError: it is not there, is no regular file, is too large, or lies outside of the border.
+        """
+        whole = self._note(path, named_by)
+        regular_size(whole, _TEXT)
+        self.texts[whole] = None
+        return whole
+
+    def _place(self, path: Path, named_by: Path, above: tuple[Path, ...]) -> Path:
+        whole = self._note(path, named_by)
+        if whole in above or len(above) >= MAX_DEPTH:
+            chain = " -> ".join(item.name for item in (*above, whole))
+            raise TownError(f"{named_by}: its files include each other ({chain}); remove one <include>")
+        if whole not in self._done:
+            self._done[whole] = self._filtered(whole, (*above, whole))
+        return self._done[whole]
+
+    def _note(self, path: Path, named_by: Path) -> Path:
+        whole = path.absolute()
+        require_file(whole, self._border, named_by)
+        self.read[whole] = None
+        return whole
+
+    def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
+        data, names = read_bytes(path, MAX_XML_BYTES), NamesFiles(shown(path))
+        scan(data, shown(path), names)
+        plain = _PLAIN.fullmatch(str(path)) is not None
+        if plain and not names.found:
+            return path
+        root = without_namespaces(parse_root(data, shown(path)))
+        changes = [self._change(element, path, above) for element in root.iter()]
+        if plain and not any(changes):
+            return path
+        for element in root.iter():
+            _make_absolute(element, path)
+        return self._copy(path, root)
+
+    def _change(self, element: Element, path: Path, above: tuple[Path, ...]) -> bool:
+        """Lead what an element writes into the folder, and what it reads to filtered files; True if that changed it."""
+        before = dict(element.attrib)
+        for key, value in before.items():
+            there = path.parent / value
+            if reads(element.tag, key):
+                if value and (filtered := self._place(there, path, above)) != there.absolute():
+                    element.set(key, str(filtered))
+            elif reads_text(key):
+                element.set(key, str(self.place_text(there, path)))
+            elif shows(key):
+                self.pictures[there.absolute()] = None
+            elif writes(key) and value not in NOWHERE:
+                element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
+        if element.tag == "param" and before.get("value"):
+            self._change_parameter(element, path, above)
+        return before != element.attrib
+
+    def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
+        key, value = element.get("key", ""), element.attrib["value"]
+        if writes_parameter(key) and value not in NOWHERE:
+            element.set("value", str(self._names.place(value, path.parent, f"{key.strip()}.xml")))
+        elif reads_parameter(key):
+            found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
+            element.set("value", ",".join(map(str, found)))
+
+    def _copy(self, path: Path, root: Element) -> Path:
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", path.name.removesuffix(".gz"))[-120:].lstrip(".") or "file.xml"
+        place = self._copies.folder / self._copies.unique(name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
+        return place
+
+
+def _make_absolute(element: Element, path: Path) -> None:
+    """Names that are read are found from another folder too."""
+    for key, value in element.attrib.items():
+        if value and (reads(element.tag, key) or shows(key)):
+            element.set(key, str((path.parent / value).absolute()))
+
+
+def without_namespaces(root: Element) -> Element:
+    """The same tree with the bare names that SUMO goes by; attributes of other namespaces are left out."""
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+        for key in [key for key in element.attrib if key.startswith("{")]:
+            del element.attrib[key]
+    return root

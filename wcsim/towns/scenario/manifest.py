@@ -1,0 +1,86 @@
+"""A town's manifest: what the importer wrote, so that a change since then is noticed."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from wcsim.config import TownFile
+from wcsim.core.reading import FileKind, read_bytes
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario.town import Town, read_town_file
+from wcsim.towns.sumo.xml_io import content_digest
+
+KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
+BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
+_DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
+AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes:
+    """Files of a town that are not as they were imported."""
+
+    net: tuple[str, ...]  # the net: the demand was routed through it
+    others: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All of them."""
+        return self.net + self.others
+
+
+def hashes_of(folder: Path, name: str) -> dict[str, str]:
+    """SHA-256 (hex) of each file of a town that is there, by its ending; of XML without comments and packing."""
+    paths = {kind: folder / f"{name}.{kind}" for kind in KINDS}
+    return {kind: _digest(path) for kind, path in paths.items() if path.is_file()}
+
+
+def changes_of(town: Town) -> Changes:
+    """What was changed since the import; nothing for a town without a manifest."""
+    noted = town.file.hashes
+    changed = [kind for kind in noted if _now(_path(town, kind)) != noted[kind]]
+    names = {kind: _path(town, kind) for kind in changed}
+    net = town.net.resolve()
+    return Changes(
+        net=tuple(path.name for path in names.values() if path.resolve() == net),
+        others=tuple(path.name for path in names.values() if path.resolve() != net),
+    )
+
+
+def own_work(folder: Path) -> tuple[str, ...]:
+    """What somebody did to a town's folder since its import, as paths in it: changed files and added ones, sorted."""
+    try:
+        file = read_town_file(folder / "town.toml")
+    except (ConfigError, TownError):
+        return ("town.toml",)
+    name = file.name
+    written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    changed = {f"{name}.{kind}" for kind, digest in file.hashes.items() if _now(folder / f"{name}.{kind}") != digest}
+    if _by_hand(file):
+        changed.add("town.toml")
+    return tuple(sorted((there - written) | (changed & there)))
+
+
+def _by_hand(file: TownFile) -> bool:
+    """True when `town.toml` says what no importer writes."""
+    usual = TownFile(name=file.name, split=file.split)
+    return any(getattr(file, key) != getattr(usual, key) for key in AUTHORED_KEYS)
+
+
+def _now(path: Path) -> str:
+    try:
+        return _digest(path) if path.is_file() else ""
+    except TownError:
+        return ""
+
+
+def _path(town: Town, kind: str) -> Path:
+    """The file that is meant; in an adopted scenario files are noted by their place in the folder."""
+    return town.folder / (f"{town.name}.{kind}" if kind in KINDS else kind)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(read_bytes(path, _DEM)).hexdigest() if path.suffix == ".tif" else content_digest(path)

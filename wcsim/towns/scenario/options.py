@@ -1,0 +1,186 @@
+"""SUMO's own options, and what a .sumocfg sets of them, whichever way it spells them."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import re
+import tempfile
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+from wcsim.errors import SumoError, TownError
+from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import read_root
+
+MAX_CFG_BYTES = 1 << 20
+_LIMITS = Limits(wall_s=30.0, cpu_s=20, memory_bytes=4 << 30, file_bytes=1 << 24)
+_DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
+_DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
+_INPUTS = ("astar.all-distances", "astar.landmark-distances", "phemlight-path", "device.fcd-replay.files")
+_WRITES = re.compile(r"[.-](file|files|output|log)$|^log$")
+_TEXTS = tuple(name for name in _INPUTS if name.startswith("astar."))
+_FOLDERS = ("phemlight-path",)
+_NAME_PARTS = ("save-state.suffix",)  # a part of the names of files
+_EXPECTED = {
+    "BOOL": "true or false",
+    "TIME": "a time",
+    "FLOAT": "a number",
+    "INT": "a whole number",
+    "STR": "letters, digits, . _ -",
+}
+_BOOLS = ("1", "yes", "true", "on", "x", "t", "0", "no", "false", "off", "-", "f")
+_VARIABLE = re.compile(r"\$\{([^${}]*)\}")
+
+
+class Content(Enum):
+    """What lies where an option names something to be read."""
+
+    XML = "xml"
+    TEXT = "text"
+    FOLDER = "folder"
+
+
+class Treatment(Enum):
+    """What becomes of an option of somebody else's configuration."""
+
+    KEEP = "keep"
+    INPUT = "input"  # names files that SUMO reads
+    OUTPUT = "output"  # names files that SUMO writes
+    DROP = "drop"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SumoOption:
+    """An option as SUMO itself lists it."""
+
+    name: str
+    topic: str
+    kind: str  # FILE, STR, STR[], INT, FLOAT, BOOL, TIME
+    default: str = ""
+
+    @property
+    def treatment(self) -> Treatment:
+        """What may be done with it: whatever could write a file and is not known to read one counts as output."""
+        if self.topic in _DROPPED_TOPICS or self.name in _DROPPED:
+            return Treatment.DROP
+        if self.kind != "FILE" and not (self.kind == "STR" and _WRITES.search(self.name)):
+            return Treatment.KEEP
+        reads = self.topic == "input" or self.name.endswith("input-file") or self.name in _INPUTS
+        return Treatment.INPUT if reads else Treatment.OUTPUT
+
+    @property
+    def reads(self) -> Content:
+        """What an INPUT names; whatever is not known to be something else must be XML."""
+        if self.name in _FOLDERS:
+            return Content.FOLDER
+        return Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GivenOption:
+    """An option and the value that a configuration gives it."""
+
+    option: SumoOption
+    value: str
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """The value as file names, those that are relative taken from `folder`, as SUMO does it."""
+        parts = [unquote(_VARIABLE.sub(_variable, part.strip())) for part in self.value.split(",")]
+        return tuple(folder / part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Configuration:
+    """What a .sumocfg says."""
+
+    path: Path
+    given: tuple[GivenOption, ...]
+
+    def value(self, name: str) -> str | None:
+        """The value that the author gave an option, None when it is not mentioned."""
+        return next((item.value for item in self.given if item.option.name == name), None)
+
+    def files(self, name: str) -> tuple[Path, ...]:
+        """The files that an option names."""
+        return next((item.files(self.path.parent) for item in self.given if item.option.name == name), ())
+
+
+@functools.cache
+def sumo_options() -> dict[str, SumoOption]:
+    """Every option of this SUMO by each of its spellings, from the template that SUMO writes of itself.
+
+    Raises:
+        SumoError: SUMO cannot be run.
+    """
+    with tempfile.TemporaryDirectory(prefix="wcsim-options-") as folder:
+        run = run_tool("sumo", ["--save-template", "options.xml"], Path(folder), _LIMITS)
+        if run.returncode:
+            raise SumoError(f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again")
+        root = ElementTree.parse(Path(folder) / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
+    found: dict[str, SumoOption] = {}
+    for topic in root:
+        for element in topic:
+            option = SumoOption(
+                name=element.tag, topic=topic.tag, kind=element.get("type", "STR"), default=element.get("value", "")
+            )
+            for spelling in (element.tag, *element.get("synonymes", "").split()):
+                found[spelling] = option
+    return found
+
+
+def read_configuration(sumocfg: Path) -> Configuration:
+    """What a .sumocfg sets: at any depth, by any spelling, as `value=`, as `v=`, or as text, as SUMO takes it.
+
+    Raises:
+        TownError: it is no configuration, or it names an option that SUMO does not have.
+    """
+    root = read_root(sumocfg, MAX_CFG_BYTES)
+    known = sumo_options()
+    given: dict[str, GivenOption] = {}
+    for element in root.iter():
+        value = _value(element)
+        if element is root or value is None:
+            continue
+        option = known.get(element.tag)
+        if option is None:
+            raise TownError(f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it")
+        if option.name in given:
+            raise TownError(f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values")
+        if value and not _fits(option, value):
+            raise TownError(f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}")
+        given[option.name] = GivenOption(option=option, value=value)
+    return Configuration(path=sumocfg, given=tuple(given.values()))
+
+
+def _fits(option: SumoOption, value: str) -> bool:
+    """Whether a value is of its option's kind: SUMO passes over one that is not, with a message that nobody reads."""
+    kind = option.kind
+    if option.name in _NAME_PARTS:
+        return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None
+    if "${" in value or kind not in ("BOOL", "TIME", "FLOAT", "INT"):
+        return True
+    if kind == "BOOL":
+        return value.lower() in _BOOLS
+    if kind == "TIME":
+        return re.fullmatch(r"-?[0-9.:eE+-]+[dhms]*", value) is not None
+    try:
+        return math.isfinite(float(value) if kind == "FLOAT" else int(value))
+    except ValueError:
+        return False
+
+
+def _value(element: ElementTree.Element) -> str | None:
+    for key in ("value", "v"):
+        if key in element.attrib:
+            return element.attrib[key].strip()
+    text = (element.text or "").strip()
+    return text if text and not len(element) else None
+
+
+def _variable(match: re.Match[str]) -> str:
+    return os.environ.get(match.group(1), "")

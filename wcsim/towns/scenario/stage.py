@@ -1,0 +1,236 @@
+"""A scenario on its way into a world: filtered copies in the run folder, the author's own files untouched."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from wcsim.config import RunConfig
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.options import (
+    Configuration,
+    GivenOption,
+    SumoOption,
+    Treatment,
+    read_configuration,
+    sumo_options,
+)
+from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
+from wcsim.towns.scenario.overrides import (
+    AGGREGATED,
+    Override,
+    Settings,
+    author_scale,
+    forced,
+    overrides_of,
+    settings_of,
+)
+from wcsim.towns.scenario.town import Town
+
+COPIES = "inputs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """A scenario as a world runs it."""
+
+    sumocfg: Path  # the filtered copy, to be opened with sumo or sumo-gui as it is
+    overrides: tuple[Override, ...]
+    notes: tuple[str, ...]  # what its users should know
+    outputs: tuple[Path, ...]  # files that it may write, besides ssm.xml of safety devices
+    author_scale: float
+    begin_s: float
+    digest: str  # SHA-256 over everything SUMO reads, without seed and place
+
+
+def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()) -> Scenario:
+    """Write the filtered copies of a town's scenario into `folder`, an empty one of its own.
+
+    Args:
+        town: The town.
+        settings: What the world decides.
+        folder: Everything SUMO writes will appear here.
+        outputs: More outputs to ask for, by SUMO's names without "-output" ("fcd", "tripinfo").
+
+    Raises:
+        TownError: a file is missing or broken, or the scenario cannot be run here.
+        ConfigError: there is no such output.
+    """
+    config = read_configuration(town.sumocfg)
+    refuse_mesoscopic(config)
+    names = OutputNames(folder.absolute())
+    for taken in (town.sumocfg.name, COPIES):
+        names.unique(taken)
+    files = FilteredFiles(names, names.folder / COPIES, town.border)
+    _make(folder)
+    set_here = dict(forced(settings, author_scale(config)))
+    unasked = unasked_outputs(config, names)
+    kept = [
+        (item.option, _value(item, config, names, files))
+        for item in config.given
+        if _stays(item, set_here) and item.option.name not in unasked
+    ]
+    kept += _asked_for(outputs, config, names)
+    kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
+    text = _configuration_text(kept)
+    sumocfg = names.folder / town.sumocfg.name
+    sumocfg.write_text(text, encoding="utf-8")
+    led = [
+        (option.name, value)
+        for option, value in kept
+        if option.treatment is Treatment.OUTPUT and config.value(option.name) is not None
+    ]
+    return Scenario(
+        sumocfg=sumocfg,
+        overrides=overrides_of(config, settings, [(name, _shown(value, names.folder)) for name, value in led]),
+        notes=notes_of(config),
+        outputs=names.paths,
+        author_scale=author_scale(config),
+        begin_s=seconds_of(config.value("begin") or "0", town.sumocfg),
+        digest=_digest(text, settings, names.folder, files),
+    )
+
+
+def require_files(town: Town, config: RunConfig) -> None:
+    """Return when every file that a scenario names is there and can be read; SUMO opens none of them.
+
+    Raises:
+        TownError: as `stage_scenario`.
+    """
+    with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
+        stage_scenario(town, settings_of(config, 1), Path(folder))
+
+
+def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:
+    """What a world overrides of a town's scenario, without staging it; see `stage_scenario`."""
+    config = read_configuration(town.sumocfg)
+    writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
+    return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
+
+
+def notes_of(config: Configuration) -> tuple[str, ...]:
+    """What the users of a scenario should know of its own choices."""
+    notes = []
+    if not _positive(config.value("lateral-resolution")):
+        notes.append(
+            "the scenario has no sublanes (lateral-resolution), so cars and cyclists pass a wheelchair only by "
+            'changing lanes; set <lateral-resolution value="0.8"/> to let them pass within a lane'
+        )
+    return tuple(notes)
+
+
+def refuse_mesoscopic(config: Configuration) -> None:
+    """Raise TownError for a scenario whose vehicles have no positions."""
+    if (config.value("mesosim") or "false").lower() in ("true", "1", "yes", "on", "t", "x"):
+        raise TownError(f"{config.path}: is mesoscopic (mesosim), where vehicles have no positions; remove that option")
+
+
+def seconds_of(text: str, where: Path) -> float:
+    """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
+
+    >>> seconds_of("1:00:30", Path("x"))
+    3630.0
+    """
+    try:
+        total_s = 0.0
+        for part, share in zip(reversed(text.split(":")), (1, 60, 3600, 86400), strict=False):
+            total_s += float(part) * share
+        return total_s
+    except ValueError:
+        raise TownError(f"{where}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TownError(f"{folder}: cannot be made ({error.strerror}); choose another place for the run") from None
+
+
+def _stays(item: GivenOption, set_here: dict[str, str]) -> bool:
+    return item.option.treatment is not Treatment.DROP and item.option.name not in set_here and item.value != ""
+
+
+def _value(item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles) -> str:
+    """The value that an option has in the filtered copy."""
+    folder = config.path.parent
+    if item.option.treatment is Treatment.OUTPUT:
+        written = [part.strip() for part in item.value.split(",") if part.strip()]
+        instead = f"{item.option.name}.xml"
+        return ",".join(part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written)
+    if item.option.treatment is Treatment.INPUT:
+        return ",".join(_quoted(files.place_option(item.option, path, config.path)) for path in item.files(folder))
+    return item.value
+
+
+def unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
+    """Options, and their values, that lead what SUMO writes where its author names no file.
+
+    Safety devices write beside the configuration or into the current folder; so do states; and electric vehicles write
+    files that are called by their ids, which may hold a path.
+    """
+    found = {}
+    if not config.value("device.ssm.file"):
+        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))  # made when the first such device is
+    saves = config.value("save-state.period") or config.value("save-state.times")
+    if saves and not config.value("save-state.prefix"):
+        found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
+    if config.value("elechybrid-output"):
+        found[AGGREGATED] = "true"
+    return found
+
+
+def _asked_for(outputs: Sequence[str], config: Configuration, names: OutputNames) -> list[tuple[SumoOption, str]]:
+    """The outputs that the user of this run wants besides the author's."""
+    more = []
+    for word in outputs:
+        option = sumo_options().get(f"{word}-output")
+        if option is None or option.kind != "FILE":
+            known = sorted(name.removesuffix("-output") for name in sumo_options() if name.endswith("-output"))
+            raise ConfigError(f"--outputs {word!r}: SUMO has no such output; expected some of: {', '.join(known)}")
+        if not config.value(option.name):
+            more.append((option, str(names.place(f"{word}.xml", names.folder, f"{word}.xml"))))
+    return more
+
+
+def _configuration_text(options: Sequence[tuple[SumoOption, str]]) -> str:
+    root = ElementTree.Element("sumoConfiguration")
+    for option, value in options:
+        topic = root.find(option.topic)
+        topic = ElementTree.SubElement(root, option.topic) if topic is None else topic
+        ElementTree.SubElement(topic, option.name, value=value)
+    ElementTree.indent(root, "    ")
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _quoted(path: Path) -> str:
+    """A path as SUMO reads it back from a configuration, where %41 is an A and ${HOME} a folder."""
+    return str(path).replace("%", "%25").replace("${", "%24{")
+
+
+def _shown(value: str, folder: Path) -> str:
+    return value.replace(f"{folder}/", "sumo/")
+
+
+def _digest(text: str, settings: Settings, folder: Path, files: FilteredFiles) -> str:
+    """Equal for equal scenarios, wherever they lie and whatever the seed."""
+    neutral = text.replace(str(folder), "").replace(f'<seed value="{settings.seed}"', "")
+    digest = hashlib.sha256()
+    for path in files.read:
+        neutral = neutral.replace(_quoted(path), path.name)
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    digest.update(neutral.encode())
+    return digest.hexdigest()
+
+
+def _positive(text: str | None) -> bool:
+    try:
+        return float(text or 0.0) > 0.0
+    except ValueError:
+        return False

@@ -1,0 +1,244 @@
+"""Towns on disk: find one by name or path, list them, and say by hash whether two are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from wcsim.config import TownFile, parse
+from wcsim.core.nearest_names import meant
+from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario.border import require_file, require_inside
+from wcsim.towns.scenario.options import Configuration, read_configuration
+from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
+
+log = logging.getLogger("wcsim.towns")
+
+NOT_TOWNS = ("scenes",)
+_BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
+_LOCATION_BYTES = 1 << 20
+_TOWN_TOML = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Town:
+    """A folder that holds a whole SUMO scenario and, as `town.toml`, what SUMO does not know."""
+
+    name: str
+    split: str  # "train", "test" or "scene"
+    folder: Path
+    file: TownFile
+    sumocfg: Path
+    net: Path
+    poly: Path | None
+    routes: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()  # the polygons among them
+    border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
+
+    @property
+    def address(self) -> str:
+        """What `find_town` takes to find this town again, in this process or another one."""
+        try:
+            return str(self.folder if _main_config(self.folder) == self.sumocfg else self.sumocfg)
+        except TownError:
+            return str(self.sumocfg)
+
+
+def find_town(name_or_path: str, *, outside: bool = False) -> Town:
+    """The town of that name (in ./scenarios/sumo, then in the package), or at that path (a folder or a .sumocfg).
+
+    Args:
+        name_or_path: The one or the other.
+        outside: Whether a scenario at a path may name files outside of its folder.
+
+    Raises:
+        TownError: no such town, or its files are missing, broken, or elsewhere.
+    """
+    if not name_or_path:
+        raise TownError("a town has no name; give one of: " + _known() + ", or a path to a folder with a .sumocfg")
+    for root in town_roots():
+        folder = root / name_or_path
+        if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
+            return open_town(folder)
+    path = expanded(name_or_path)
+    if is_folder(path) or is_file(path):
+        return open_town(path, outside=outside)
+    raise _unknown_town(name_or_path)
+
+
+def _unknown_town(name_or_path: str) -> TownError:
+    told = shown(name_or_path, 160)
+    if name_or_path.endswith(".sumocfg"):
+        return TownError(
+            f"{told}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
+            f"one, or a town: {_known()}"
+        )
+    if "/" in name_or_path:
+        return TownError(
+            f"{told}: there is no such folder, seen from {Path.cwd()}; expected one with a .sumocfg, or a town: "
+            f"{_known()}"
+        )
+    return TownError(
+        f"unknown town {told!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
+        f"{meant(name_or_path, _known().split(', '))}"
+    )
+
+
+def expanded(path: str) -> Path:
+    """A path that somebody wrote, with their home in place of ~; one of nobody's home stays as it is."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
+def list_towns() -> tuple[Town, ...]:
+    """All towns that can be found by name, sorted; one in ./scenarios/sumo hides one of the package.
+
+    A folder that cannot be opened is logged and left out, so that one broken town does not hide the others.
+    """
+    towns: dict[str, Town] = {}
+    for root in town_roots():
+        for folder in sorted(root.iterdir()):
+            if folder.name not in NOT_TOWNS and folder.name not in towns and _is_town(folder):
+                try:
+                    towns[folder.name] = open_town(folder)
+                except (TownError, ConfigError) as error:
+                    log.warning("left out: %s", error)
+    return tuple(towns[name] for name in sorted(towns))
+
+
+def town_roots() -> tuple[Path, ...]:
+    """Folders in which towns are looked up by name, first hit first."""
+    package = Path(__file__).resolve().parents[2]
+    places = (Path.cwd() / "scenarios" / "sumo", package / "scenarios" / "sumo", package.parent / "scenarios" / "sumo")
+    return tuple(dict.fromkeys(place for place in places if place.is_dir()))
+
+
+def open_town(path: Path, *, outside: bool = False) -> Town:
+    """The town in a folder, or of a .sumocfg file.
+
+    Args:
+        path: The one or the other.
+        outside: Whether it may name files outside of its folder.
+
+    Raises:
+        TownError: A file is missing, broken, or elsewhere; with the cure.
+    """
+    sumocfg = path if path.is_file() else _main_config(path)
+    folder = path.parent if path.is_file() else path
+    border = None if outside else folder
+    require_inside(sumocfg, border, sumocfg)
+    config = read_configuration(sumocfg)
+    nets = config.files("net-file")
+    if len(nets) != 1:
+        raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
+    routes, additional = config.files("route-files"), config.files("additional-files")
+    for item in (*nets, *routes, *additional):
+        require_file(item, border, sumocfg)
+    poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
+    file = town_file(folder, config)
+    return Town(
+        name=file.name,
+        split=file.split,
+        folder=folder,
+        file=file,
+        sumocfg=sumocfg,
+        net=nets[0],
+        poly=poly,
+        routes=routes,
+        additional=additional,
+        border=border,
+    )
+
+
+def town_file(folder: Path, config: Configuration) -> TownFile:
+    """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
+    toml = folder / "town.toml"
+    if toml.is_file():
+        return read_town_file(toml)
+    place, alone = folder.resolve(), len(_configs(folder)) == 1
+    words = place.name if alone else f"{place.name}-{config.path.stem}"
+    name = re.sub(r"(-|[^A-Za-z0-9_])+", "-", words).strip("-")[:64] or "town"
+    return TownFile(name=name, split="train", origin_m=net_middle(config.files("net-file")[0]))
+
+
+def read_town_file(toml: Path) -> TownFile:
+    """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
+    return parse(TownFile, read_toml(toml, _TOWN_TOML), shown(toml))
+
+
+def net_middle(net: Path) -> tuple[int, int]:
+    """The middle of a net in its own coordinates, in whole metres; (0, 0) where it does not say how far it reaches.
+
+    Raises:
+        TownError: the file cannot be read, or is no XML.
+    """
+    found = _BOUNDARY.search(read_head(net, _LOCATION_BYTES))
+    try:
+        bounds_m = [float(part) for part in found.group(1).decode().split(",")] if found else []
+        west_m, south_m, east_m, north_m = bounds_m or _junction_bounds(net)
+        return round((west_m + east_m) / 2), round((south_m + north_m) / 2)
+    except (ValueError, OverflowError):  # whoever opens the net says what is wrong with it
+        return 0, 0
+
+
+def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
+    places = [
+        (float(junction.get("x", "0")), float(junction.get("y", "0")))
+        for junction in read_root(net).iterfind("junction")
+    ]
+    xs, ys = zip(*places, strict=True) if places else ((0.0,), (0.0,))
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def content_hash(town: Town) -> str:
+    """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped; file names do not count."""
+    digests = sorted(content_digest(path) for path in {town.net, *town.routes, *town.additional})
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
+
+
+def streets_hash(town: Town) -> str:
+    """SHA-256 (hex) over the net alone: the same streets with other traffic are the same town to a network."""
+    return content_digest(town.net)
+
+
+def _main_config(folder: Path) -> Path:
+    """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
+    toml = folder / "town.toml"
+    named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
+    if named_by_toml:
+        path = folder / named_by_toml
+        require_inside(path, folder, toml)
+        if not is_file(path):
+            raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
+        return path
+    if (folder / "scene.toml").is_file():
+        raise TownError(f"{folder} is a scene, not a town; run or film it: wcsim scene run {folder} [--film FILE.webm]")
+    configs = _configs(folder)
+    named = [item for item in configs if item.stem == folder.resolve().name]
+    if len(named or configs) == 1:
+        return (named or configs)[0]
+    got = ", ".join(item.name for item in configs) or "none"
+    raise TownError(f"{folder}: expected one .sumocfg file, got {got}; give the path of the one that is meant")
+
+
+def _is_town(folder: Path) -> bool:
+    if folder.name.startswith("."):  # an import that is not done, or was killed
+        return False
+    return bool(_configs(folder)) or (folder / "town.toml").is_file()
+
+
+def _configs(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.sumocfg")) if folder.is_dir() else []
+
+
+def _known() -> str:
+    names = {
+        item.name for root in town_roots() for item in root.iterdir() if item.name not in NOT_TOWNS and _is_town(item)
+    }
+    return ", ".join(sorted(names)) or "(no town is installed)"

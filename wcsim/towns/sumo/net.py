@@ -1,0 +1,252 @@
+"""A SUMO net as plain data: lanes with their class and shape, connections, junction outlines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from wcsim.errors import TownError
+from wcsim.towns.sumo.xml_io import read_root
+from wcsim.types import F64
+
+DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
+WIDEST_M = 60.0  # a wider lane is a slip of the pen
+_NO_Z = np.zeros(1)
+_WALKERS = {"pedestrian", "wheelchair"}
+_RIDERS = {"bicycle", "scooter"}
+_RAILS = {"rail", "tram", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car", "ship"}
+
+
+class LaneKind(Enum):
+    """What a lane is to somebody who builds its ground."""
+
+    MOTOR = "motor"
+    RAIL = "rail"
+    BIKE = "bike"
+    SHARED = "shared"  # walkers and riders together
+    SIDEWALK = "sidewalk"
+    CROSSING = "crossing"
+    WALKINGAREA = "walkingarea"  # its shape is an outline, not a centre line
+    CLOSED = "closed"
+
+
+WALK_KINDS = frozenset({LaneKind.SIDEWALK, LaneKind.SHARED})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lane:
+    """One lane of a net."""
+
+    id: str
+    edge_id: str
+    index: int
+    kind: LaneKind
+    internal: bool  # inside a junction
+    points_m: F64  # (K, 2) net coordinates minus the origin
+    z_m: F64  # (K,) height above the net's `z_origin_m`
+    width_m: float
+    length_m: float
+    speed_mps: float
+    allow: frozenset[str] | None  # None: every class but those in `disallow`
+    disallow: frozenset[str]
+
+    def permits(self, vclass: str) -> bool:
+        """True when a SUMO vehicle class may use this lane."""
+        return vclass not in self.disallow and (self.allow is None or vclass in self.allow)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """One edge of a net with its lanes, right to left."""
+
+    id: str
+    function: str  # "" for a street; "internal", "crossing", "walkingarea", ...
+    start: str  # junction ids, "" inside a junction
+    end: str
+    lanes: tuple[Lane, ...]
+    crossed: tuple[str, ...]  # the edges that a crossing crosses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """Where a lane leads to."""
+
+    start: str  # edge ids
+    end: str
+    start_lane: int
+    end_lane: int
+    tls_id: str
+    tls_link: int  # -1 for none
+    via: str = ""  # the first lane inside the junction, "" for none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Junction:
+    """The outline of a junction; empty for those that have none."""
+
+    id: str
+    kind: str
+    outline_m: F64  # (K, 2)
+    z_m: F64  # (K,) height above the net's `z_origin_m`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Net:
+    """A whole net."""
+
+    edges: tuple[Edge, ...]
+    connections: tuple[Connection, ...]
+    junctions: tuple[Junction, ...]
+    lefthand: bool = False  # traffic keeps to the left
+    phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
+    z_origin_m: float = 0.0  # the net's own height of W's z = 0
+
+    def lanes(self, *kinds: LaneKind) -> list[Lane]:
+        """All lanes of these kinds, in file order."""
+        return [lane for edge in self.edges for lane in edge.lanes if lane.kind in kinds]
+
+
+def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
+    """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
+    root = read_root(path)
+    if root.tag != "net":
+        raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
+    try:
+        edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
+        connections = tuple(_connection(element) for element in root.iterfind("connection"))
+        junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
+        lefthand = root.get("lefthand", "0").lower() in ("1", "true")
+    except (KeyError, ValueError) as error:
+        raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
+    if not any(edge.lanes for edge in edges):
+        raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
+    phases = phases_of(root)
+    return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
+
+
+def _levelled(net: Net) -> Net:
+    """The same net with heights counted from the middle one of its streets, so that a level town lies at 0."""
+    streets = [lane.z_m for edge in net.edges if not edge.function for lane in edge.lanes]
+    heights_m = np.sort(np.concatenate([_NO_Z, *streets])[1 if streets else 0 :])
+    if not heights_m.any():
+        return net
+    origin_m = float(heights_m[len(heights_m) // 2])
+    edges = tuple(
+        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes)) for edge in net.edges
+    )
+    junctions = tuple(replace(junction, z_m=junction.z_m - origin_m) for junction in net.junctions)
+    return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
+
+
+def phases_of(root: Element) -> tuple[tuple[str, str], ...]:
+    """Traffic light and state string of each phase of a file's <tlLogic> elements."""
+    return tuple(
+        (logic.get("id", ""), phase.get("state", ""))
+        for logic in root.iterfind("tlLogic")
+        for phase in logic.iterfind("phase")
+    )
+
+
+def points(text: str, origin_m: tuple[int, int]) -> F64:
+    """SUMO's "x,y[,z] x,y[,z] ..." as (K, 2), moved by -origin. Raises ValueError."""
+    return _shape(text, origin_m)[0]
+
+
+def _shape(text: str, origin_m: tuple[int, int]) -> tuple[F64, F64]:
+    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none. Raises ValueError."""
+    rows = [(*part.split(","), "0")[:3] for part in text.split()]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(table).all():
+        raise ValueError(f"a shape holds a number that is not finite: {text[:60]!r}")
+    return table[:, :2] - np.asarray(origin_m, dtype=np.float64), table[:, 2]
+
+
+def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
+    function = element.get("function", "normal")
+    return Edge(
+        id=element.attrib["id"],
+        function="" if function == "normal" else function,
+        start=element.get("from", ""),
+        end=element.get("to", ""),
+        lanes=tuple(_lane(child, element, function, origin_m) for child in element.iterfind("lane")),
+        crossed=tuple(element.get("crossingEdges", "").split()),
+    )
+
+
+def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
+    allow, disallow = _permissions(element)
+    points_m, z_m = _shape(element.attrib["shape"], origin_m)
+    return Lane(
+        id=element.attrib["id"],
+        edge_id=edge.attrib["id"],
+        index=int(element.attrib["index"]),
+        kind=lane_kind(function, allow),
+        internal=function == "internal",
+        points_m=points_m,
+        z_m=z_m,
+        width_m=_width_m(element),
+        length_m=float(element.get("length", "0")),
+        speed_mps=float(element.get("speed", "13.89")),
+        allow=allow,
+        disallow=disallow,
+    )
+
+
+def _width_m(element: Element) -> float:
+    """A lane's width; SUMO writes -1 for one that was not set."""
+    width_m = float(element.get("width", DEFAULT_LANE_WIDTH_M))
+    return width_m if 0.0 < width_m < WIDEST_M else DEFAULT_LANE_WIDTH_M
+
+
+def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
+    """Classes allowed (None: all but the others) and forbidden, SUMO's word "all" resolved."""
+    allow, disallow = element.get("allow"), element.get("disallow", "")
+    if disallow == "all":
+        return frozenset(), frozenset()
+    if allow is None or allow == "all":
+        return None, frozenset(disallow.split())
+    return frozenset(allow.split()), frozenset()
+
+
+def lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
+    """What a lane is, from its edge's function and the classes it allows (None: all but a few).
+
+    >>> lane_kind("normal", frozenset({"pedestrian", "bicycle"})).value
+    'shared'
+    """
+    if function == "crossing":
+        return LaneKind.CROSSING
+    if function == "walkingarea":
+        return LaneKind.WALKINGAREA
+    if allow is None:
+        return LaneKind.MOTOR
+    if not allow:
+        return LaneKind.CLOSED
+    if allow <= _WALKERS:
+        return LaneKind.SIDEWALK
+    if allow <= _RIDERS:
+        return LaneKind.BIKE
+    if allow <= _WALKERS | _RIDERS:
+        return LaneKind.SHARED
+    return LaneKind.RAIL if allow <= _RAILS else LaneKind.MOTOR
+
+
+def _connection(element: Element) -> Connection:
+    return Connection(
+        start=element.attrib["from"],
+        end=element.attrib["to"],
+        start_lane=int(element.get("fromLane", "0")),
+        end_lane=int(element.get("toLane", "0")),
+        tls_id=element.get("tl", ""),
+        tls_link=int(element.get("linkIndex", "-1")),
+        via=element.get("via", ""),
+    )
+
+
+def _junction(element: Element, origin_m: tuple[int, int]) -> Junction:
+    outline_m, z_m = _shape(element.get("shape", ""), origin_m)
+    return Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)

@@ -1,0 +1,226 @@
+"""The walking network of a town: lanes, crossings and the ways between them, all where a wheelchair fits."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import networkx
+import numpy as np
+import shapely
+from shapely import MultiPolygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.towns.ground.plane import length_of
+from wcsim.towns.ground.surfaces import walkable_lanes
+from wcsim.towns.ground.tiled_geometry import Patches, buffered
+from wcsim.towns.sumo.net import Lane, LaneKind, Net
+from wcsim.towns.walking.visibility import shortest_inside
+from wcsim.types import F64, WalkEdge, WalkGraph, WayKind
+
+SOLID_M = 0.45  # from the middle of the way to a wall
+KERB_M = 0.35  # ... to the edge of a kerb
+SOFT_M = 0.10  # ... to terrain or road at the same height
+SEAM_M = 0.05  # pavements and crossings may be this far apart and still count as one
+SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
+SHORTEST_M = 3.0  # of the part of a lane that is kept when the whole cannot be passed
+REACH_M = 1.5  # how far a way may leave the lane or walking area that it belongs to
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Port:
+    """One end of a lane or crossing."""
+
+    node: int
+    p_m: F64  # (2,)
+
+
+def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
+    """Where the middle of a wheelchair may be: walkable ground without the strips along kerbs and walls."""
+    space = buffered(buffered(walkable, SEAM_M, join_style="mitre"), -SEAM_M - SOFT_M, join_style="mitre")
+    for obstacle, gap_m in ((kerbs, KERB_M), (solids, SOLID_M)):
+        if not obstacle.is_empty:
+            space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
+    areas = [part for part in shapely.get_parts(space.simplify(0.02)) if part.geom_type == "Polygon"]
+    return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
+
+
+def build_walk_graph(net: Net, space: BaseGeometry, chair_ways: tuple[str, ...]) -> WalkGraph:
+    """The largest connected network of ways inside `space`; what is too narrow is left out."""
+    builder = _Builder(space)
+    for lane in _lanes(net, chair_ways):
+        builder.add_lane(lane, WayKind.SIDEWALK)
+    signals = _signals(net)
+    if "crossing" in chair_ways:
+        for lane in net.lanes(LaneKind.CROSSING):
+            builder.add_lane(lane, WayKind.CROSSING, signals.get(lane.edge_id, ("", ())))
+    ends = _ends_at_areas(net)
+    for area in net.lanes(LaneKind.WALKINGAREA):
+        builder.link(area, ends[area.edge_id])
+    return largest_part(builder.nodes, builder.edges)
+
+
+def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
+    wanted = {LaneKind.SIDEWALK: "sidewalk", LaneKind.SHARED: "shared", LaneKind.BIKE: "cycleway"}
+    return [lane for lane in walkable_lanes(net, chair_ways) if wanted[lane.kind] in chair_ways and not lane.internal]
+
+
+def _signals(net: Net) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Traffic light and signal numbers of each crossing that has one."""
+    found: dict[str, tuple[str, tuple[int, ...]]] = {}
+    crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
+    for link in net.connections:
+        edge = link.end if link.end in crossings else link.start
+        if link.tls_id and edge in crossings:
+            known = found.get(edge, (link.tls_id, ()))[1]
+            found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
+    return found
+
+
+def _ends_at_areas(net: Net) -> dict[str, list[str]]:
+    """Ids of the lanes that meet in each walking area."""
+    areas = {lane.edge_id for lane in net.lanes(LaneKind.WALKINGAREA)}
+    found: dict[str, dict[str, None]] = defaultdict(dict)
+    for link in net.connections:
+        if link.start in areas:
+            found[link.start][f"{link.end}_{link.end_lane}"] = None
+        if link.end in areas:
+            found[link.end][f"{link.start}_{link.start_lane}"] = None
+    return defaultdict(list, {area: list(lanes) for area, lanes in found.items()})
+
+
+class _Builder:
+    """Collects nodes and edges."""
+
+    def __init__(self, space: BaseGeometry) -> None:
+        self.nodes: list[F64] = []
+        self.edges: list[WalkEdge] = []
+        self._space = Patches(space)
+        self._ports: dict[str, list[_Port]] = {}
+
+    def add_lane(self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())) -> None:
+        """The way along a lane, as close to its middle as there is room; both its ends become nodes.
+
+        Of a lane that cannot be passed, as far as one comes from either end.
+        """
+        if len(lane.points_m) < 2:
+            return
+        local = self._local(shapely.LineString(lane.points_m).buffer(lane.width_m / 2 + REACH_M))
+        ends = [_snapped(local, lane.points_m[k]) for k in (0, -1)]
+        ports = self._ports.setdefault(lane.id, [])
+        if ends[0] is not None and ends[1] is not None:
+            way = _along(local, np.concatenate([[ends[0]], lane.points_m[1:-1], [ends[1]]]))
+            if way is not None:
+                both = (self._port(ends[0]), self._port(ends[1]))
+                ports += both
+                self._add(lane.id, kind, both, way, lane.width_m, signal)
+                return
+        for end, points_m in zip(ends, (lane.points_m, lane.points_m[::-1]), strict=True):
+            part = _first_part(local, np.concatenate([[end], points_m[1:]])) if end is not None else None
+            if part is not None:
+                ports.append(self._port(part[0]))
+                self._add(lane.id, kind, (ports[-1], self._port(part[-1])), part, lane.width_m, signal)
+
+    def link(self, area: Lane, lane_ids: list[str]) -> None:
+        """Ways through a walking area, from each lane that ends in it to each other."""
+        outline = shapely.MultiPoint(area.points_m).convex_hull
+        ports = [self._near(lane_id, outline) for lane_id in lane_ids if self._ports.get(lane_id)]
+        local = self._local(outline.buffer(REACH_M)) if len(ports) > 1 else outline
+        for i, a in enumerate(ports):
+            for b in ports[i + 1 :]:
+                way = shortest_inside(local, a.p_m, b.p_m) if a.node != b.node else None
+                if way is not None:
+                    self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
+
+    def _near(self, lane_id: str, outline: BaseGeometry) -> _Port:
+        return min(self._ports[lane_id], key=lambda port: shapely.distance(outline, shapely.points(port.p_m)))
+
+    def _local(self, around: BaseGeometry) -> BaseGeometry:
+        return self._space.near(around.bounds).intersection(around)
+
+    def _port(self, p_m: F64) -> _Port:
+        self.nodes.append(p_m)
+        return _Port(node=len(self.nodes) - 1, p_m=p_m)
+
+    def _add(
+        self,
+        sumo_id: str,
+        kind: WayKind,
+        ports: tuple[_Port, _Port],
+        way: F64,
+        width_m: float,
+        signal: tuple[str, tuple[int, ...]],
+    ) -> None:
+        edge = WalkEdge(
+            sumo_id=sumo_id,
+            kind=kind,
+            start=ports[0].node,
+            end=ports[1].node,
+            points_W_m=way,
+            width_m=width_m,
+            tls_id=signal[0],
+            tls_links=signal[1],
+        )
+        self.edges.append(edge)
+
+
+def _snapped(space: BaseGeometry, p_m: F64) -> F64 | None:
+    """The nearest point of `space`, or None when that is far."""
+    point = shapely.Point(p_m)
+    if space.is_empty or not shapely.dwithin(space, point, SNAP_M):
+        return None
+    nearest: F64 = shapely.get_coordinates(shapely.shortest_line(space, point))[0]
+    return nearest
+
+
+def _along(space: BaseGeometry, points_m: F64) -> F64 | None:
+    """The polyline itself where it lies in `space`, else the shortest way between its ends."""
+    line = shapely.LineString(points_m)
+    if shapely.covers(space.buffer(1e-4), line):
+        return points_m
+    return shortest_inside(space, points_m[0], points_m[-1])
+
+
+def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
+    """How far a polyline stays in `space` from its start on, or None when that is not worth going."""
+    inside = shapely.LineString(points_m).intersection(space.buffer(1e-4))
+    for part in shapely.get_parts(inside):
+        if part.length > SHORTEST_M and shapely.dwithin(part, shapely.points(points_m[0]), 0.05):
+            found: F64 = shapely.get_coordinates(part)
+            return found if np.hypot(*(found[0] - points_m[0])) < 0.06 else found[::-1]
+    return None
+
+
+def largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
+    """Only the connected part with the greatest length; its nodes are numbered anew."""
+    graph = networkx.Graph()
+    for edge in edges:
+        graph.add_edge(edge.start, edge.end)
+    long_m = {id(edge): length_of(edge.points_W_m) for edge in edges}
+    part_of = {node: i for i, part in enumerate(networkx.connected_components(graph)) for node in part}
+    total_m: dict[int, float] = defaultdict(float)
+    for edge in edges:
+        total_m[part_of[edge.start]] += long_m[id(edge)]
+    if not total_m:
+        return WalkGraph(nodes_W_m=np.zeros((0, 2)), edges=())
+    best = max(total_m, key=lambda part: (total_m[part], -part))
+    kept = [edge for edge in edges if part_of[edge.start] == best]
+    used = sorted({node for edge in kept for node in (edge.start, edge.end)})
+    number = {node: i for i, node in enumerate(used)}
+    return WalkGraph(
+        nodes_W_m=np.array([nodes[node] for node in used]),
+        edges=tuple(_renumbered(edge, number) for edge in kept),
+    )
+
+
+def _renumbered(edge: WalkEdge, number: dict[int, int]) -> WalkEdge:
+    return WalkEdge(
+        sumo_id=edge.sumo_id,
+        kind=edge.kind,
+        start=number[edge.start],
+        end=number[edge.end],
+        points_W_m=edge.points_W_m,
+        width_m=edge.width_m,
+        tls_id=edge.tls_id,
+        tls_links=edge.tls_links,
+    )

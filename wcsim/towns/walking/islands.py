@@ -1,0 +1,157 @@
+"""Walkable islands: pieces of pavement and footway from which nobody can walk to the rest of the town."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import networkx
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.ground.surfaces import lane_area, surfaces_of
+from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
+from wcsim.towns.sumo.xml_io import read_root
+
+_WALKABLE = WALK_KINDS | {LaneKind.CROSSING, LaneKind.WALKINGAREA}
+_WAY = re.compile(r"^-*(\d+)(?:#.*)?$")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Islands:
+    """How well a net hangs together for walkers, and the OpenStreetMap ways that lie on islands only."""
+
+    share: float  # of the walkable area, in the largest part
+    area_m2: float  # all of it
+    footways: frozenset[str]  # ids of ways, without a sign
+    roads: frozenset[str]  # with vehicles on them
+
+
+def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
+    """The connected parts of all pavements and crossings together."""
+    surfaces = surfaces_of(on_land(net, relief_of(net)), chair_ways)
+    joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
+    return [part for part in shapely.get_parts(joined) if part.area > 0.0]
+
+
+def islands_by_links(net: Net, net_path: Path) -> Islands:
+    """Islands of a net by the connections that SUMO's walkers use."""
+    return _islands(net, net_path, *_linked(net))
+
+
+def islands_by_ground(net: Net, net_path: Path, parts: list[BaseGeometry]) -> Islands:
+    """Islands of a net by its `walkable_parts`: a link that a carriageway covers is none for a wheelchair."""
+    return _islands(net, net_path, _touching(net, parts), {number: part.area for number, part in enumerate(parts)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CutOff:
+    """A part of the walkable ground from which nobody can walk to the largest one."""
+
+    edge: str  # one that lies on it
+    area_m2: float
+
+
+def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
+    """The parts of `walkable_parts` beside the largest one, largest first, if they hold an edge of a street."""
+    if len(parts) < 2:
+        return ()
+    order = sorted(range(len(parts)), key=lambda part: -parts[part].area)
+    edges: dict[int, str] = {}
+    for edge, part in sorted(_touching(net, parts).items()):
+        if not edge.startswith(":"):
+            edges.setdefault(part, edge)
+    return tuple(CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges)
+
+
+def share_of(parts: list[BaseGeometry]) -> float:
+    """Share of the walkable ground that its largest part holds, 0 to 1."""
+    areas_m2 = [part.area for part in parts]
+    return max(areas_m2) / sum(areas_m2) if areas_m2 else 0.0
+
+
+def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> Islands:
+    if not sizes_m2:
+        return Islands(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
+    main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
+    made_of = ways_of(net_path)
+    kept: set[str] = set()
+    stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
+    for edge in net.edges:
+        if edge.function:
+            continue
+        for way in made_of.get(edge.id, ()):
+            if part_of.get(edge.id, main) == main:
+                kept.add(way)
+            else:
+                quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
+                stray[way] = stray.get(way, True) and quiet
+    loose = {way: quiet for way, quiet in stray.items() if way not in kept}
+    return Islands(
+        share=sizes_m2[main] / max(1e-9, sum(sizes_m2.values())),
+        area_m2=sum(sizes_m2.values()),
+        footways=frozenset(way for way, quiet in loose.items() if quiet),
+        roads=frozenset(way for way, quiet in loose.items() if not quiet),
+    )
+
+
+def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
+    """The part of the walkable ground on which most of each edge lies."""
+    edges = [
+        (edge.id, shapely.union_all([lane_area(lane) for lane in edge.lanes if lane.kind in _WALKABLE]))
+        for edge in net.edges
+        if any(lane.kind in _WALKABLE for lane in edge.lanes)
+    ]
+    part_of: dict[str, int] = {}
+    best_m2: dict[str, float] = {}
+    for number, part in shapely.STRtree(parts).query([area for _, area in edges], predicate="intersects").T:
+        edge_id, area = edges[number]
+        shared_m2 = area.intersection(parts[part]).area
+        if shared_m2 > best_m2.get(edge_id, 0.0):
+            best_m2[edge_id], part_of[edge_id] = shared_m2, int(part)
+    return part_of
+
+
+def _linked(net: Net) -> tuple[dict[str, int], dict[int, float]]:
+    """The part to which each walkable edge belongs, and the size of the parts."""
+    walkable: dict[tuple[str, int], float] = {}
+    for edge in net.edges:
+        walkable |= {(edge.id, lane.index): _area_m2(lane) for lane in edge.lanes if lane.kind in _WALKABLE}
+    graph = networkx.Graph()
+    graph.add_nodes_from(edge_id for edge_id, _ in walkable)
+    for link in net.connections:
+        if (link.start, link.start_lane) in walkable and (link.end, link.end_lane) in walkable:
+            graph.add_edge(link.start, link.end)
+    part_of = {edge_id: part for part, edges in enumerate(networkx.connected_components(graph)) for edge_id in edges}
+    sizes_m2: dict[int, float] = defaultdict(float)
+    for (edge_id, _), area_m2 in walkable.items():
+        sizes_m2[part_of[edge_id]] += area_m2
+    return part_of, dict(sizes_m2)
+
+
+def _area_m2(lane: Lane) -> float:
+    if lane.kind is not LaneKind.WALKINGAREA:
+        return lane.length_m * lane.width_m
+    x_m, y_m = lane.points_m.T
+    return 0.5 * abs(float(np.dot(x_m, np.roll(y_m, 1)) - np.dot(y_m, np.roll(x_m, 1))))
+
+
+def ways_of(net_path: Path) -> dict[str, tuple[str, ...]]:
+    """The OpenStreetMap ways that each edge was made of: netconvert notes them, unless the edge bears the name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for edge in read_root(net_path).iterfind("edge"):
+        noted = {
+            way
+            for param in edge.iter("param")
+            if param.get("key") == "origId"
+            for way in param.get("value", "").replace("-", "").split()
+        }
+        if match := _WAY.match(edge.get("id", "")):
+            noted.add(match[1])
+        found[edge.get("id", "")] = tuple(sorted(noted))
+    return found

@@ -1,0 +1,221 @@
+"""Ways for a wheelchair through a town: from where it stands to where it wants to go."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import networkx
+import numpy as np
+import shapely
+
+from wcsim.errors import TownError
+from wcsim.towns.ground.plane import length_of
+from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
+
+SPACING_M = 1.0  # of a route's points
+START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
+CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
+SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do
+SPUR_M, SPUR_GAP_M, SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
+
+XY = tuple[float, float]
+
+
+class Router:
+    """Finds routes in one walk graph."""
+
+    def __init__(self, walk: WalkGraph) -> None:
+        """Raises TownError when there is nothing to drive on."""
+        if not walk.edges:
+            raise TownError("the town has no connected pavement; check it with `wcsim town check`")
+        self.walk = walk
+        self._length_m = np.array([length_of(edge.points_W_m) for edge in walk.edges])  # (E,)
+        self._lines = shapely.linestrings(
+            np.concatenate([edge.points_W_m for edge in walk.edges]),
+            indices=np.repeat(np.arange(len(walk.edges)), [len(edge.points_W_m) for edge in walk.edges]),
+        )
+        self._tree = shapely.STRtree(self._lines)
+        self._graph = self._weighted()
+        starts = np.array([e.kind is WayKind.SIDEWALK for e in walk.edges]) & (self._length_m > 2 * START_MARGIN_M)
+        self._starts = np.flatnonzero(starts if starts.any() else self._length_m > 0.0)
+
+    def route(self, start_xy: XY, goal_xy: XY) -> Route:
+        """The shortest route between the points of the network nearest to `start_xy` and `goal_xy`."""
+        first, first_m = self._snap(start_xy)
+        last, last_m = self._snap(goal_xy)
+        best = self._direct(first, first_m, last_m) if first == last else self._through(first, first_m, last, last_m)
+        points_m = np.concatenate([piece for _, piece in best])
+        edges = np.concatenate([np.full(len(piece), index, np.int32) for index, piece in best])
+        return _resampled(points_m, edges)
+
+    def away_m(self, xy: XY) -> float:
+        """How far a place is from the network; infinite for one that is no place."""
+        if not np.isfinite(xy).all():
+            return float("inf")
+        point = shapely.Point(xy)
+        return float(shapely.distance(self._lines[int(self._tree.nearest(point))], point))
+
+    def random_start(self, rng: np.random.Generator) -> tuple[XY, float]:
+        """A place on a pavement, every metre equally likely, and the direction (rad) along it, either way."""
+        weights = self._length_m[self._starts]
+        index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
+        length_m = float(self._length_m[index])
+        margin_m = min(START_MARGIN_M, 0.25 * length_m)
+        at_m = float(rng.uniform(margin_m, length_m - margin_m))
+        here, ahead = self._at(index, at_m), self._at(index, min(length_m, at_m + 0.1))
+        if np.allclose(here, ahead):
+            here = self._at(index, at_m - 0.1)
+        yaw_rad = float(np.arctan2(ahead[1] - here[1], ahead[0] - here[0]))
+        return (float(here[0]), float(here[1])), yaw_rad if rng.random() < 0.5 else _turned(yaw_rad)
+
+    def random_goal(
+        self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float, crossing_share: float = 0.0
+    ) -> XY:
+        """A place on a pavement, min_m to max_m of way from `start_xy`, or as near to that as the town allows.
+
+        With the chance `crossing_share` it is one of those to which the way leads over a crossing within `SOON_M`,
+        where there are any.
+        """
+        over_road = crossing_share > 0.0 and bool(rng.random() < crossing_share)
+        reach_m, near_m, over = self._reach(start_xy, max_m)
+        middle_m = near_m + 0.5 * self._length_m[self._starts]
+        fits = (middle_m >= min_m) & (middle_m <= max_m)
+        if not fits.any():
+            reach_m, near_m, over = self._reach(start_xy, None)
+            middle_m = near_m + 0.5 * self._length_m[self._starts]
+            miss_m = np.maximum(min_m - middle_m, middle_m - max_m)
+            fits = miss_m <= miss_m.min() + 1e-9
+        if over_road and (fits & over).any():
+            fits &= over
+        weights = np.where(fits, self._length_m[self._starts], 0.0)
+        index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
+        edge, length_m = self.walk.edges[index], float(self._length_m[index])
+        low_m, high_m = (
+            np.clip(bound - near_m[self._starts == index][0], 0.1 * length_m, 0.9 * length_m)
+            for bound in (min_m, max_m)
+        )
+        along_m = float(rng.uniform(low_m, max(low_m, high_m)))
+        starts_nearer = reach_m.get(edge.start, np.inf) <= reach_m.get(edge.end, np.inf)
+        at_m = along_m if starts_nearer else length_m - along_m
+        goal = self._at(index, at_m)
+        return float(goal[0]), float(goal[1])
+
+    def _weighted(self) -> networkx.MultiGraph:
+        graph = networkx.Graph()
+        for index, edge in enumerate(self.walk.edges):
+            cost_m = float(self._length_m[index]) + CROSSING_COST_M * (edge.kind is WayKind.CROSSING)
+            known = graph.get_edge_data(edge.start, edge.end)
+            if known is None or cost_m < known["weight"]:
+                graph.add_edge(edge.start, edge.end, weight=cost_m, index=index)
+        return graph
+
+    def _reach(self, start_xy: XY, cutoff_m: float | None) -> tuple[dict[int, float], F64, Bool]:
+        """Cost of the way from a point to each node, up to a limit, and to the nearer end of each edge of `_starts`.
+
+        The last of the three says to which of these edges the way leads over a crossing within `SOON_M`.
+        """
+        first, at_m = self._snap(start_xy)
+        edge = self.walk.edges[first]
+        ends = ((edge.start, at_m), (edge.end, float(self._length_m[first]) - at_m))
+        reach_m: dict[int, float] = {}
+        over: dict[int, bool] = {}
+        for node, offset_m in ends:
+            before, found = networkx.dijkstra_predecessor_and_distance(self._graph, node, cutoff=cutoff_m)
+            crosses = {node: False}
+            for other, cost_m in found.items():  # nearest first, so what lies before is known
+                if other != node:
+                    last = before[other][0]
+                    soon = offset_m + found[last] <= SOON_M
+                    crosses[other] = crosses[last] or (soon and self._is_crossing(last, other))
+                if offset_m + cost_m < reach_m.get(other, np.inf):
+                    reach_m[other], over[other] = offset_m + cost_m, crosses[other]
+        edges = [self.walk.edges[index] for index in self._starts.tolist()]
+        nearer = [min((e.start, e.end), key=lambda node: reach_m.get(node, np.inf)) for e in edges]
+        near_m = np.array([reach_m.get(node, np.inf) for node in nearer])
+        return reach_m, near_m, np.array([over.get(node, False) for node in nearer], np.bool_)
+
+    def _is_crossing(self, a: int, b: int) -> bool:
+        return self.walk.edges[self._graph[a][b]["index"]].kind is WayKind.CROSSING
+
+    def _snap(self, xy: XY) -> tuple[int, float]:
+        """The nearest edge and the distance along it."""
+        point = shapely.Point(xy)
+        index = int(self._tree.nearest(point))
+        return index, float(shapely.line_locate_point(self._lines[index], point))
+
+    def _at(self, index: int, at_m: float) -> F64:
+        point: F64 = shapely.get_coordinates(shapely.line_interpolate_point(self._lines[index], at_m))[0]
+        return point
+
+    def _direct(self, index: int, from_m: float, to_m: float) -> list[tuple[int, F64]]:
+        return [(index, _part(self.walk.edges[index].points_W_m, from_m, to_m))]
+
+    def _through(self, first: int, first_m: float, last: int, last_m: float) -> list[tuple[int, F64]]:
+        """Pieces of the cheapest way over one end of the first and one end of the last edge."""
+        a, b = self.walk.edges[first], self.walk.edges[last]
+        graph = self._graph
+        graph.add_edge("start", a.start, weight=first_m)
+        graph.add_edge("start", a.end, weight=float(self._length_m[first]) - first_m)
+        graph.add_edge("goal", b.start, weight=last_m)
+        graph.add_edge("goal", b.end, weight=float(self._length_m[last]) - last_m)
+        nodes = networkx.shortest_path(graph, "start", "goal", weight="weight")[1:-1]
+        graph.remove_nodes_from(("start", "goal"))
+        pieces = [(first, _part(a.points_W_m, first_m, 0.0 if nodes[0] == a.start else float(self._length_m[first])))]
+        for node, following in pairwise(nodes):
+            index = self._graph[node][following]["index"]
+            pieces.append((index, _oriented(self.walk.edges[index], node)))
+        pieces.append((last, _part(b.points_W_m, 0.0 if nodes[-1] == b.start else float(self._length_m[last]), last_m)))
+        return pieces
+
+
+def _oriented(edge: WalkEdge, start: int) -> F64:
+    return edge.points_W_m if edge.start == start else edge.points_W_m[::-1]
+
+
+def _part(points_m: F64, from_m: float, to_m: float) -> F64:
+    """The part of a polyline between two distances along it, turned round when `to_m` is the smaller."""
+    arc_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+    low_m, high_m = min(from_m, to_m), max(from_m, to_m)
+    inner = points_m[(arc_m > low_m + 1e-9) & (arc_m < high_m - 1e-9)]
+    ends = np.array([[np.interp(at_m, arc_m, points_m[:, k]) for k in (0, 1)] for at_m in (low_m, high_m)])
+    part = np.concatenate([ends[:1], inner, ends[1:]])
+    return part if from_m <= to_m else part[::-1]
+
+
+def _resampled(points_m: F64, edges: I32) -> Route:
+    """Corners kept, points put between them, doubles dropped; the edge is that of the piece that starts there."""
+    step_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
+    kept = np.concatenate([step_m > 1e-6, [True]])
+    if not kept[:-1].any():
+        points_m, edges = np.repeat(points_m[-1:], 2, axis=0), np.repeat(edges[-1:], 2)
+        return Route(points_W_m=points_m, arc_m=np.zeros(2), edge_index=edges)
+    points_m, edges = points_m[kept], edges[kept]
+    corner_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+    count = np.maximum(1, np.ceil(np.diff(corner_m) / SPACING_M).astype(int))
+    fine = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(corner_m[:-1], corner_m[1:], count, strict=True)]
+    arc_m = np.concatenate([*fine, corner_m[-1:]])
+    owner = np.concatenate([np.repeat(edges[:-1], count), edges[-1:]]).astype(np.int32)
+    fine_m = np.column_stack([np.interp(arc_m, corner_m, points_m[:, k]) for k in (0, 1)])
+    through = _without_spurs(fine_m, arc_m)
+    if len(through) == len(fine_m):
+        return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
+    fine_m, owner = fine_m[through], owner[through]
+    arc_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine_m, axis=0), axis=1))])
+    return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
+
+
+def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
+    """Indices of the points that are left when a way goes on where it comes by again, instead of to a node and back."""
+    kept, at, last = [], 0, len(points_m) - 1
+    while at <= last:
+        kept.append(at)
+        reach = int(np.searchsorted(arc_m, arc_m[at] + SPUR_M, side="right"))
+        way_m = arc_m[at + 2 : reach] - arc_m[at]
+        gap_m = np.linalg.norm(points_m[at + 2 : reach] - points_m[at], axis=1)
+        back = np.flatnonzero((gap_m > 1e-6) & (gap_m < SPUR_GAP_M) & (way_m > SPUR_RATIO * gap_m))
+        at = at + 2 + int(back[-1]) if len(back) else at + 1
+    return kept
+
+
+def _turned(yaw_rad: float) -> float:
+    return yaw_rad - np.pi if yaw_rad > 0.0 else yaw_rad + np.pi

@@ -1,0 +1,73 @@
+"""What moves in the street besides wheelchairs, and signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from wcsim.types.arrays import F64, ComparesArrays
+
+
+class ActorKind(Enum):
+    """What moves in the street; a SUMO class that is not known here becomes OTHER."""
+
+    CAR = "car"
+    TRUCK = "truck"
+    BUS = "bus"
+    TRAM = "tram"
+    MOTORCYCLE = "motorcycle"
+    BICYCLE = "bicycle"
+    SCOOTER = "scooter"
+    PEDESTRIAN = "pedestrian"
+    WHEELCHAIR = "wheelchair"
+    OTHER = "other"
+
+
+class ActorLook(Enum):
+    """How an actor differs from the usual one of its kind; only the cameras care."""
+
+    USUAL = "usual"
+    VAN = "van"
+    TAXI = "taxi"
+    POLICE = "police"
+    AMBULANCE = "ambulance"
+    COACH = "coach"
+    MOPED = "moped"
+    FRONT = "front"  # the three rigid pieces of something articulated
+    MIDDLE = "middle"
+    REAR = "rear"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ActorState(ComparesArrays):
+    """One SUMO vehicle or person after a step; the point is the middle of its box, on the ground, deflected."""
+
+    id: str
+    kind: ActorKind
+    p_W_m: F64  # (3,)
+    yaw_rad: float
+    pitch_rad: float  # nose up positive
+    v_W_mps: F64  # (3,)
+    size_lwh_m: tuple[float, float, float]
+    signals: int = 0  # SUMO's signal bits, 0 for persons
+    deflect_m: float = 0.0  # sideways offset that the bridge added to SUMO's pose, left positive
+    look: ActorLook = ActorLook.USUAL
+    piece: int = 0  # of something articulated: 0 its first rigid piece, under SUMO's id, 1... those behind it
+
+    @property
+    def whole_id(self) -> str:
+        """SUMO's id of the whole, whichever piece this is."""
+        return self.id.rpartition("~")[0] if self.piece else self.id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalState:
+    """The colours of one traffic light, in SUMO's letters."""
+
+    tls_id: str
+    colours: str
+
+
+def chair_actor_id(seat: int) -> str:
+    """The name under which others meet the wheelchair of a seat."""
+    return f"w:{seat}"

@@ -1,0 +1,153 @@
+"""An episode of one client: the user, what is true, what happened, and the snapshot that says it all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.types.actors import ActorState, SignalState
+from wcsim.types.arrays import F64, Bool, ComparesArrays
+from wcsim.types.chair import Contact, Joystick, PlantState
+from wcsim.types.sensors import SensorFrame
+from wcsim.types.street import (
+    Route,
+)
+
+CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
+"""What a client may be called: a plain word, so that it can name a folder and be printed anywhere."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UserView(ComparesArrays):
+    """What the simulated user may know: made by World, read by `users/user.py` once a tick."""
+
+    time_s: float
+    p_W_m: F64  # (3,)
+    yaw_rad: float
+    speed_mps: float
+    route: Route
+    actors: tuple[ActorState, ...]  # those within the user's sight, other wheelchairs among them
+    signals: tuple[SignalState, ...]
+    obstacles_W_m: F64  # (n, 4) x, y, radius of static things near the way, number of the thing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict(ComparesArrays):
+    """What ends badly, as the oracle says it."""
+
+    danger: bool  # holding the user's command for 0.5 s and then braking would end badly
+    first_s: F64  # (A,) for each action of the set: seconds until that would go wrong, infinity when it ends well
+
+    @property
+    def safe_actions(self) -> Bool:
+        """(A,) which actions end well."""
+        safe: Bool = np.isinf(self.first_s)
+        return safe
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth(Verdict):
+    """What only a simulator knows; for metrics and the oracle, never part of an observation."""
+
+    intent: Joystick  # the user's clean intent
+    clearance_m: float  # free distance around the chair now
+    progress_m: float  # along the route during this tick
+    visible: Verdict | None = None  # of an oracle that knows only those of the others whom the cameras showed lately
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Events:
+    """What happened to a seat during a tick, decided once, in the world."""
+
+    episode: int
+    step: int  # steps of this episode so far, this one included
+    crashed: bool
+    crash_reason: str  # "", "collision", "drop", "acceleration", "tilt"
+    truncated: bool
+    arrived: bool
+    gave_up: bool
+    progress_m: float = 0.0  # along the route during this tick
+    jam_teleports: int = 0
+    on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
+    crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
+    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """What was drawn for a seat's episode from the ranges of `[vary]`; None and empty where there is no range."""
+
+    light: float | None = None  # times the usual brightness of colours
+    friction: float | None = None  # times that of wheels and casters
+    user_mass_kg: float | None = None
+    camera_shift_m: tuple[tuple[float, float, float], ...] = ()  # along x, y, z of B, by camera
+    camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
+    action_delay_ticks: int | None = None
+    plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientSnapshot:
+    """One seat's share of a snapshot."""
+
+    seat: int
+    tick: int
+    plant: PlantState
+    sensors: SensorFrame
+    user: Joystick  # as the agent sees it (raw)
+    contacts: tuple[Contact, ...]
+    events: Events
+    truth: Truth | None = None
+    drawn: Drawn | None = None  # of this episode, when the configuration has ranges
+    first: ClientSnapshot | None = None  # the first frame of the next episode, when this one ended with this tick
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """The world after tick `tick` was reached; the viewer, the recorder and the clients get the same object."""
+
+    epoch: int
+    tick: int
+    time_s: float
+    actors: tuple[ActorState, ...]  # sorted by id, those mirrored near a wheelchair
+    signals: tuple[SignalState, ...]
+    clients: tuple[ClientSnapshot, ...]  # by seat
+    state_hash: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RewardTerms:
+    """The reward of one step, term by term (Tables 1 and 2 of the paper); `extra` is the user's own term."""
+
+    base: float
+    joystick: float
+    accel: float
+    tilt: float
+    crash: float
+    extra: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Sum of all terms."""
+        return self.base + self.joystick + self.accel + self.tilt + self.crash + self.extra
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartSpec:
+    """A fixed start for every episode of a seat (scenes); without one, starts and destinations are drawn."""
+
+    p_W_m: tuple[float, float]
+    yaw_rad: float
+    goal_W_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeatSpec:
+    """What a client asks for when it takes a seat; everything else is in the world's configuration."""
+
+    profile: str = "inattentive"  # or recorded:FILE.csv
+    max_steps: int = 10_000
+    truth: bool = False
+    truth_visible: bool = False  # the truth with its part `visible`
+    start: StartSpec | None = None

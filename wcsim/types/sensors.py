@@ -1,0 +1,39 @@
+"""What the sensors of a wheelchair show in a tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wcsim.types.arrays import F32, F64, U8, ComparesArrays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFrame(ComparesArrays):
+    """One image; a slower camera repeats its last one with its old `taken_tick`."""
+
+    name: str
+    taken_tick: int
+    depth_m: F32  # (H, W) along the optical axis; range where nothing is hit, 0 where nothing was measured (noise)
+    class_id: U8  # (H, W) ClassId, VOID where the noise leaves no class
+    rgb: U8 | None = None  # (H, W, 3), only when the camera asks for it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuFrame(ComparesArrays):
+    """What the IMU and the tilt sensor say of one tick."""
+
+    accel_mean_mps2: F64  # (3,) specific force in the sensor frame, tick mean, gravity included
+    accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact
+    gyro_radps: F64  # (3,) tick mean
+    roll_rad: float  # as the tilt sensor says; the true tilt is in PlantState
+    pitch_rad: float
+    yaw_rad: float  # exact
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorFrame:
+    """Everything that the sensors of one seat say after a tick."""
+
+    tick: int
+    cameras: tuple[CameraFrame, ...]
+    imu: ImuFrame

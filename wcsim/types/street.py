@@ -1,0 +1,307 @@
+"""The street as it stands: mesh, raster, walking network, and the parts in which a large town comes into memory.
+
+Part of the vocabulary of `wcsim.types`, which names all of it again. World frame W: x east, y north, z up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.types.arrays import F32, F64, I32, U8, ComparesArrays
+
+
+class ClassId(IntEnum):
+    """Pixel classes: Cityscapes labelIds, and three of our own from 34 on (folded by `class_fold_table`)."""
+
+    VOID = 0
+    STATIC = 4
+    DYNAMIC = 5
+    GROUND = 6
+    ROAD = 7
+    SIDEWALK = 8
+    PARKING = 9
+    RAIL_TRACK = 10
+    BUILDING = 11
+    WALL = 12
+    FENCE = 13
+    POLE = 17
+    TRAFFIC_LIGHT = 19
+    TRAFFIC_SIGN = 20
+    VEGETATION = 21
+    TERRAIN = 22
+    SKY = 23
+    PERSON = 24
+    RIDER = 25
+    CAR = 26
+    TRUCK = 27
+    BUS = 28
+    TRAIN = 31
+    MOTORCYCLE = 32
+    BICYCLE = 33
+    KERB = 34
+    LOWERED_KERB = 35
+    CROSSWALK = 36
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreetMesh(ComparesArrays):
+    """Everything that stands still, as one triangle soup for wheels and cameras alike.
+
+    Triangles are sorted by chunk; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses only vertices
+    `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and merged (collision) alone.
+    """
+
+    vertices_W_m: F32  # (V, 3)
+    faces: I32  # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground)
+    face_class: U8  # (F,) ClassId
+    chunk_vertices: I32  # (C + 1,)
+    chunk_faces: I32  # (C + 1,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Relief(ComparesArrays):
+    """How the land rises and falls, without kerbs: heights of a square lattice, linear on two triangles a square.
+
+    Square (row, col) has its lower left corner at origin_W_m + cell_m * (col, row) and is cut from there to its upper
+    right corner. Beyond the lattice the height of its border goes on.
+    """
+
+    origin_W_m: tuple[float, float]
+    cell_m: float
+    z_m: F32  # (rows, cols) at least (2, 2)
+
+    @property
+    def flat(self) -> bool:
+        """True when all of it lies at height 0."""
+        return not self.z_m.any()
+
+    def at(self, p_W_m: F64) -> F64:
+        """Height in metres at the points (..., 2 or 3)."""
+        rows, cols = self.z_m.shape
+        u = np.clip((p_W_m[..., 0] - self.origin_W_m[0]) / self.cell_m, 0.0, cols - 1.0)
+        v = np.clip((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m, 0.0, rows - 1.0)
+        col, row = np.minimum(u.astype(np.intp), cols - 2), np.minimum(v.astype(np.intp), rows - 2)
+        u, v = u - col, v - row
+        low, high = self.z_m[row, col].astype(np.float64), self.z_m[row + 1, col + 1].astype(np.float64)
+        side = np.where(u >= v, self.z_m[row, col + 1], self.z_m[row + 1, col]).astype(np.float64)
+        big, small = np.maximum(u, v), np.minimum(u, v)
+        return np.asarray(low + big * (side - low) + small * (high - side), np.float64)
+
+
+FLAT = Relief(origin_W_m=(0.0, 0.0), cell_m=1.0, z_m=np.zeros((2, 2), np.float32))
+
+
+class Ground(Protocol):
+    """The street seen straight from above, for quick questions (oracle, spawn, walking people)."""
+
+    def height_at(self, p_W_m: F64) -> F64:
+        """Ground height in metres under the points (..., 2 or 3)."""
+
+    def raised_at(self, p_W_m: F64) -> F64:
+        """Height in metres of the ground above the lie of the land: 0 on a road, a kerb's height on a pavement."""
+
+    def clearance_at(self, p_W_m: F64) -> F64:
+        """Distance in metres from the points (..., 2 or 3) to the nearest solid thing, at most 25.5."""
+
+    def class_at(self, p_W_m: F64) -> U8:
+        """ClassId of the ground under the points (..., 2 or 3)."""
+
+    def height_here(self, x_W_m: float, y_W_m: float) -> float:
+        """Ground height in metres at one place, without arrays: for the few places that are asked for in every tick."""
+
+    def class_here(self, x_W_m: float, y_W_m: float) -> int:
+        """ClassId of the ground at one place."""
+
+    def around(self, p_W_m: F64) -> StreetGrid:
+        """One raster that covers at least AROUND_M around the point (2 or 3,)."""
+
+
+AROUND_M = 16.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreetGrid(ComparesArrays):
+    """A `Ground` as rasters.
+
+    Cell (row, col) covers x from origin_W_m[0] + col * cell_m and y from origin_W_m[1] + row * cell_m.
+    """
+
+    origin_W_m: tuple[float, float]
+    cell_m: float
+    height_cm: U8  # (rows, cols) ground height above the relief, centimetres
+    ground_class: U8  # (rows, cols) ClassId of the ground surface
+    clearance_dm: U8  # (rows, cols) distance to the nearest solid thing (wall, trunk, pole), decimetres, 255 = far
+    relief: Relief = field(default_factory=lambda: FLAT)
+
+    def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Rows and columns of the points (..., 2 or 3); points outside fall on the nearest border cell."""
+        rows, cols = self.height_cm.shape
+        col = np.floor((p_W_m[..., 0] - self.origin_W_m[0]) / self.cell_m).astype(np.intp)
+        row = np.floor((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m).astype(np.intp)
+        return np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)
+
+    def height_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        raised = self.raised_at(p_W_m)
+        return raised if self.relief is FLAT else raised + self.relief.at(p_W_m)
+
+    def raised_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        return np.asarray(self.height_cm[self.cells(p_W_m)] * 0.01, np.float64)
+
+    def clearance_at(self, p_W_m: F64) -> F64:
+        """See `Ground`."""
+        return np.asarray(self.clearance_dm[self.cells(p_W_m)] * 0.1, np.float64)
+
+    def class_at(self, p_W_m: F64) -> U8:
+        """See `Ground`."""
+        return self.ground_class[self.cells(p_W_m)]
+
+    def height_here(self, x_W_m: float, y_W_m: float) -> float:
+        """See `Ground`."""
+        raised_m = 0.01 * int(self.height_cm[self._cell(x_W_m, y_W_m)])
+        return raised_m if self.relief is FLAT else raised_m + float(self.relief.at(np.array([x_W_m, y_W_m])))
+
+    def class_here(self, x_W_m: float, y_W_m: float) -> int:
+        """See `Ground`."""
+        return int(self.ground_class[self._cell(x_W_m, y_W_m)])
+
+    def _cell(self, x_W_m: float, y_W_m: float) -> tuple[int, int]:
+        rows, cols = self.height_cm.shape
+        col = math.floor((x_W_m - self.origin_W_m[0]) / self.cell_m)
+        row = math.floor((y_W_m - self.origin_W_m[1]) / self.cell_m)
+        return min(max(row, 0), rows - 1), min(max(col, 0), cols - 1)
+
+    def around(self, p_W_m: F64) -> StreetGrid:
+        """See `Ground`: this very raster."""
+        return self
+
+
+class WayKind(Enum):
+    """What kind of ground a piece of a walking route runs over."""
+
+    SIDEWALK = "sidewalk"
+    WALKINGAREA = "walkingarea"
+    CROSSING = "crossing"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkEdge(ComparesArrays):
+    """One piece of the walking network, passable both ways."""
+
+    sumo_id: str
+    kind: WayKind
+    start: int  # node index
+    end: int
+    points_W_m: F64  # (K, 2), from start to end
+    width_m: float
+    tls_id: str = ""  # the traffic light that governs it, "" for none
+    tls_links: tuple[int, ...] = ()  # indices of its signals in that light's state string
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkGraph(ComparesArrays):
+    """Where a wheelchair may drive: pavements, walking areas and crossings, as nodes and edges."""
+
+    nodes_W_m: F64  # (N, 2)
+    edges: tuple[WalkEdge, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Route(ComparesArrays):
+    """A way for the simulated user: a polyline over the walk graph."""
+
+    points_W_m: F64  # (K, 2)
+    arc_m: F64  # (K,) distance from the start
+    edge_index: I32  # (K,) index into WalkGraph.edges of the piece that starts at this point
+
+
+TileKey = tuple[int, int]
+
+
+class StreetTiles(Protocol):
+    """The mesh of a street in square parts, of which only those near a wheelchair need be in memory."""
+
+    @property
+    def keys(self) -> tuple[TileKey, ...]:
+        """All tiles, sorted."""
+
+    def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
+        """Tiles within reach of any of the points (n, 2 or 3), sorted."""
+
+    def mesh(self, key: TileKey) -> StreetMesh:
+        """The mesh of one tile."""
+
+
+@dataclass(frozen=True, slots=True)
+class OneTile:
+    """A street that is small enough to be in memory as a whole."""
+
+    whole: StreetMesh
+
+    @property
+    def keys(self) -> tuple[TileKey, ...]:
+        """See `StreetTiles`."""
+        return ((0, 0),)
+
+    def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
+        """See `StreetTiles`."""
+        return self.keys if len(points_W_m) else ()
+
+    def mesh(self, key: TileKey) -> StreetMesh:
+        """See `StreetTiles`."""
+        return self.whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SignalHead(ComparesArrays):
+    """One head of a traffic light: where its lamps are, where they shine, which letter of the state lights them."""
+
+    tls_id: str
+    link: int  # index into the light's state string
+    p_W_m: F64  # (3,) middle of the head
+    yaw_rad: float  # the direction in which the lamps shine
+    pedestrian: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Street:
+    """What `towns` makes of a town for the others."""
+
+    tiles: StreetTiles
+    grid: Ground
+    walk: WalkGraph
+    signal_heads: tuple[SignalHead, ...] = ()
+    net_z_m: float = 0.0  # height in the net's coordinates of W's z = 0
+
+    @property
+    def mesh(self) -> StreetMesh:
+        """Everything that stands still, all tiles of it: for tools and tests; a world takes it tile by tile."""
+        return joined_mesh([self.tiles.mesh(key) for key in self.tiles.keys])
+
+
+def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
+    """Several meshes as one, in their order."""
+    if len(parts) == 1:
+        return parts[0]
+    starts = np.cumsum([0, *(len(part.vertices_W_m) for part in parts)]).astype(np.int32)
+    faces = np.cumsum([0, *(len(part.faces) for part in parts)]).astype(np.int32)
+    none = np.zeros(0, np.int32)
+    return StreetMesh(
+        vertices_W_m=np.concatenate([np.zeros((0, 3), np.float32), *(part.vertices_W_m for part in parts)]),
+        faces=np.concatenate([np.zeros((0, 3), np.int32), *(p.faces + v for p, v in zip(parts, starts, strict=False))]),
+        face_class=np.concatenate([np.zeros(0, np.uint8), *(part.face_class for part in parts)]),
+        chunk_vertices=np.concatenate(
+            [none, *(p.chunk_vertices[:-1] + v for p, v in zip(parts, starts, strict=False)), starts[-1:]]
+        ),
+        chunk_faces=np.concatenate(
+            [none, *(p.chunk_faces[:-1] + f for p, f in zip(parts, faces, strict=False)), faces[-1:]]
+        ),
+    )

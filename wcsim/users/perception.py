@@ -1,0 +1,133 @@
+"""What the user notices of the street: a look is not enough, and what was missed once stays missed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.core.frames import rad, wrap
+from wcsim.types import ActorKind, ActorState, UserView
+from wcsim.users.profiles import UserProfile
+
+HALF_VIEW_RAD = rad(80.0)
+PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+FORGET_S = 10.0
+LONGEST_AWAY = 2.0  # times the mean
+UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
+SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoticedObject:
+    """A round thing in the way, standing or moving; a long box becomes a row of them."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+    vx_mps: float = 0.0
+    vy_mps: float = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves at more than a creep."""
+        return math.hypot(self.vx_mps, self.vy_mps) > 0.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """What the user is aware of now."""
+
+    things: tuple[NoticedObject, ...]
+    vehicles: tuple[ActorState, ...]
+
+
+class Perception:
+    """Attention and the memory of what was noticed."""
+
+    def __init__(self, profile: UserProfile, rng: np.random.Generator) -> None:
+        self._profile = profile
+        self._rng = rng
+        self._noticed: dict[str, tuple[bool, float]] = {}  # key -> noticed or missed, last time in sight
+        self.attentive = True
+        self._away_s = 0.0
+        self._leaves = False
+
+    def attend(self, dt_s: float, calm: bool = True) -> bool:
+        """Advance the two-state Markov chain of attention; whether the user looks at the street.
+
+        A look elsewhere waits until the driving is `calm` (nobody looks away in the middle of a turn) and is at most
+        twice as long as its mean.
+        """
+        p = self._profile
+        if p.away_share <= 0.0 or dt_s <= 0.0:
+            return self.attentive
+        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (UNCUT_AWAY * p.away_s)
+        changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
+        if self.attentive:
+            self._leaves = self._leaves or changes
+            if self._leaves and calm:
+                self.attentive, self._leaves, self._away_s = False, False, 0.0
+        else:
+            self._away_s += dt_s
+            self.attentive = changes or self._away_s >= LONGEST_AWAY * p.away_s - 1e-9
+        return self.attentive
+
+    def look(self, view: UserView) -> Seen:
+        """Everything noticed by now that is still near."""
+        things = [NoticedObject(x_m=x, y_m=y, radius_m=r) for x, y, r in self._obstacles(view)]
+        vehicles = []
+        for actor in view.actors:
+            slow = actor.kind in SLOW_KINDS
+            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
+            x, y, _ = actor.p_W_m.tolist()
+            if not self._notices(f"a{actor.id}", x, y, reach_m, view, everywhere=not slow):
+                continue
+            things.extend(discs(actor))
+            if not slow:
+                vehicles.append(actor)
+        self._forget(view.time_s)
+        return Seen(things=tuple(things), vehicles=tuple(vehicles))
+
+    def _obstacles(self, view: UserView) -> list[tuple[float, float, float]]:
+        noticed = []
+        for x, y, r, thing in view.obstacles_W_m.tolist():
+            if self._notices(f"o{int(thing)}", x, y, self._profile.see_m + r, view):
+                noticed.append((x, y, r))
+        return noticed
+
+    def _notices(
+        self, key: str, x_m: float, y_m: float, reach_m: float, view: UserView, everywhere: bool = False
+    ) -> bool:
+        """Whether something is noticed; `everywhere` for traffic, which one hears, and turns one's head for."""
+        dx, dy = x_m - float(view.p_W_m[0]), y_m - float(view.p_W_m[1])
+        distance = math.hypot(dx, dy)
+        if distance > 1.5 * reach_m:
+            return False
+        known = self._noticed.get(key)
+        if known is None:
+            ahead = abs(wrap(math.atan2(dy, dx) - view.yaw_rad)) <= HALF_VIEW_RAD
+            if distance > reach_m or not (everywhere or ahead or distance < 1.0):
+                return False
+            known = (bool(self._rng.random() < self._profile.see_share), view.time_s)
+        self._noticed[key] = (known[0], view.time_s)
+        return known[0]
+
+    def _forget(self, time_s: float) -> None:
+        if len(self._noticed) > 256:
+            self._noticed = {k: v for k, v in self._noticed.items() if time_s - v[1] < FORGET_S}
+
+
+def discs(actor: ActorState) -> list[NoticedObject]:
+    """A box seen from above as a row of discs of its width."""
+    length, width, _ = actor.size_lwh_m
+    radius = 0.5 * min(length, width)
+    count = max(1, math.ceil(max(length, width) / (2.0 * radius)))
+    reach = 0.5 * max(length, width) - radius
+    yaw = actor.yaw_rad if length >= width else actor.yaw_rad + 0.5 * math.pi
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    x, y, _ = actor.p_W_m.tolist()
+    vx, vy, _ = actor.v_W_mps.tolist()
+    offsets = [reach * (2.0 * k / (count - 1) - 1.0) for k in range(count)] if count > 1 else [0.0]
+    return [NoticedObject(x_m=x + o * cos, y_m=y + o * sin, radius_m=radius, vx_mps=vx, vy_mps=vy) for o in offsets]

@@ -1,0 +1,209 @@
+"""A recorded joystick in the place of a simulated user, and the file that it comes from.
+
+The file is a table of comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until
+the next one. Recording and episode begin together; when the recording is over the stick rests and the user gives up.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import tempfile
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.errors import ConfigError
+from wcsim.types import F64, Joystick, Outline, Route, UserView
+from wcsim.users.hand import on_disc
+from wcsim.users.profiles import RECORDED, UserProfile, profile
+from wcsim.users.route_line import Path
+from wcsim.users.user import ARRIVED_M
+
+COLUMNS = ("time_s", "x", "y")
+LONGEST_GAP_S = 0.5
+MOST_SAMPLES = 2_000_000  # two hours of 240 a second
+_KIND = FileKind(what="a recorded joystick", limit_bytes=64 << 20)
+_BOUNDS = {"time_s": "seconds", "x": "-1 to 1", "y": "-1 to 1"}
+SAME_TIME_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JoystickRecording:
+    """A joystick over time; see `read_recording`."""
+
+    name: str
+    time_s: F64  # (n,) rising, from 0 to LONGEST_GAP_S on, n >= 2
+    sticks: F64  # (n, 2) x, y on the unit disc
+
+    @property
+    def end_s(self) -> float:
+        """When the last sample, held as long as an average one, is over."""
+        return float(self.time_s[-1] + (self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    def at(self, time_s: F64) -> F64:
+        """The stick (N, 2) at times (N,); at rest before the first sample and after the end."""
+        index = np.searchsorted(self.time_s, time_s + SAME_TIME_S, side="right") - 1
+        there = (index >= 0) & (time_s < self.end_s - SAME_TIME_S)
+        return np.where(there[:, None], self.sticks[index], 0.0)
+
+
+class RecordedUser:
+    """Replays a recording in one episode, with the interface of `SimulatedUser`.
+
+    What the person wanted beyond what the hand did is not known: the intent is the stick itself.
+    """
+
+    def __init__(self, recording: JoystickRecording, outline: Outline) -> None:
+        self.arrived = False
+        self.gave_up = False
+        self._recording = recording
+        self._middle_m = outline.middle_x_m
+        self._time_s = 0.0
+        self._sticks = recording.at(np.zeros(1))
+        self._path: Path | None = None
+        self._arc_m = 0.0
+        self._told = False
+
+    def follow(self, route: Route) -> None:
+        """Take a new destination: it says what arriving is, and moves nothing."""
+        self._path = Path(route)
+        self._arc_m = 0.0
+        self.arrived = self.gave_up = False
+
+    @property
+    def joystick(self) -> Joystick:
+        """The stick now, on the unit disc."""
+        return Joystick(*self._sticks[-1].tolist())
+
+    @property
+    def intent(self) -> Joystick:
+        """The stick itself."""
+        return self.joystick
+
+    @property
+    def sticks(self) -> F64:
+        """The stick (steps, 2) after each step of the last call of `hand`."""
+        return self._sticks
+
+    @property
+    def route_progress_m(self) -> float:
+        """How far along the present route the chair is."""
+        return self._arc_m
+
+    def hand(self, steps: int, dt_s: float) -> Joystick:
+        """Move on by a tick of `steps` physics steps; the stick afterwards."""
+        times_s: F64 = self._time_s + dt_s * np.arange(1, steps + 1, dtype=np.float64)
+        self._sticks = self._recording.at(times_s)
+        self._time_s += steps * dt_s
+        return self.joystick
+
+    def look(self, view: UserView) -> None:
+        """Take note of how far the chair has come; giving up at the recording's end is said once."""
+        if self._path is None:
+            return
+        x, y, yaw = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
+        there = self._path.project(x + self._middle_m * math.cos(yaw), y + self._middle_m * math.sin(yaw), self._arc_m)
+        self._arc_m = there.arc_m
+        self.arrived = self.arrived or self._arc_m > self._path.length_m - ARRIVED_M
+        if not self._told and self._time_s >= self._recording.end_s - SAME_TIME_S:
+            self._told = self.gave_up = True
+
+
+def find_user(name: str) -> UserProfile | JoystickRecording:
+    """The profile called `name`, or the recording of "recorded:FILE".
+
+    Raises:
+        ConfigError: There is no such profile (the message names all), or the file cannot be used.
+    """
+    return read_recording(FilePath(name.removeprefix(RECORDED))) if name.startswith(RECORDED) else profile(name)
+
+
+def read_recording(path: FilePath) -> JoystickRecording:
+    """Read and check a recorded joystick.
+
+    Raises:
+        ConfigError: The file cannot be read, has no samples, or one of them is no number, out of bounds, not later than
+            the one before, or more than 0.5 s later; with the line, the value and what was expected.
+    """
+    numbers = array("d")
+    for line, row in _rows(path):
+        where = f"{shown(path)}:{line}"
+        if len(numbers) >= 3 * MOST_SAMPLES:
+            raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected a recorded joystick, cut it")
+        values = _values(where, row)
+        _check(where, values, numbers[-3] if numbers else 0.0, first=not numbers)
+        numbers.extend(values)
+    table = np.array(numbers).reshape(-1, 3)
+    if len(table) < 2:
+        raise ConfigError(f"{shown(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}")
+    sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
+    return JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
+
+
+def write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
+    """Write a joystick over time, whole or not at all, as `read_recording` takes it.
+
+    Args:
+        path: The file.
+        time_s: (n,) rising, from 0 on.
+        sticks: (n, 2) x right, y forward, each in -1..1.
+
+    Raises:
+        ConfigError: It could not be read again, or the place cannot be written.
+    """
+    lines = [f"{t!r},{x!r},{y!r}" for t, (x, y) in zip(time_s.round(6).tolist(), sticks.tolist(), strict=True)]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
+            part = FilePath(work) / path.name
+            part.write_text("\n".join([",".join(COLUMNS), *lines, ""]), encoding="utf-8")
+            read_recording(part)
+            part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+
+
+def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each sample; nothing of a file that is no recording is told, it may be any file."""
+    reader = csv.reader(io.StringIO(read_text(path, _KIND), newline=""))
+    try:
+        if tuple(word.strip() for word in next(reader, [])) != COLUMNS:
+            raise ConfigError(f"{shown(path)}:1: other column names; expected the line {','.join(COLUMNS)}")
+        for row in reader:
+            if row:
+                yield reader.line_num, row
+    except csv.Error:
+        message = f"{shown(path)}:{reader.line_num}: is no line of comma-separated values; expected {','.join(COLUMNS)}"
+        raise ConfigError(message) from None
+
+
+def _values(where: str, row: list[str]) -> tuple[float, float, float]:
+    if len(row) != len(COLUMNS):
+        raise ConfigError(f"{where}: {len(row)} values; expected {','.join(COLUMNS)}")
+    values = []
+    for name, text in zip(COLUMNS, row, strict=True):
+        try:
+            values.append(float(text))
+        except ValueError:
+            raise ConfigError(f"{where}: {name} is no number; expected {_BOUNDS[name]}") from None
+    return values[0], values[1], values[2]
+
+
+def _check(where: str, row: tuple[float, float, float], before_s: float, first: bool) -> None:
+    time_s, *stick = row
+    for name, value in zip("xy", stick, strict=True):
+        if not -1.0 <= value <= 1.0:
+            raise ConfigError(f"{where}: {name} is {value}; expected -1 to 1")
+    if first and not 0.0 <= time_s <= LONGEST_GAP_S:
+        raise ConfigError(f"{where}: time_s is {time_s} s; expected the first sample at 0 to {LONGEST_GAP_S} s")
+    if not first and not before_s < time_s <= before_s + LONGEST_GAP_S + SAME_TIME_S:
+        raise ConfigError(
+            f"{where}: time_s is {time_s} s after {before_s} s; expected later, by at most {LONGEST_GAP_S} s: "
+            "a gap is not filled, cut the recording there"
+        )

@@ -1,0 +1,115 @@
+"""A route as a line to drive along: where on it am I, what comes, how fast can its corners be taken."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from typing import NamedTuple
+
+import numpy as np
+
+from wcsim.core.jit import exact_kernel
+from wcsim.errors import ConfigError
+from wcsim.types import F64, Route
+
+CORNER_WINDOW_M = 0.6  # turns within this distance of each other are one corner
+GENTLE_TURN_RAD = 0.15
+HINT_BACK_M, HINT_AHEAD_M = 3.0, 8.0
+LOST_M = 3.0  # farther from the hinted stretch than this, the whole route is searched
+
+
+class RoutePoint(NamedTuple):
+    """A point seen from the route."""
+
+    arc_m: float  # along the route
+    left_m: float  # beside it, left positive
+
+
+class Path:
+    """A route prepared for quick questions; immutable."""
+
+    def __init__(self, route: Route) -> None:
+        """Raises ConfigError when the route has no point."""
+        points = np.asarray(route.points_W_m, np.float64)
+        if len(points) == 0:
+            raise ConfigError("the route has no points; expected at least one: draw another destination")
+        steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
+        keep = np.r_[True, steps > 1e-6]
+        points = points[keep]
+        if len(points) == 1:  # a route to where one stands: the direction does not matter
+            points = np.vstack([points, points + np.array([1e-3, 0.0])])
+        self._points = points
+        along = np.diff(points, axis=0)
+        self._lengths = np.hypot(along[:, 0], along[:, 1])
+        self._unit = along / self._lengths[:, None]
+        self._arc: list[float] = np.r_[0.0, np.cumsum(self._lengths)].tolist()
+        self._headings = np.arctan2(along[:, 1], along[:, 0])
+        self._corners = self._find_corners()
+
+    @property
+    def length_m(self) -> float:
+        """The length of the whole route."""
+        return self._arc[-1]
+
+    def project(self, x_m: float, y_m: float, hint_m: float) -> RoutePoint:
+        """The nearest place on the route, searched around `hint_m` first, so that a route may cross itself."""
+        first = self._segment(hint_m - HINT_BACK_M)
+        last = max(first + 1, bisect_left(self._arc, hint_m + HINT_AHEAD_M))
+        place, distance = self._nearest(x_m, y_m, first, last)
+        return place if distance <= LOST_M else self._nearest(x_m, y_m, 0, len(self._unit))[0]
+
+    def at(self, arc_m: float, left_m: float = 0.0) -> tuple[float, float]:
+        """The point (x, y) at a place; before the start and beyond the end the line goes on straight."""
+        i = self._segment(arc_m)
+        (x, y), (ux, uy) = self._points[i].tolist(), self._unit[i].tolist()
+        ahead = arc_m - self._arc[i]
+        return x + ahead * ux - left_m * uy, y + ahead * uy + left_m * ux
+
+    def heading(self, arc_m: float) -> float:
+        """The direction of the route at a place, radians."""
+        return float(self._headings[self._segment(arc_m)])
+
+    def speed_limit(self, arc_m: float, turn_radps: float, brake_mps2: float, ahead_m: float) -> float:
+        """How fast to go at `arc_m` so that every corner within `ahead_m` can be taken turning at `turn_radps`."""
+        limit = math.inf
+        for corner_m, sharpness in self._corners[bisect_left(self._corners, (arc_m - CORNER_WINDOW_M, -math.inf)) :]:
+            if corner_m > arc_m + ahead_m:
+                break
+            there = turn_radps * CORNER_WINDOW_M / sharpness
+            limit = min(limit, math.sqrt(there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - CORNER_WINDOW_M)))
+        return limit
+
+    def _segment(self, arc_m: float) -> int:
+        return min(max(bisect_right(self._arc, arc_m) - 1, 0), len(self._unit) - 1)
+
+    def _nearest(self, x_m: float, y_m: float, first: int, last: int) -> tuple[RoutePoint, float]:
+        i, ahead_m, left_m, off_m = _nearest(self._points, self._unit, self._lengths, x_m, y_m, first, last)
+        return RoutePoint(self._arc[i] + ahead_m, left_m), off_m
+
+    def _find_corners(self) -> list[tuple[float, float]]:
+        """(arc, angle turned around there) of every bend worth slowing down for, in order."""
+        turns = np.diff(self._headings)
+        turns = np.abs((turns + np.pi) % (2.0 * np.pi) - np.pi)
+        at = np.array(self._arc[1:-1])
+        corners = []
+        for arc_m, turn in zip(at.tolist(), turns.tolist(), strict=True):
+            sharpness = float(turns[np.abs(at - arc_m) <= 0.5 * CORNER_WINDOW_M].sum())
+            if turn > 1e-3 and sharpness > GENTLE_TURN_RAD:
+                corners.append((arc_m, sharpness))
+        return corners
+
+
+@exact_kernel
+def _nearest(
+    points: F64, unit: F64, lengths: F64, x_m: float, y_m: float, first: int, last: int
+) -> tuple[int, float, float, float]:
+    """Segment, distance along it, distance to its left, and distance of the point nearest to (x, y)."""
+    best, best_ahead_m, best_left_m, best_m = first, 0.0, 0.0, np.inf
+    for i in range(first, min(last, len(unit))):
+        dx, dy = x_m - points[i, 0], y_m - points[i, 1]
+        ahead_m = min(max(dx * unit[i, 0] + dy * unit[i, 1], 0.0), lengths[i])
+        off_m = math.hypot(dx - ahead_m * unit[i, 0], dy - ahead_m * unit[i, 1])
+        if off_m < best_m:
+            best, best_ahead_m, best_m = i, ahead_m, off_m
+            best_left_m = math.copysign(off_m, unit[i, 0] * dy - unit[i, 1] * dx)
+    return best, best_ahead_m, best_left_m, best_m
