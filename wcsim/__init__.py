@@ -1,6 +1,6 @@
 """wcsim: trains networks that assist the driver of a power wheelchair, in real cities.
 
-Read `types/world.py`, then `bridge/world.py`. Importing this package names its environment for Gymnasium, which is
+Read `types/`, then `bridge/world.py`. Importing this package names its environment for Gymnasium, which is
 Gymnasium's own convention and the only thing that an import does; nothing heavy is loaded before one of the
 environments is asked for.
 """
@@ -31,9 +31,9 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> object:
     """The environments, loaded when they are asked for: not by an import statement, which a world would inherit."""
-    homes = {"StreetVecEnv": "vec_env", "WheelchairEnv": "env", "parallel_env": "parallel_env"}
+    homes = {"StreetVecEnv": "vec_env", "WheelchairEnv": "wheelchair_env", "parallel_env": "parallel_env"}
     if name not in homes:
         raise AttributeError(f"module 'wcsim' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"wcsim.agents.{homes[name]}"), name)
+    return getattr(import_module(f"wcsim.agents.envs.{homes[name]}"), name)

@@ -73,6 +73,42 @@ def test_files_and_functions_stay_short(path):
             assert (node.end_lineno or 0) - node.lineno < 60, node.name
 
 
+FOLDERS = sorted({path.parent for path in SOURCES} | {path.parent for path in (ROOT / "tests").rglob("*.py")})
+STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsim/supervisor", "tests")
+MOST_ENTRIES = 14
+MOST_ROOMS = 16
+ROOTS = (ROOT, ROOT / "wcsim", ROOT / "tests")
+SAME_FILE_NAME = {
+    "base": "what a room's files build on",
+    "world": "the section of a run file, and the world that it is for",
+}
+
+
+def entries(folder: Path) -> set[str]:
+    """What one sees in a folder: code and rooms, without data and what Python itself needs."""
+    hidden = {"__init__.py", "__main__.py", "__pycache__", "conftest.py", "py.typed", "plants", "presets", "build", "dist"}
+    seen = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name not in hidden)
+    return {path.name for path in seen if path.is_dir() or path.suffix not in (".xml", ".toml") or folder == ROOT}
+
+
+@pytest.mark.parametrize("folder", [ROOT, *FOLDERS], ids=lambda folder: str(folder.relative_to(ROOT)))
+def test_a_folder_is_seen_at_a_glance(folder):
+    assert len(entries(folder)) <= (MOST_ROOMS if folder in ROOTS else MOST_ENTRIES), sorted(entries(folder))
+
+
+@pytest.mark.parametrize("folder", STAY)
+def test_rooms_that_others_rely_on_stay(folder):
+    assert (ROOT / folder).is_dir()
+
+
+@pytest.mark.parametrize("folder", [f for f in FOLDERS if "wcsim" in f.parts], ids=lambda f: str(f.relative_to(ROOT)))
+def test_a_folder_says_what_it_is_for(folder):
+    said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    assert said
+    assert len(said.splitlines()[0]) > 20
+    assert said.splitlines()[0].endswith(".")
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_nothing_executes_foreign_data(path):
     code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))

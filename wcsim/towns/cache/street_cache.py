@@ -46,9 +46,9 @@ def street_key(town: Town) -> str:
 
 def _source_digest() -> str:
     """SHA-256 over the code that makes a street and says what it is: built by other code it is another street."""
-    here = Path(__file__).parent
+    here = Path(__file__).parents[1]
     beside = (here.parent / name for name in ("types/street.py", "core/jit.py", "core/constants.py"))
-    sources = [*sorted(here.glob("*.py")), *beside]
+    sources = [*sorted(here.rglob("*.py")), *beside]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
