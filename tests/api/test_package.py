@@ -86,7 +86,17 @@ SAME_FILE_NAME = {
 
 def entries(folder: Path) -> set[str]:
     """What one sees in a folder: code and rooms, without data and what Python itself needs."""
-    hidden = {"__init__.py", "__main__.py", "__pycache__", "conftest.py", "py.typed", "plants", "presets", "build", "dist"}
+    hidden = {
+        "__init__.py",
+        "__main__.py",
+        "__pycache__",
+        "conftest.py",
+        "py.typed",
+        "plants",
+        "presets",
+        "build",
+        "dist",
+    }
     seen = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name not in hidden)
     return {path.name for path in seen if path.is_dir() or path.suffix not in (".xml", ".toml") or folder == ROOT}
 
