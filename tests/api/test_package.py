@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import networkx
 import pytest
 
 import wcsim
@@ -131,3 +132,31 @@ def test_a_folder_says_what_it_is_for(folder):
 def test_nothing_executes_foreign_data(path):
     code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))
     assert not FORBIDDEN_CALLS.search(re.sub(r"\.eval\(\)", "", code))
+
+
+def test_no_two_folders_need_each_other():
+    """A file's own folder is its room; `TYPE_CHECKING` imports count for nothing, as nothing is loaded by them."""
+    graph = networkx.DiGraph()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("wcsim."):
+                for alias in node.names:
+                    here, there = room_of(path), room_of(file_of(node.module, alias.name))
+                    if here != there:
+                        graph.add_edge(here, there)
+    assert graph.number_of_edges() > 300
+    assert [sorted(loop) for loop in networkx.strongly_connected_components(graph) if len(loop) > 1] == []
+
+
+def file_of(module: str, name: str) -> Path:
+    """Where `from module import name` leads: a file, or the door of a package."""
+    folder = ROOT / module.replace(".", "/")
+    places = (folder / f"{name}.py", folder / name / "__init__.py", folder.with_suffix(".py"), folder / "__init__.py")
+    return next(place for place in places if place.is_file())
+
+
+def room_of(path: Path) -> str:
+    """The folder of a file; a file that lies beside rooms, as `wcsim/bridge/world.py` does, counts as a room itself."""
+    beside_rooms = any(child.is_dir() and child.name != "__pycache__" for child in path.parent.iterdir())
+    inner = path.parent != ROOT / "wcsim" and beside_rooms and path.name != "__init__.py"
+    return str((path if inner else path.parent).relative_to(ROOT))
