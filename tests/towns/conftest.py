@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.towns.cache import street_of
+from wcsim.towns.build_street import build_street
 from wcsim.towns.scenes import build_scene, find_scene
-from wcsim.towns.street import build_street
+from wcsim.towns.street_arrays import street_of
 from wcsim.towns.tiles import Packed
 from wcsim.towns.town import Town, find_town
 from wcsim.types import Street

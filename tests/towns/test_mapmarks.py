@@ -11,13 +11,13 @@ from tests.cli.towns import tiny_osm
 from tests.towns.nets import street, write_net
 from tests.towns.standing_samples import item
 from wcsim.towns import trial
-from wcsim.towns.cache import street_of
+from wcsim.towns.build_street import build_street
 from wcsim.towns.crossmarks import CrossingMark, unmarked_crossings, unpainted
 from wcsim.towns.importer import Imported, ImportOrder, import_town
 from wcsim.towns.items import read_items
 from wcsim.towns.landcover import covered
 from wcsim.towns.netread import LaneKind, read_net
-from wcsim.towns.street import build_street
+from wcsim.towns.street_arrays import street_of
 from wcsim.towns.surfaces import lane_area, surfaces_of
 from wcsim.towns.tools import run_tool
 from wcsim.types import ClassId

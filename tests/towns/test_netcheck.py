@@ -9,8 +9,8 @@ import pytest
 
 from tests.towns import hostile
 from wcsim.errors import SumoError, TownError
+from wcsim.towns.build_street import build_street
 from wcsim.towns.netcheck import validate_net
-from wcsim.towns.street import build_street
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town
 

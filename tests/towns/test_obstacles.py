@@ -11,8 +11,8 @@ from shapely import Polygon, box
 
 from tests.towns.standing_samples import authored
 from wcsim.errors import TownError
+from wcsim.towns.build_street import build_street
 from wcsim.towns.buildings import buildings_of
-from wcsim.towns.cache import street_of
 from wcsim.towns.fittings import fittings_of
 from wcsim.towns.folder import sumocfg_text
 from wcsim.towns.items import Item, read_items
@@ -20,7 +20,7 @@ from wcsim.towns.looks import AUTHOR_KINDS, LOOKS
 from wcsim.towns.netread import Net, read_net
 from wcsim.towns.obstacles import author_things
 from wcsim.towns.standing import Place, Thing
-from wcsim.towns.street import build_street
+from wcsim.towns.street_arrays import street_of
 from wcsim.towns.town import Town, open_town
 from wcsim.types import ClassId
 

@@ -10,11 +10,11 @@ import shapely
 
 from tests.towns.nets import PAVED, WAYS, assert_sound, edge, generated, hilly, lane, street, write_net
 from wcsim.streets import FLAT, Relief, Street
-from wcsim.towns.cache import street_of
+from wcsim.towns.build_street import build_street
 from wcsim.towns.check import mesh_faults
 from wcsim.towns.netread import Net, read_net
 from wcsim.towns.relief import on_land, relief_of
-from wcsim.towns.street import build_street
+from wcsim.towns.street_arrays import street_of
 from wcsim.towns.surfaces import surfaces_of
 from wcsim.towns.town import Town
 from wcsim.types import ClassId

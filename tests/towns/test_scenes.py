@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from wcsim.errors import ConfigError, SumoError, TownError
-from wcsim.towns.cache import street_of
+from wcsim.towns.build_street import build_street
 from wcsim.towns.netcheck import validate_net
 from wcsim.towns.scenes import build_scene, find_scene, list_scenes
-from wcsim.towns.street import build_street
+from wcsim.towns.street_arrays import street_of
 from wcsim.towns.town import content_hash
 from wcsim.types import ClassId
 
