@@ -7,10 +7,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import wcsim
-
-_ROOT = Path(wcsim.__file__).parents[1]
-_NAME = wcsim.__name__
+_NAME = __name__.partition(".")[0]
+_ROOT = Path(__file__).parents[__name__.count(".")]
 _FOR_TYPES_ALONE = re.compile(r"^if TYPE_CHECKING:[^\n]*\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
 _FROM = re.compile(r"^[ \t]*from ([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _PLAIN = re.compile(r"^[ \t]*import ([\w., ]+)", re.MULTILINE)

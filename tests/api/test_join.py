@@ -18,9 +18,9 @@ from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMaster
 from wcsim.server import socket_link
 from wcsim.server.client_core import Patience
 from wcsim.server.events import Lost, Rules
-from wcsim.server.link import WorldOrder
-from wcsim.server.local import LocalServer, made_world
-from wcsim.server.orders import JoinOrder
+from wcsim.server.local import LocalServer
+from wcsim.server.made_world import made_world
+from wcsim.server.orders import JoinOrder, WorldOrder
 from wcsim.types import SeatSpec
 
 CONFIG = load_run_config("quick", TINY)

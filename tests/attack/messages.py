@@ -19,9 +19,8 @@ from wcsim.server.core import ServerCore
 from wcsim.server.doors import LOCAL, REMOTE, Heard
 from wcsim.server.events import Rules
 from wcsim.server.lifeline import Lifelines
-from wcsim.server.link import WorldOrder
 from wcsim.server.members import REMEMBERED
-from wcsim.server.orders import ServerOrder
+from wcsim.server.orders import ServerOrder, WorldOrder
 from wcsim.server.peers import Peers
 from wcsim.server.reporter import Reporter
 from wcsim.server.ring import RingSink, pictures_of

@@ -15,7 +15,8 @@ import numpy as np
 
 from tests.bench.naive import NaiveLoop
 from wcsim import seeding
-from wcsim.bridge.stage import RunPlace, open_scenario
+from wcsim.bridge.run_place import RunPlace
+from wcsim.bridge.stage import open_scenario
 from wcsim.config import RunConfig
 from wcsim.towns.routes import Router
 from wcsim.towns.scenario_overrides import forced, settings_of

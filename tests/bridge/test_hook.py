@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.worlds import quick_config
-from wcsim.bridge.stage import RunPlace
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.sumo import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import HookError
-from wcsim.server.link import WorldOrder
+from wcsim.server.orders import WorldOrder
 from wcsim.server.process_link import ProcessLink
 from wcsim.towns.town import find_town
 from wcsim.types import SeatSpec

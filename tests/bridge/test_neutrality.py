@@ -9,7 +9,7 @@ import pytest
 from tests.bridge.neutral import same
 from tests.worlds import quick_config
 from wcsim import seeding
-from wcsim.bridge.stage import RunPlace
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.towns.tools import Limits, run_tool
 from wcsim.towns.town import Town, find_town

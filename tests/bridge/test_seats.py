@@ -11,9 +11,8 @@ import pytest
 from tests.worlds import follow, quick_config
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, ProtocolError
-from wcsim.physics.camera import SeatBuffers
+from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.physics.quiet import pybullet
-from wcsim.physics.renderer.base import new_images
 from wcsim.towns.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
 

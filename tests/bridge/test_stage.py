@@ -8,7 +8,8 @@ import pytest
 
 from tests.towns import hostile
 from tests.worlds import quick_config
-from wcsim.bridge.stage import RunPlace, open_scenario
+from wcsim.bridge.run_place import RunPlace
+from wcsim.bridge.stage import open_scenario
 from wcsim.bridge.sumo import SumoOptions, SumoSession, world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import TownError

@@ -9,18 +9,8 @@ from tests.physics.render_oracle import actor
 from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
-from wcsim.physics.camera import (
-    CameraRig,
-    FreeCamera,
-    SeatBuffers,
-    camera_matrix,
-    focal_px,
-    look_at,
-    mount,
-    pinhole,
-    pose_matrix,
-)
-from wcsim.physics.renderer.base import new_images
+from wcsim.physics.buffers import SeatBuffers, new_images
+from wcsim.physics.camera import CameraRig, FreeCamera, camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
 from wcsim.physics.renderer.instances import ChairPose, instances_of, rotation_quaternion
 from wcsim.types import ActorKind, ClassId, PlantState
 

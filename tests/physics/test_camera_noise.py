@@ -10,10 +10,10 @@ from tests.physics.test_camera import plant
 from tests.samples import strip_street
 from tests.yardstick import multiple
 from wcsim.config import CameraConfig
+from wcsim.physics.buffers import Images
 from wcsim.physics.camera import CameraRig, pinhole
 from wcsim.physics.camera_noise import camera_noise
 from wcsim.physics.noise import child, normals
-from wcsim.physics.renderer.base import Images
 from wcsim.types import ClassId
 
 QUIET = {"sigma_px": 0.0, "step_px": 0.0, "shadow": False, "dropout": 0.0, "grazing_dropout": 0.0, "z_min_m": 0.0}

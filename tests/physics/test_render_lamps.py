@@ -12,9 +12,10 @@ from tests.physics.render_oracle import actor
 from tests.samples import strip_street
 from tests.yardstick import multiple
 from wcsim.config import CameraConfig
+from wcsim.physics.buffers import new_images
 from wcsim.physics.camera import CameraRig, look_at
 from wcsim.physics.renderer import kernels
-from wcsim.physics.renderer.base import Pinhole, new_images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.lamps import SignalLamps
 from wcsim.physics.renderer.paint import Paint

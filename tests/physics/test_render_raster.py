@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from tests.physics.render_oracle import CAMERA, SIZES, actor, crowd
 from tests.samples import strip_street
 from wcsim.errors import ConfigError
+from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.camera import look_along, look_at
-from wcsim.physics.renderer.base import Images, Pinhole, new_images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.embree import RayOracle, depth_agrees
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer

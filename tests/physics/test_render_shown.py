@@ -12,8 +12,8 @@ from tests.physics.render_oracle import CAMERA, actor, crowd
 from tests.physics.test_camera import SMALL, plant
 from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
+from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.camera import CameraRig, look_along
-from wcsim.physics.renderer.base import Images, new_images
 from wcsim.physics.renderer.instances import ChairPose, instances_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.shown import shown_px

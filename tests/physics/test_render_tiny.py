@@ -9,9 +9,9 @@ import pytest
 from tests.physics.render_oracle import CAMERA, actor, crowd
 from tests.samples import strip_street
 from wcsim.errors import ConfigError
+from wcsim.physics.buffers import new_images
 from wcsim.physics.camera import look_along
 from wcsim.physics.renderer import compare
-from wcsim.physics.renderer.base import new_images
 from wcsim.physics.renderer.compare import compare_renderers, pooled
 from wcsim.physics.renderer.embree import depth_agrees
 from wcsim.physics.renderer.instances import instances_of

@@ -11,7 +11,7 @@ from wcsim.server.cycle import Kept
 from wcsim.server.events import Received, Rules
 from wcsim.server.hub import Hub, sealed
 from wcsim.server.journal_records import Admitted
-from wcsim.server.link import WorldOrder
+from wcsim.server.orders import WorldOrder
 from wcsim.server.ring import RingSink, RingView, pictures_of
 from wcsim.server.stand_in import StandInWorld
 from wcsim.types import Command, Joystick, SeatSpec

@@ -26,9 +26,9 @@ from wcsim.errors import (
 from wcsim.server import messages as m
 from wcsim.server.curve import make_keys
 from wcsim.server.events import Rules
-from wcsim.server.link import SeatLink, WorldOrder
+from wcsim.server.link import SeatLink
 from wcsim.server.local import LocalLink
-from wcsim.server.orders import JoinOrder, ServerOrder
+from wcsim.server.orders import JoinOrder, ServerOrder, WorldOrder
 from wcsim.server.process_link import ProcessLink
 from wcsim.server.socket_link import open_seat
 from wcsim.types import SeatSpec

@@ -21,7 +21,7 @@ from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server import messages as m
 from wcsim.server.events import Rules
 from wcsim.server.ledger import ledger_facts, read_ledger
-from wcsim.server.link import WorldOrder
+from wcsim.server.orders import WorldOrder
 from wcsim.server.peers import BURST, MESSAGES_PER_S
 from wcsim.server.socket_link import open_seat
 from wcsim.server.stand_in import StandInWorld

@@ -15,7 +15,7 @@ from wcsim.agents.client import exit_of
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server import messages as m
-from wcsim.server.link import WorldOrder
+from wcsim.server.orders import WorldOrder
 from wcsim.server.ring import RingSink, RingView, pictures_of
 from wcsim.server.ring_folder import LOCK, RingFolder, remove_stale_rings
 from wcsim.server.stand_in import StandInWorld

@@ -147,7 +147,7 @@ def run_case(case: Case, base: Path, work: Path) -> tuple[str, str]:
 def _drive(theirs: Path, run: Path, number: int) -> None:
     """What a user does with somebody's scenario: look at it, then drive in it."""
     from tests.worlds import follow, quick_config
-    from wcsim.bridge.stage import RunPlace
+    from wcsim.bridge.run_place import RunPlace
     from wcsim.bridge.world import World
     from wcsim.towns.adopt import adopt_scenario
     from wcsim.towns.check import check_town

@@ -10,7 +10,7 @@ import pytest
 
 from tests.towns import hostile
 from tests.worlds import quick_config
-from wcsim.bridge.stage import RunPlace
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.cli.main import main
 from wcsim.errors import TownError

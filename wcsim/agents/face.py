@@ -19,8 +19,7 @@ from wcsim.agents.window import windowed_space
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.reading import MAX_INTEGER, shown_value
-from wcsim.server.link import WorldOrder
-from wcsim.server.orders import seat_spec
+from wcsim.server.orders import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.supervisor.recorded import find_user

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.fingerprint import fingerprint
-from wcsim.bridge.stage import RunPlace
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.trace import TraceHeader, TraceWriter, chair_box_m, record_of
 from wcsim.bridge.traffic import Traffic
 from wcsim.bridge.world import World, as_users_wish

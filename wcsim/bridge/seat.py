@@ -17,7 +17,8 @@ from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError
-from wcsim.physics.camera import CameraRig, SeatBuffers
+from wcsim.physics.buffers import SeatBuffers
+from wcsim.physics.camera import CameraRig
 from wcsim.physics.chair import Wheelchair
 from wcsim.physics.engine import Engine
 from wcsim.physics.noise import child

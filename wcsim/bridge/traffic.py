@@ -11,7 +11,8 @@ from typing import Self
 import numpy as np
 
 from wcsim import seeding
-from wcsim.bridge.stage import RunPlace, open_scenario
+from wcsim.bridge.run_place import RunPlace
+from wcsim.bridge.stage import open_scenario
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
 from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig

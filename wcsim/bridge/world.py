@@ -21,9 +21,10 @@ from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.guard import MirrorGuard
 from wcsim.bridge.habits import Habits
 from wcsim.bridge.orders import ChairInStreet, in_street, on_level
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.seat import Seat
 from wcsim.bridge.seating import Seating
-from wcsim.bridge.stage import RunPlace, open_scenario
+from wcsim.bridge.stage import open_scenario
 from wcsim.bridge.stopwatch import Stopwatch
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession, refuse_second_world
@@ -32,7 +33,8 @@ from wcsim.bridge.trace import state_hash
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
 from wcsim.physics.bodies import BodyPool
-from wcsim.physics.camera import CameraRig, ImageSink
+from wcsim.physics.buffers import ImageSink
+from wcsim.physics.camera import CameraRig
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.store import GeometryStore
 from wcsim.streets import FLAT, joined_mesh

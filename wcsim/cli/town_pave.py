@@ -60,7 +60,8 @@ def run(options: PaveOptions) -> int:
 
 
 def _try(town: Town) -> None:
-    from wcsim.bridge.stage import RunPlace, open_scenario
+    from wcsim.bridge.run_place import RunPlace
+    from wcsim.bridge.stage import open_scenario
     from wcsim.towns.scenario_overrides import settings_of
 
     with ExitStack() as held:

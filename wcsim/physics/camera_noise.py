@@ -8,6 +8,7 @@ import numpy as np
 
 from wcsim import frames
 from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, DepthNoiseConfig
+from wcsim.physics.buffers import Images
 from wcsim.physics.noise import (
     ClassNoise,
     DepthNoise,
@@ -17,7 +18,7 @@ from wcsim.physics.noise import (
     disturb_depth,
     quantiles,
 )
-from wcsim.physics.renderer.base import Images, Pinhole
+from wcsim.physics.renderer.base import Pinhole
 
 DEPTH, CLASSES, RGB = 0, 1, 2  # each picture has a key of its own
 FULL_SCALE = 255.0

@@ -27,8 +27,7 @@ from wcsim.server import messages as m
 from wcsim.server.barrier_parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.server.curve import make_keys
 from wcsim.server.events import Rules
-from wcsim.server.link import WorldOrder
-from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
+from wcsim.server.orders import JoinOrder, ServerOrder, WorldOrder, WorldStatus, of_line, to_line
 from wcsim.server.ring_folder import RingFolder
 from wcsim.server.stand_in import StandInWorld
 from wcsim.types import SeatSpec

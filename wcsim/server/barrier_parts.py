@@ -17,8 +17,8 @@ import msgspec
 import zmq
 
 from wcsim.server.curve import KnownKeys, authenticator, client_keys, server_keys, server_public
-from wcsim.server.link import SeatLink, WorldOrder
-from wcsim.server.orders import JoinOrder
+from wcsim.server.link import SeatLink
+from wcsim.server.orders import JoinOrder, WorldOrder
 from wcsim.server.parent import die_with_parent
 from wcsim.server.socket_link import open_seat
 from wcsim.server.stand_in import StandInWorld

@@ -9,8 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from wcsim.bridge.sumo import world_in_this_process
-from wcsim.server.link import SeatLink, WorldOrder
-from wcsim.server.local import LocalServer, made_world
+from wcsim.server.link import SeatLink
+from wcsim.server.local import LocalServer
+from wcsim.server.made_world import made_world
+from wcsim.server.orders import WorldOrder
 from wcsim.types import ClientSnapshot
 
 Frames = tuple[ClientSnapshot, ...]

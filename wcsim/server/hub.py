@@ -16,7 +16,8 @@ from typing import Protocol
 import msgspec
 
 from wcsim.errors import PhysicsError, WcsimError
-from wcsim.physics.camera import ImageSink, copied
+from wcsim.physics.buffers import ImageSink
+from wcsim.physics.camera import copied
 from wcsim.server import messages as m
 from wcsim.server.core import ServerCore
 from wcsim.server.events import (

@@ -9,17 +9,16 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from wcsim import seeding
-from wcsim.bridge.world import World
 from wcsim.errors import ProtocolError, TickTimeoutError
 from wcsim.server import messages as m
 from wcsim.server.client_core import Ask, ClientCore, Patience
 from wcsim.server.core import ServerCore
 from wcsim.server.events import Clock, Peer, Received, Rules
 from wcsim.server.hub import Hub, SeatWorld
-from wcsim.server.link import SeatLink, WorldOrder, new_session
+from wcsim.server.link import SeatLink, new_session
+from wcsim.server.made_world import made_world
 from wcsim.server.members import Member
-from wcsim.towns.town import find_town
+from wcsim.server.orders import WorldOrder
 from wcsim.types import SeatSpec
 
 NEVER_S = 1e12
@@ -140,14 +139,3 @@ class LocalLink(LocalSeat):
 
     def _end(self) -> None:
         self._own.close()
-
-
-def made_world(order: WorldOrder, epoch: int = 0) -> World:
-    """A world with free seats; each epoch has a seed of its own."""
-    town, seed = find_town(order.town), epoch_seed(order.seed, epoch)
-    return World(town, order.config, (None,) * order.seats, seed, order.place, epoch=epoch)
-
-
-def epoch_seed(seed: int, epoch: int) -> int:
-    """The seed of an epoch: the run's own for the first one."""
-    return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)

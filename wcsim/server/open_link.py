@@ -1,15 +1,21 @@
-"""Choose the link: in this process while no world lives here, otherwise a process of its own."""
+"""Choose the link: in this process while no world lives here, otherwise a process of its own.
+
+Only who asks for a world loads the simulators: a client that joins a world elsewhere never does.
+"""
 
 from __future__ import annotations
 
-from wcsim.bridge.sumo import world_in_this_process
-from wcsim.server.link import WorldLink, WorldOrder
-from wcsim.server.local import LocalLink
+from wcsim.server.link import WorldLink
+from wcsim.server.orders import WorldOrder
 
 
 def open_link(order: WorldOrder) -> WorldLink:
     """A link to a new world; two worlds of one order behave the same to the bit, whichever link they got."""
+    from wcsim.bridge.sumo import world_in_this_process
+
     if not world_in_this_process():
+        from wcsim.server.local import LocalLink
+
         return LocalLink(order)
     from wcsim.server.process_link import ProcessLink  # ZeroMQ is loaded only when a second world is asked for
 

@@ -25,9 +25,8 @@ from wcsim.server.journal_records import (
     Respawned,
     Ticked,
 )
-from wcsim.server.link import WorldOrder
-from wcsim.server.local import epoch_seed, made_world
-from wcsim.server.orders import ServerOrder
+from wcsim.server.made_world import epoch_seed, made_world
+from wcsim.server.orders import ServerOrder, WorldOrder
 from wcsim.server.recompute import rebuild_world
 from wcsim.server.runlog import RunLog
 from wcsim.server.torn import told_torn

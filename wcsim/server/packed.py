@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.errors import ProtocolError
-from wcsim.physics.renderer.base import Images
+from wcsim.physics.buffers import Images
 from wcsim.server.parts import (
     ROW,
     PackedClient,

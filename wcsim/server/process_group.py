@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from wcsim.server.group import SeatGroup
-from wcsim.server.link import WorldOrder
+from wcsim.server.orders import WorldOrder
 from wcsim.server.process_link import ChildSeat, WorldChild
 
 

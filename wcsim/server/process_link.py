@@ -16,9 +16,8 @@ import msgspec
 from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
 from wcsim.server import messages as m
 from wcsim.server.client_core import Patience
-from wcsim.server.link import WorldOrder
 from wcsim.server.local import local_rules
-from wcsim.server.orders import JoinOrder, ServerOrder, WorldStatus, of_line, to_line
+from wcsim.server.orders import JoinOrder, ServerOrder, WorldOrder, WorldStatus, of_line, to_line
 from wcsim.server.ring_folder import RingFolder
 from wcsim.server.socket_link import SocketSeat
 from wcsim.types import SeatSpec

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from wcsim.bridge.fcd import write_steps
 from wcsim.bridge.record import as_recorded
-from wcsim.bridge.stage import RunPlace
+from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.trace import TickRecord, TraceHeader, chair_box_m, record_of
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse

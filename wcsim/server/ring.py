@@ -19,8 +19,7 @@ import numpy as np
 from wcsim.arrays import U8
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
-from wcsim.physics.camera import SeatBuffers
-from wcsim.physics.renderer.base import Images
+from wcsim.physics.buffers import Images, SeatBuffers
 from wcsim.reading import FileKind, opened
 
 SLOTS = 2

@@ -15,9 +15,8 @@ import numpy as np
 
 from wcsim.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
-from wcsim.physics.camera import ImageSink, SeatBuffers
-from wcsim.physics.renderer.base import new_images
-from wcsim.server.link import WorldOrder
+from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images
+from wcsim.server.orders import WorldOrder
 from wcsim.types import (
     CameraFrame,
     ClientSnapshot,
