@@ -160,3 +160,19 @@ def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_nothing_can_be_kept_kernels_still_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
     assert exact_kernel(inner.py_func)(1.0) == 4.0
+
+
+def test_a_package_that_cannot_be_written_has_its_copies_in_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(_: object) -> None:
+        raise PermissionError("read-only")
+
+    monkeypatch.setattr(numba.core.caching.InTreeCacheLocator, "ensure_cache_path", refused)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    hits = []
+    for _ in range(2):
+        copy = exact_kernel(inner.py_func)
+        assert copy(1.0) == 4.0
+        hits.append(sum(copy.stats.cache_hits.values()))
+    assert hits == [0, 1] and len(list(tmp_path.rglob("*.nbi"))) == 1

@@ -50,10 +50,7 @@ TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictur
 
 
 class World:
-    """A town with traffic and places for any number of wheelchairs, which come and go between ticks.
-
-    Wherever `out` is given, the images are made in its buffers; in the cameras' own otherwise.
-    """
+    """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
 
     def __init__(
         self,
