@@ -1,0 +1,144 @@
+"""People do not go on as they go: what the oracle reckons with, and how its chair runs into them."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.samples import USUAL_OUTLINE, strip_street
+from tests.supervisor.actors import USUAL_WHEELS_M, actor
+from tests.supervisor.kinematics import TICK_S, Chair, plant
+from wcsim.config import ChairConfig
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.oracle import Oracle
+from wcsim.types import ActorKind, ActorState, Joystick
+
+STREET = strip_street()
+ACTIONS = action_set("square81")
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
+FORWARD, STOP = Joystick(0.0, 0.8), Joystick(0.0, 0.0)
+Y_M = 5.5  # the middle of the pavement
+RADIUS_M, FRONT_M = 0.23, 0.8
+PERSON = replace(actor(ActorKind.PEDESTRIAN, 0.0, 0.0), size_lwh_m=(0.26, 2.0 * RADIUS_M, 1.7))
+
+Path = Callable[[float], tuple[float, float]]
+
+
+def person(x: float, y: float, yaw: float, v: tuple[float, float] = (0.0, 0.0), aside_m: float = 0.0) -> ActorState:
+    """Somebody with the speed (vx, vy)."""
+    return replace(PERSON, p_W_m=np.array([x, y, 0.0]), yaw_rad=yaw, v_W_mps=np.array([*v, 0.0]), deflect_m=aside_m)
+
+
+def gap_m(chair: Chair, x: float, y: float) -> float:
+    """From the chair, which looks along x, to somebody round."""
+    out_x = abs(x - chair.x - USUAL_OUTLINE.middle_x_m) - 0.5 * USUAL_OUTLINE.length_m
+    return math.hypot(max(0.0, out_x), max(0.0, abs(y - chair.y) - 0.5 * USUAL_OUTLINE.width_m)) - RADIUS_M
+
+
+def met_at_mps(chair: Chair, wish: Joystick, path: Path, own_line_y_m: float, longest_s: float = 8.0) -> float:
+    """How fast the oracle's chair, which obeys two ticks late, is when its front touches somebody, else 0."""
+    waiting = deque([wish, wish])
+    for tick in range(round(longest_s / TICK_S)):
+        (x0, y0), (x, y) = path((tick - 1) * TICK_S), path(tick * TICK_S)
+        if gap_m(chair, x, y) <= 0.0:
+            return chair.v if x > chair.x + FRONT_M else 0.0
+        other = person(x, y, math.pi, ((x - x0) / TICK_S, (y - y0) / TICK_S), own_line_y_m - y)
+        said = ORACLE.assess(chair.plant(), wish, (other,), tuple(waiting), accel_mps2=chair.a)
+        distances = np.hypot(*(ACTIONS.points - np.array((wish.x, wish.y))).T)
+        straight = np.where(ACTIONS.points[:, 0] == 0.0, distances, 9.0)
+        best = said.first_s == said.first_s[ACTIONS.points[:, 0] == 0.0].max()
+        waiting.append(Joystick(*ACTIONS.points[np.where(best, straight, np.inf).argmin()]))
+        for _ in range(24):
+            chair.drive(waiting[0], TICK_S / 24)
+        waiting.popleft()
+    return 0.0
+
+
+def along(*places: tuple[float, float, float]) -> Path:
+    """A way through (second, x, y) in straight lines."""
+
+    def at(time_s: float) -> tuple[float, float]:
+        for (t0, x0, y0), (t1, x1, y1) in pairwise(places):
+            if time_s < t1:
+                share = (time_s - t0) / (t1 - t0)
+                return x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        return places[-1][1], places[-1][2]
+
+    return at
+
+
+@pytest.mark.parametrize("at_m", [1.6, 2.0, 2.4, 2.8, 3.2])
+def test_who_has_stepped_aside_may_step_back(at_m):
+    """Somebody comes, steps out of the chair's way, stands, and goes back to the own line."""
+    chair = Chair(x=5.0, y=Y_M, v=1.1)
+    far = 5.0 + FRONT_M + RADIUS_M + at_m
+    path = along(
+        (-0.1, far + 0.13, Y_M - 0.08), (1.0, far - 1.3, Y_M + 0.8), (1.1, far - 1.3, Y_M + 0.8), (2.1, far - 1.3, Y_M)
+    )
+    assert met_at_mps(chair, FORWARD, path, Y_M) <= 0.05
+
+
+@pytest.mark.parametrize("at_m", [1.4, 1.8, 2.2, 2.6])
+def test_who_crosses_may_stop_in_the_way(at_m):
+    chair = Chair(x=5.0, y=Y_M, v=1.1)
+    x = 5.0 + FRONT_M + RADIUS_M + at_m
+    path = along((-0.1, x, Y_M - 0.8), (0.7, x, Y_M), (9.0, x, Y_M))
+    assert met_at_mps(chair, FORWARD, path, Y_M) <= 0.05
+
+
+def test_who_ends_a_step_aside_walks_on_along_the_own_line():
+    """Its velocity of the moment, half of it sideways, would lead it past; its heading leads it before the chair."""
+    coming = person(5.0 + FRONT_M + RADIUS_M + 1.9, Y_M - 0.35, math.pi, (-1.3, -0.8))
+    assert ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (coming,))
+    away = replace(coming, p_W_m=np.array([coming.p_W_m[0], Y_M - 0.8, 0.0]))
+    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (away,))
+
+
+def test_a_person_is_round():
+    """A body turns no thin side to the chair: it is as far away whichever way it looks."""
+    for yaw in (0.0, 0.5 * math.pi, 1.0):
+        other = person(5.0 + FRONT_M + RADIUS_M + 0.3, Y_M, yaw)
+        assert ORACLE.clearance(plant(5.0, Y_M, 0.0), (other,)) == pytest.approx(0.3)
+    corner = person(5.0 + FRONT_M + 0.3, Y_M + 0.5 * USUAL_OUTLINE.width_m + 0.4, 0.3)
+    assert ORACLE.clearance(plant(5.0, Y_M, 0.0), (corner,)) == pytest.approx(0.5 - RADIUS_M)
+
+
+@pytest.mark.parametrize("gap", [0.2, 0.25, 0.3, 0.4, 0.6])
+def test_a_slow_chair_does_not_nudge_who_stands(gap):
+    chair = Chair(x=5.0, y=Y_M)
+    x = 5.0 + FRONT_M + RADIUS_M + gap
+    assert met_at_mps(chair, FORWARD, along((-0.1, x, Y_M), (9.0, x, Y_M)), Y_M) == 0.0
+    assert gap_m(chair, x, Y_M) > 0.0
+
+
+@pytest.mark.parametrize("accel", [0.0, 0.5, 1.0])
+def test_a_chair_that_speeds_up_needs_more_room(accel):
+    """What the drive has begun fades with its jerk; the way to a stop, let go at once, is the chair's own."""
+    chair = Chair(x=5.0, y=Y_M, v=0.8, a=accel)
+    for _ in range(24 * 30):
+        chair.drive(STOP, TICK_S / 24)
+    start = plant(5.0, Y_M, 0.0, 0.8)
+    ends_m = chair.x + FRONT_M + RADIUS_M
+    for spare_m, hits in ((-0.01, True), (0.12, False)):
+        said = ORACLE.assess(start, STOP, (person(ends_m + spare_m, Y_M, math.pi),), accel_mps2=accel)
+        assert said.danger == hits
+
+
+def test_who_walks_up_to_a_chair_that_stands_is_no_danger():
+    coming = person(5.0 + FRONT_M + RADIUS_M + 0.6, Y_M, math.pi, (-1.3, 0.0))
+    said = ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (coming,))
+    assert not said.danger and said.first_s[ACTIONS.nearest((0.0, 0.0))] == math.inf
+    assert np.isfinite(said.first_s[ACTIONS.nearest((0.0, 0.5))])
+    behind = person(5.0 - 0.3 - RADIUS_M - 0.4, Y_M, 0.0, (1.6, 0.0))
+    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 0.6), Joystick(0.0, 0.4), (behind,))
+    assert ORACLE.danger(plant(5.0, Y_M, 0.0, -0.4), Joystick(0.0, -0.6), (behind,))
+
+
+def test_who_stands_beside_may_be_passed_and_not_turned_into():
+    beside = person(5.6, Y_M + 0.5 * USUAL_OUTLINE.width_m + RADIUS_M + 0.06, 0.0)
+    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.0), FORWARD, (beside,))
+    assert ORACLE.danger(plant(5.0, Y_M, 0.0, 0.0), Joystick(-1.0, 0.0), (beside,))
