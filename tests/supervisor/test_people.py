@@ -98,6 +98,20 @@ def test_who_ends_a_step_aside_walks_on_along_the_own_line():
     assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (away,))
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("yaw", [0.0, math.pi])
+def test_who_stands_aside_may_step_back_before_the_chair(yaw, side):
+    """To the own line, that is, and no further."""
+    aside_m = side * (0.5 * USUAL_OUTLINE.width_m + RADIUS_M + 0.15)
+    there = person(5.0 + FRONT_M + RADIUS_M + 0.9, Y_M + aside_m, yaw)
+    fast = plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 0.8)
+    left_m = aside_m * math.cos(yaw)
+    assert not ORACLE.danger(*fast, (there,))
+    assert ORACLE.danger(*fast, (replace(there, deflect_m=left_m),))
+    assert not ORACLE.danger(*fast, (replace(there, deflect_m=0.1 * left_m),))
+    assert not ORACLE.danger(*fast, (replace(there, deflect_m=-left_m),))
+
+
 def test_a_person_is_round():
     """A body turns no thin side to the chair: it is as far away whichever way it looks."""
     for yaw in (0.0, 0.5 * math.pi, 1.0):
