@@ -112,6 +112,33 @@ def test_who_stands_aside_may_step_back_before_the_chair(yaw, side):
     assert not ORACLE.danger(*fast, (replace(there, deflect_m=-left_m),))
 
 
+# somebody who comes, steps out to the left and back to the own line: metres ahead and to the left, tick by tick
+COMES_M = [
+    *((4.88, -1.08), (4.76, -0.95), (4.64, -0.82), (4.46, -0.84), (4.3, -0.87), (4.14, -0.89), (4.0, -0.84)),
+    *((3.85, -0.79), (3.7, -0.73), (3.55, -0.67), (3.4, -0.62), (3.25, -0.56), (3.1, -0.51), (3.1, -0.51)),
+]
+
+
+@pytest.mark.parametrize("room_m", [0.4, 0.5, 0.6, 0.7])
+def test_who_comes_does_not_drive_the_chair_into_a_wall(room_m):
+    """A wall on the left, somebody on the right whose way of the moment seems to lead into the chair's."""
+    half_m, wall_y_m = 0.5 * USUAL_OUTLINE.width_m, 9.0
+    chair = Chair(x=53.0, y=wall_y_m - half_m - room_m, v=1.36, a=-1.0)
+    first_y_m, waiting = chair.y, deque([Joystick(0.0, 0.75), Joystick(0.0, 0.5)])
+    for before, here in zip([(5.0, -1.21), *COMES_M], COMES_M + 16 * COMES_M[-1:], strict=False):
+        v = ((here[0] - before[0]) / TICK_S, (here[1] - before[1]) / TICK_S)
+        other = person(53.0 + here[0], first_y_m + here[1], math.pi - 0.36, v)
+        first_s = ORACLE.assess(chair.plant(), FORWARD, (other,), tuple(waiting), accel_mps2=chair.a).first_s
+        wish = (0.0, 0.0) if np.isfinite(first_s).all() else (0.0, 1.0)
+        distances = np.hypot(*(ACTIONS.points - np.array(wish)).T)
+        waiting.append(Joystick(*ACTIONS.points[np.where(first_s == first_s.max(), distances, np.inf).argmin()]))
+        for _ in range(24):
+            chair.drive(waiting[0], TICK_S / 24)
+        waiting.popleft()
+        reach_m = 0.8 * math.sin(chair.yaw) + half_m * math.cos(chair.yaw)
+        assert wall_y_m - chair.y - reach_m > 0.05
+
+
 def test_a_person_is_round():
     """A body turns no thin side to the chair: it is as far away whichever way it looks."""
     for yaw in (0.0, 0.5 * math.pi, 1.0):
