@@ -217,7 +217,7 @@ class Seat:
             return None
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
-        seen = self._oracle.assess(plant, stick, others, waiting, known)
+        seen = self._oracle.assess(plant, stick, others, waiting, known, self.chair.drive_accel_mps2())
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,
