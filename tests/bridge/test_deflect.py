@@ -12,7 +12,8 @@ from tests.bridge.roads import actor, chair, walker
 from tests.samples import USUAL_OUTLINE, strip_street
 from wcsim.bridge.deflect import SIDESTEP_MPS, Deflection
 from wcsim.bridge.footprint import gap_to_box
-from wcsim.bridge.orders import LET_GO, Attention
+from wcsim.bridge.habits import Attention
+from wcsim.bridge.orders import LET_GO
 from wcsim.types import ActorKind, ClassId
 
 TICK_S = 0.1

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.bridge.roads import LANE_M, StraightRoads, actor, chair, walker
-from wcsim.bridge.habits import Habits
+from wcsim.bridge.habits import Attention, street_habits
 from wcsim.bridge.lanes import LaneShape
-from wcsim.bridge.orders import LET_GO, Attention
+from wcsim.bridge.orders import LET_GO
 from wcsim.bridge.street import StreetReaction
 from wcsim.config import WorldConfig
 from wcsim.types import ActorKind
@@ -17,7 +17,7 @@ from wcsim.types import ActorKind
 
 def street(reaction_s=0.0, share=1.0, seed=1) -> StreetReaction:
     config = WorldConfig(reaction_s=reaction_s, attention_share=share)
-    return StreetReaction(config, Habits(config, seed))
+    return StreetReaction(config, street_habits(config, seed))
 
 
 def order_for(vehicle, chairs, roads=None, reaction=None):

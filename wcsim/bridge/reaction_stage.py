@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.footprint import box_of, boxes_touch, gap_to_box
-from wcsim.bridge.habits import Habits
+from wcsim.bridge.habits import street_habits
 from wcsim.bridge.orders import Blocked, ChairInStreet, Order, is_person
 from wcsim.bridge.street import StreetReaction
 from wcsim.bridge.sumo import SumoOptions, SumoSession
@@ -45,7 +45,7 @@ class ReactionStage:
 
     def attend(self, share: float, seed: int) -> None:
         """Begin anew with another share of attentive people; nobody must be under orders."""
-        habits = Habits(self._config.model_copy(update={"attention_share": share}), seed)
+        habits = street_habits(self._config.model_copy(update={"attention_share": share}), seed)
         self._swing = SwingOut(self._ground, self._config.tick_s)
         self._street = StreetReaction(self._config, habits, self._swing)
         self._deflection = Deflection(self._ground, self._config.tick_s, habits.people)

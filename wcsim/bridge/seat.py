@@ -12,6 +12,7 @@ import numpy as np
 from wcsim import seeding
 from wcsim.bridge.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.falls import fell
+from wcsim.bridge.habits import Habits
 from wcsim.bridge.shown import ShownActors
 from wcsim.bridge.sight import ObstacleWatch
 from wcsim.bridge.variation import Fitting, Variation
@@ -88,6 +89,7 @@ class Seat:
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Variation(config, index)
         self.fitting: Fitting | None = None
+        self.habits: Habits | None = None  # of the others towards this chair in this episode, when they were drawn
         self._seed = 0
         self._episode = -1
         self._spawned = False
@@ -115,9 +117,10 @@ class Seat:
         self._imu_key = seeding.key(seed, "imu", self.index)
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
 
-    def spawn(self, taken: TakenNear) -> None:
-        """Begin the next episode: a start clear of everything, a user and a route of its own."""
+    def spawn(self, taken: TakenNear, habits: Habits) -> None:
+        """Begin the next episode: a clear start, a user and a route of its own; `habits` of the street."""
         self._vary()
+        self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
         self._episode += 1

@@ -19,7 +19,7 @@ from wcsim.bridge import mirror
 from wcsim.bridge.articulated import Articulation
 from wcsim.bridge.deflect import Deflection
 from wcsim.bridge.guard import MirrorGuard
-from wcsim.bridge.habits import Habits
+from wcsim.bridge.habits import street_habits
 from wcsim.bridge.orders import ChairInStreet, in_street, on_level
 from wcsim.bridge.run_place import RunPlace
 from wcsim.bridge.seat import Seat
@@ -179,7 +179,7 @@ class World:
     def _react(self, commands: Sequence[Command]) -> None:
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid) for seat in self.seats)
+            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
             pilot = self._sumo.pilot
             here = self._level(self._actors)
             orders = self._street.react(here, self._chairs, pilot)
@@ -232,10 +232,10 @@ class World:
         self._tick = 0
         self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
-        habits = Habits(self.config.world, seeding.derive(seed, "street"), self.config.vary)
+        self._habits = street_habits(self.config.world, seeding.derive(seed, "street"))
         self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
-        self._street = StreetReaction(self.config.world, habits, self._swing)
-        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, habits.people)
+        self._street = StreetReaction(self.config.world, self._habits, self._swing)
+        self._deflection = Deflection(self.street.grid, self.config.world.tick_s, self._habits.people)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
@@ -265,7 +265,7 @@ class World:
     def _open_episodes(self, seats: Sequence[Seat], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
         """Begin the next episode of these seats: all are placed before any of them looks around."""
         for seat in seats:
-            seat.spawn(self._taken)
+            seat.spawn(self._taken, self._habits)
             self._rig.reset(seat.index)
             if seat.fitting is not None:
                 self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)
