@@ -28,7 +28,8 @@ def try_town(town: Town) -> None:
 
     Raises TownError with SUMO's own words when it cannot.
     """
-    from wcsim.bridge.stage import RunPlace, open_scenario  # loads libsumo, which --help must not
+    from wcsim.bridge.run_place import RunPlace
+    from wcsim.bridge.stage import open_scenario  # loads libsumo, which --help must not
     from wcsim.towns.scenario_overrides import settings_of
 
     with ExitStack() as held:
