@@ -158,5 +158,4 @@ def file_of(module: str, name: str) -> Path:
 def room_of(path: Path) -> str:
     """The folder of a file; a file that lies beside rooms, as `wcsim/bridge/world.py` does, counts as a room itself."""
     beside_rooms = any(child.is_dir() and child.name != "__pycache__" for child in path.parent.iterdir())
-    inner = path.parent != ROOT / "wcsim" and beside_rooms and path.name != "__init__.py"
-    return str((path if inner else path.parent).relative_to(ROOT))
+    return str((path if beside_rooms and path.name != "__init__.py" else path.parent).relative_to(ROOT))
