@@ -73,7 +73,7 @@ def same(model: Model) -> bool:
 
 def take_config(config: RunConfig) -> bool:
     """A configuration, with all that the faces do with one before there is a world."""
-    make_face("nowhere", config, "quick", (), None, None, "").observation_space()
+    make_face("nowhere", {"config": config}).observation_space()
     plant_spec(config.chair)
     return same(config)
 
