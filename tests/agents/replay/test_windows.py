@@ -21,7 +21,7 @@ from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
 from wcsim.agents.replay.window_store import WindowStore
 from wcsim.agents.runs.policy_file import POLICY_JSON
@@ -174,7 +174,8 @@ def add(buffer, streets, ends):
 
 
 def replay(size=400, seats=1, space=WINDOWS):
-    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, n_step=1, seed=1)
+    settings = ReplaySettings(seed=1)
+    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=settings)
 
 
 def check(buffer, streets):
