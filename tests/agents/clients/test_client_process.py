@@ -21,6 +21,7 @@ from wcsim.core.files import locked
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.links.base import Waits
 from wcsim.server.specs import ClientSpec, ClientStatus, RunInfo, SeatRequest, of_line, to_line
+from wcsim.towns.scenario.overrides import Override
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,13 @@ def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_
     assert "wcsim: unknown network 'nonesuch'" in capfd.readouterr().err
     assert main([str(tmp_path / "none")]) == ClientExit.USER_ERROR
     assert not (tmp_path / "run").exists()
+
+
+def test_an_order_brings_everything_that_the_manifest_says():
+    override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
+    info = RunInfo(seed=1, town="a", rewards=("a:B",), command=("x",), hook="c:D", overrides=(override,))
+    order = ClientSpec(join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config_json="{}", out="o", info=info)
+    assert of_line(ClientSpec, to_line(order)) == order
 
 
 class WaitingEnv:

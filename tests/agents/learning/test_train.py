@@ -28,6 +28,7 @@ from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.overrides import Override
 
 CAMERA = toy_camera(16, 20)
 INFO = RunInfo(seed=1, town="t", town_sha256="ab", command=("wcsim", "train"))
@@ -281,6 +282,13 @@ def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
     run = run.with_status("interrupted", 7)
     assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)
     assert run.manifest_sha256() == digest
+
+
+def test_a_manifest_keeps_what_it_was_told(tmp_path):
+    override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
+    told = replace(INFO, rewards=("a:B",), hook="c:D", overrides=(override,))
+    run = create_run(tmp_path / "r", config(), make_manifest(config(), told))
+    assert open_run(run.path).manifest.info == run.manifest.info == told
 
 
 def test_a_run_keeps_the_user_s_own_plant(tmp_path):

@@ -14,7 +14,7 @@ from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
-from wcsim.cli.shared.run_config import how_to_test, in_town, learning, resolve_config, resolve_run, steps_note
+from wcsim.cli.shared.run_config import how_to_test, in_town, resolve_config, resolve_run, steps_note
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
 from wcsim.errors import ConfigError, TownError
@@ -76,7 +76,7 @@ def run(words: list[str]) -> int:
         return _resume(options, words)
     config = resolve_config(options, options.network)
     town = checked_town(options.town, options.allow_test_town)
-    resolved = resolve_run(config, info_of(options, words), town, _out(options, town))
+    resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     train_in(resolved, town, note=steps_note(config, options.steps), verbose=options.verbose)
     return _told(options, resolved)
 
@@ -87,13 +87,12 @@ def _resume(options: Options, words: list[str]) -> int:
     if out is None:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
-    manifest, config, town = resumed(out, typed(options, words))
-    resolved = resolve_run(learning(config), manifest.info, town, out, resume=True)
+    resolved, town = resumed(out, typed(options, words))
     train_in(resolved, town, verbose=options.verbose)
     return _told(options, resolved)
 
 
-def info_of(options: Options, words: list[str]) -> RunInfo:
+def _info_of(options: Options, words: list[str]) -> RunInfo:
     """What is known of a run before its town is."""
     command = ("wcsim", "train", *words)
     return RunInfo(seed=options.seed, rewards=options.reward, command=command, hook=options.hook)
@@ -137,7 +136,7 @@ def _train_clients(options: Options, words: list[str]) -> int:
         return train_clients(options, *resumed_group(options, out, typed(options, words)))
     clients = resolved(options)
     town = checked_town(options.town, options.allow_test_town)
-    info = in_town(info_of(options, words), town, clients[0].config)
+    info = in_town(_info_of(options, words), town, clients[0].config)
     return train_clients(options, GroupRun(clients=clients, out=_out(options, town), info=info), town)
 
 
