@@ -8,13 +8,16 @@ the paper without accelerations.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
-from wcsim.config import CameraConfig
+from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.server.specs import RunInfo
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
 
@@ -27,6 +30,11 @@ def toy_camera(height_px: int = 24, width_px: int = 32) -> CameraConfig:
     return CameraConfig(
         width_px=width_px, height_px=height_px, hfov_deg=110.0, range_m=10.0, p_BC_m=(0.0, 0.0, 1.0), pitch_deg=-15.0
     )
+
+
+def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **info: Any) -> ResolvedRun:
+    """A run of these settings; what else its manifest says is left out unless it is given."""
+    return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
 
 
 class ToyStreet(gym.Env[dict[str, Any], np.int64]):

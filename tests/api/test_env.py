@@ -20,6 +20,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
+from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -398,6 +399,24 @@ def test_a_seed_of_numpy_is_a_seed(corner):
     with made(corner) as env:
         one = env.unwrapped.reset(seed=np.int64(3))[0]
         assert all(np.array_equal(one[key], value) for key, value in env.unwrapped.reset(seed=3)[0].items())
+
+
+def by_id(**words: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make(wcsim.ENV_ID, **words)
+
+
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+def test_an_argument_that_no_face_takes_is_refused_and_the_nearest_one_named(face):
+    with pytest.raises(TypeError, match=r"argument 'overides'; expected config, hook, .*; did you mean 'overrides'\?"):
+        face(town="nowhere", overides=TINY)
+    with pytest.raises(TypeError, match="argument 'windows'; expected config"):
+        face(town="nowhere", windows=2)
+
+
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv])
+def test_the_options_are_named_where_an_editor_shows_them(face):
+    told = next(line for line in face.__init__.__doc__.splitlines() if "**options:" in line)
+    assert set(EnvOptions.__annotations__) <= set(told.replace(":", ",").replace(" ", "").split(","))
 
 
 def test_wrong_settings_are_named_before_a_world_is_made():

@@ -18,6 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
+from tests.agents.toy import a_run
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
@@ -44,7 +45,7 @@ def without_wall_times(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def run(corner, tmp_path_factory) -> Path:
     config = load_run_config("quick", SMALL)
-    return train(config, maker(corner, config), tmp_path_factory.mktemp("runs") / "first", 3, town="corner")
+    return train(a_run(config, tmp_path_factory.mktemp("runs") / "first", 3, town="corner"), maker(corner, config))
 
 
 def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
@@ -98,7 +99,7 @@ def test_a_run_folder_is_complete(run):
 
 def test_equal_seeds_give_equal_runs_in_the_real_street(run, corner, tmp_path):
     config = load_run_config("quick", SMALL)
-    again = train(config, maker(corner, config), tmp_path / "again", 3)
+    again = train(a_run(config, tmp_path / "again", 3), maker(corner, config))
     assert without_wall_times(run / "metrics.csv") == without_wall_times(again / "metrics.csv")
     for stage in ("phase1", "final"):
         one, other = (load_file(folder / "policies" / stage / "weights.safetensors") for folder in (run, again))

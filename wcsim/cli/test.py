@@ -16,13 +16,11 @@ from wcsim.agents.runs.policy_file import read_policy_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.cli.shared.run_config import require_known
+from wcsim.cli.shared.run_config import overrides_of, require_known
 from wcsim.config import RunConfig, load_run_config, with_overrides
-from wcsim.core import seeding
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, find_town, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
@@ -99,8 +97,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     from wcsim.agents.envs.wheelchair_env import (
         WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
     )
-    from wcsim.agents.evaluation.matrix import open_policy, run_test, window_for
-    from wcsim.towns.scenario.overrides import settings_of
+    from wcsim.agents.evaluation.matrix import TestPlan, open_policy, run_test, window_for
 
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
@@ -113,21 +110,20 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         return WheelchairEnv(towns[town].address, config=config.model_copy(update={"env": env}), hook=options.hook)
 
     for town in towns.values():
-        overrides = scenario_overrides(town, settings_of(config, seeding.derive(options.seed, "sumo")))
-        print_overrides(Console(highlight=False), town.name, overrides, verbose=options.verbose)
+        told = overrides_of(town, config, options.seed)
+        print_overrides(Console(highlight=False), town.name, told, verbose=options.verbose)
 
-    results = run_test(
-        policies,
-        make_env,
+    plan = TestPlan(
         towns=tuple(towns),
         profiles=profiles,
         episodes=options.episodes,
         max_steps=options.max_steps,
         seed=options.seed,
         tick_s=config.world.tick_s,
-        progress=lambda text: console.print(f"tested {text}", style="dim", highlight=False),
     )
-    return results
+    return run_test(
+        policies, make_env, plan, lambda text: console.print(f"tested {text}", style="dim", highlight=False)
+    )
 
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:

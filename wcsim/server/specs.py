@@ -97,19 +97,26 @@ class SeatRequest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RunInfo:
+    """What the manifest of a training run says of it, beside its configuration."""
+
+    seed: int  # of networks, exploration, replay and, unless that is a server's, the world
+    town: str = ""  # name of the training town
+    town_sha256: str = ""  # of its streets
+    rewards: tuple[str, ...] = ()  # the user's own reward terms, as module:Class
+    command: tuple[str, ...] = ()  # what started the run
+    hook: str = ""  # the user's own step hook, as module:Class
+    overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSpec:
     """A client process that learns: its seat, its own settings, its run folder, and what its manifest says."""
 
     join: SeatRequest
     config_json: str
-    seed: int
     out: str  # run folder
-    town: str = ""
-    town_sha256: str = ""
-    rewards: tuple[str, ...] = ()
-    command: tuple[str, ...] = ()
-    hook: str = ""
-    overrides: tuple[Override, ...] = ()
+    info: RunInfo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

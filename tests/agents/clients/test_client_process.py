@@ -10,6 +10,7 @@ from itertools import count
 import pytest
 
 from tests.agents.learning.test_train import Nervous, config, street
+from tests.agents.toy import a_run
 from wcsim import errors
 from wcsim.agents.clients.client import StatusPipe, exit_of
 from wcsim.agents.clients.client_process import main
@@ -19,7 +20,8 @@ from wcsim.agents.learning.train import train
 from wcsim.core.files import locked
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.links.base import Waits
-from wcsim.server.specs import ClientSpec, ClientStatus, SeatRequest, of_line, to_line
+from wcsim.server.specs import ClientSpec, ClientStatus, RunInfo, SeatRequest, of_line, to_line
+from wcsim.towns.scenario.overrides import Override
 
 
 @pytest.mark.parametrize(
@@ -48,13 +50,23 @@ def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_
     monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda grace_s, code: None)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="c")
     order = ClientSpec(
-        join=join, config_json=config(network="nonesuch").model_dump_json(), seed=1, out=str(tmp_path / "run")
+        join=join,
+        config_json=config(network="nonesuch").model_dump_json(),
+        out=str(tmp_path / "run"),
+        info=RunInfo(seed=1),
     )
     (tmp_path / "order").write_bytes(to_line(order))
     assert main([str(tmp_path / "order")]) == ClientExit.USER_ERROR
     assert "wcsim: unknown network 'nonesuch'" in capfd.readouterr().err
     assert main([str(tmp_path / "none")]) == ClientExit.USER_ERROR
     assert not (tmp_path / "run").exists()
+
+
+def test_an_order_brings_everything_that_the_manifest_says():
+    override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
+    info = RunInfo(seed=1, town="a", rewards=("a:B",), command=("x",), hook="c:D", overrides=(override,))
+    order = ClientSpec(join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config_json="{}", out="o", info=info)
+    assert of_line(ClientSpec, to_line(order)) == order
 
 
 class WaitingEnv:
@@ -110,7 +122,7 @@ def test_a_call_within_a_call_counts_once(monkeypatch):
 def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
     shares, seen = TimeShares(), []
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10, train_every=4)
-    train(settings, street, tmp_path / "run", 3, seen.append, progress_every=1, callbacks=(shares,))
+    train(a_run(settings, tmp_path / "run", 3), street, seen.append, progress_every=1, callbacks=(shares,))
     assert shares.learning.calls == pytest.approx(50 / 4, abs=2)
     assert shares.inference.calls >= 40  # each step of the second phase, and some of the first
     assert min(shares.learning.seconds, shares.inference.seconds) > 0.0
@@ -124,16 +136,16 @@ def test_a_client_that_loses_its_world_keeps_what_it_has_learned(tmp_path):
 
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10, checkpoint_every=1000)
     with pytest.raises(errors.ServerGoneError):
-        train(settings, lambda: Nervous(31, fail), tmp_path / "run", 3)
+        train(a_run(settings, tmp_path / "run", 3), lambda: Nervous(31, fail))
     assert [path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*")] == ["step-00000030"]
-    train(settings, street, tmp_path / "run", 3, resume=True)
+    train(a_run(settings, tmp_path / "run", 3, resume=True), street)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
 
 
 def test_measuring_changes_nothing(tmp_path):
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10)
-    train(settings, street, tmp_path / "a", 3)
-    train(settings, street, tmp_path / "b", 3, progress_every=1, callbacks=(TimeShares(),))
+    train(a_run(settings, tmp_path / "a", 3), street)
+    train(a_run(settings, tmp_path / "b", 3), street, progress_every=1, callbacks=(TimeShares(),))
     a, b = ((tmp_path / name / "policies" / "final" / "weights.safetensors").read_bytes() for name in "ab")
     assert a == b
     assert json.loads((tmp_path / "a" / "manifest.json").read_text())["status"] == "done"

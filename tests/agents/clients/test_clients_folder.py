@@ -10,12 +10,13 @@ from tests.support.worlds import quick_config
 from wcsim.agents.clients.clients_folder import ClientsFolder, create_clients_folder
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
+from wcsim.server.specs import RunInfo
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ClientsFolder:
     config = quick_config()
-    manifest = make_manifest(config, 1, "t", "", (), ())
+    manifest = make_manifest(config, RunInfo(seed=1, town="t"))
     return create_clients_folder(tmp_path / "run", config, manifest, {"a": config, "b": config})
 
 

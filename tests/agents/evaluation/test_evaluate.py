@@ -10,7 +10,7 @@ from rich.console import Console
 
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.evaluation.evaluate import evaluate
-from wcsim.agents.evaluation.matrix import TestResult, open_policy, run_test
+from wcsim.agents.evaluation.matrix import TestPlan, TestResult, open_policy, run_test
 from wcsim.agents.policies.baselines import baseline
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
@@ -176,6 +176,9 @@ def test_nonsense_is_refused():
         evaluate(FOLLOW, Script(), episodes=0, max_steps=5, seed=0)
 
 
+PLAN = TestPlan(towns=("a", "b"), profiles=("blind",), episodes=2, max_steps=30, seed=4)
+
+
 def test_a_test_of_several_policies_towns_and_profiles():
     made = []
 
@@ -184,7 +187,7 @@ def test_a_test_of_several_policies_towns_and_profiles():
         return made[-1][2]
 
     policies = [open_policy(name, CONFIG, seed=1) for name in ("follow", "zero")]
-    results = run_test(policies, make_env, towns=["a", "b"], profiles=["blind"], episodes=2, max_steps=30, seed=4)
+    results = run_test(policies, make_env, PLAN)
     assert [(r.town, r.profile, r.seed) for r in results] == [("a", "blind", 4), ("b", "blind", 4)]
     data = results[0].to_json()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
@@ -204,7 +207,7 @@ def test_the_environment_is_closed_when_a_policy_fails():
             raise RuntimeError("no")
 
     with pytest.raises(RuntimeError):
-        run_test([Broken()], lambda *_: env, towns=["a"], profiles=["b"], episodes=1, max_steps=1, seed=0)
+        run_test([Broken()], lambda *_: env, PLAN)
     assert env.closed
 
 

@@ -9,6 +9,7 @@ import signal
 
 import pytest
 
+from tests.agents.toy import a_run
 from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
@@ -114,10 +115,10 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(InterruptedRunError):
-        train(config(), street, out, 5, stop, progress_every=10)
+        train(a_run(config(), out, 5), street, stop, progress_every=10)
     newest = step_folders(out / "checkpoints")[-1]
     (newest / STATE).write_text("[" * 100_000)
-    train(config(), street, out, 5, resume=True, say=told.append)
+    train(a_run(config(), out, 5, resume=True), street, say=told.append)
     assert open_run(out).manifest.status == "done"
     assert [newest.name in line and "not JSON" in line for line in told] == [True]
     assert newest.with_name(f"{newest.name}.damaged").is_dir()
@@ -132,18 +133,18 @@ def test_a_storm_of_signals_leaves_a_run_that_can_be_resumed(tmp_path):
             os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(InterruptedRunError):
-        train(config(), street, out, 5, lambda now: now.step >= 60 and storm(), progress_every=10)
+        train(a_run(config(), out, 5), street, lambda now: now.step >= 60 and storm(), progress_every=10)
     assert open_run(out).manifest.status == "interrupted"
-    train(config(), street, out, 5, resume=True)
+    train(a_run(config(), out, 5, resume=True), street)
     assert open_run(out).manifest.status == "done"
 
 
 def test_a_run_without_a_checkpoint_begins_again(tmp_path):
     """As after a disk that was full before the first one."""
-    once, out, told = train(config(), street, tmp_path / "once", 5), tmp_path / "run", []
+    once, out, told = train(a_run(config(), tmp_path / "once", 5), street), tmp_path / "run", []
     shutil.copytree(once, out)
     shutil.rmtree(out / "checkpoints")
-    train(config(), street, out, 5, resume=True, say=told.append)
+    train(a_run(config(), out, 5, resume=True), street, say=told.append)
     assert "begins again" in told[0]
     rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
     one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)
@@ -153,6 +154,6 @@ def test_a_run_without_a_checkpoint_begins_again(tmp_path):
 def test_two_cannot_learn_in_one_folder(tmp_path):
     def again(now):
         with pytest.raises(PolicyError, match="by another process"):
-            train(config(), street, tmp_path / "run", 5, resume=True)
+            train(a_run(config(), tmp_path / "run", 5, resume=True), street)
 
-    train(config(), street, tmp_path / "run", 5, again, progress_every=60)
+    train(a_run(config(), tmp_path / "run", 5), street, again, progress_every=60)

@@ -6,7 +6,7 @@ it is 1.0, 3.7 and 0.3 for seeds 0, 1 and 2, at a joystick distance of 0.61 to 0
 
 import pytest
 
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
@@ -41,7 +41,7 @@ def has_learned(learned, follow):
 
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
-    run = train(settings, lambda: ToyStreet(CAMERA), tmp_path / "run", 0)
+    run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
     follow = drive(baseline("follow", settings))
     obedient, learned = (drive(load_policy(policy_path(f"{run}:{stage}"))) for stage in ("phase1", "final"))
     # The first phase teaches obedience: what the user wants, crashes included.
@@ -57,7 +57,7 @@ def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     settings = config(total_steps=16_000, phase1_steps=2000)
-    run = train(settings, lambda: ToyStreet(CAMERA), tmp_path / "run", seed)
+    run = train(a_run(settings, tmp_path / "run", seed), lambda: ToyStreet(CAMERA))
     follow, learned = drive(baseline("follow", settings), 8000), drive(load_policy(policy_path(str(run))), 8000)
     assert per_1000(learned) <= 0.25 * per_1000(follow)
     assert learned.speed_mps >= 0.4
@@ -83,6 +83,6 @@ def _wrong_sign(monkeypatch):
 def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatch):
     fault(monkeypatch)
     settings = config(**SHORT)
-    run = train(settings, lambda: ToyStreet(CAMERA), tmp_path / "run", 0)
+    run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
     follow, learned = drive(baseline("follow", settings)), drive(load_policy(policy_path(str(run))))
     assert not has_learned(learned, follow), learned

@@ -14,7 +14,7 @@ from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.flip_augmentation import mirrored, mirrored_advice
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled, teacher_actions
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.config import LearnConfig, RunConfig, load_run_config
@@ -103,9 +103,14 @@ def mask(number):
     return (np.arange(81) * 7 + number) % 5 != 0
 
 
+def memory(rows, advice=True, **settings):
+    settings = ReplaySettings(advice=advice, **settings)
+    return FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", settings=settings)
+
+
 def filled(steps, rows=1000, crash_every=7, unknown=()):
     """A memory in which the safe actions of observation k are mask(k)."""
-    replay = FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", n_step=3, advice=True, seed=5)
+    replay = memory(rows, n_step=3, seed=5)
     number = 0
     for k in range(steps):
         done = k % crash_every == crash_every - 1
@@ -141,7 +146,7 @@ def test_a_look_ahead_ends_with_the_episode():
 
 
 def test_a_look_ahead_leaves_an_action():
-    replay = FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu", advice=True)
+    replay = memory(100)
     for k in range(20):
         info = {"truth": SimpleNamespace(safe_actions=AHEAD if (k + 1) % 2 else ~AHEAD)}
         replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
@@ -151,7 +156,7 @@ def test_a_look_ahead_leaves_an_action():
 
 
 def test_tight_moments_get_their_share():
-    replay = FrameReplay(1000, SPACE, gym.spaces.Discrete(81), "cpu", advice=True)
+    replay = memory(1000)
     for k in range(200):
         safe = np.ones(81, bool) if (k + 1) % 50 else ~AHEAD
         info = {"truth": SimpleNamespace(safe_actions=safe)}
@@ -162,7 +167,7 @@ def test_tight_moments_get_their_share():
 
 def test_advice_survives_a_checkpoint():
     replay = filled(60, 25)
-    again = FrameReplay(25, SPACE, gym.spaces.Discrete(81), "cpu", n_step=3, advice=True, seed=5)
+    again = memory(25, n_step=3, seed=5)
     restore_replay(again, replay_arrays(replay))
     one, two = replay.sample_advice(50, 0.5, 3), again.sample_advice(50, 0.5, 3)
     assert torch.equal(one.safe, two.safe)
@@ -170,10 +175,10 @@ def test_advice_survives_a_checkpoint():
 
 
 def test_without_advice_there_is_none_to_draw():
-    plain = FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu")
+    plain = memory(100, advice=False)
     with pytest.raises(ValueError, match="advice=True"):
         plain.sample_advice(4, 0.5)
-    assert FrameReplay(100, SPACE, gym.spaces.Discrete(81), "cpu", advice=True).sample_advice(4, 0.5) is None
+    assert memory(100).sample_advice(4, 0.5) is None
 
 
 # --- mirror ---

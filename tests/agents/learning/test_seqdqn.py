@@ -12,7 +12,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -137,7 +137,7 @@ def chain_errors(n_step=1):
         learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
         exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0))},
-        replay_buffer_kwargs={"n_step": n_step, "gamma": gamma, "seed": 1},
+        replay_buffer_kwargs={"settings": ReplaySettings(n_step=n_step, gamma=gamma, seed=1)},
     )  # fmt: skip
     learner.learn(1200)
     onward, errors = action_set("square81").points[:, 1] > 0, []

@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model, checked_device
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
@@ -27,8 +27,11 @@ from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, o
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.overrides import Override
 
 CAMERA = toy_camera(16, 20)
+INFO = RunInfo(seed=1, town="t", town_sha256="ab", command=("wcsim", "train"))
 
 
 def config(**learn):
@@ -74,7 +77,8 @@ def weights(path, stage="final"):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     seen = []
-    path = train(config(), street, tmp_path_factory.mktemp("a") / "run", 5, seen.append, town="toy", town_sha256="00")
+    asked = a_run(config(), tmp_path_factory.mktemp("a") / "run", 5, town="toy", town_sha256="00")
+    path = train(asked, street, seen.append)
     return path, seen
 
 
@@ -122,8 +126,8 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
 
 def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
     path, _ = run
-    again = train(config(), street, tmp_path / "again", 5)
-    other = train(config(), street, tmp_path / "other", 6)
+    again = train(a_run(config(), tmp_path / "again", 5), street)
+    other = train(a_run(config(), tmp_path / "other", 6), street)
     assert weights(path) == weights(again) != weights(other)
     assert comparable(path) == comparable(again) != comparable(other)
     assert not torch.are_deterministic_algorithms_enabled()
@@ -131,7 +135,7 @@ def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
 
 def test_a_checkpoint_is_heard_of_while_it_is_written(tmp_path):
     heard = []
-    train(config(), street, tmp_path / "run", 5, alive=lambda: heard.append(len(list(tmp_path.rglob("LATEST")))))
+    train(a_run(config(), tmp_path / "run", 5), street, alive=lambda: heard.append(len(list(tmp_path.rglob("LATEST")))))
     written = config().learn.total_steps // config().learn.checkpoint_every
     assert len(heard) >= 2 * written
     assert heard[0] == 0, "before the first one was whole"
@@ -146,7 +150,7 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
 
     env, before = Nervous(150, interrupt), signal.getsignal(signal.SIGINT)
     with pytest.raises(InterruptedRunError, match="--resume"):
-        train(config(), lambda: env, tmp_path / "run", 5)
+        train(a_run(config(), tmp_path / "run", 5), lambda: env)
     path = tmp_path / "run"
     first = open_run(path).manifest
     assert (first.status, first.steps) == ("interrupted", 149 if stop == "exception" else 152)
@@ -155,7 +159,7 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     assert signal.getsignal(signal.SIGINT) is before  # ignored, when the tests run in a shell's background
 
     follower = Nervous(-1, interrupt)
-    train(config(), lambda: follower, path, 5, resume=True)
+    train(a_run(config(), path, 5, resume=True), lambda: follower)
     done = open_run(path).manifest
     assert (done.status, done.steps) == ("done", 240)
     # What was torn out of a step goes on from the last checkpoint, what was asked to stop from where it stopped.
@@ -196,18 +200,18 @@ def test_a_checkpoint_restores_the_whole_learner(run):
 def test_wrong_folders_are_explained(run, tmp_path):
     path, _ = run
     with pytest.raises(PolicyError, match="not empty"):
-        train(config(), street, path, 5)
+        train(a_run(config(), path, 5), street)
     with pytest.raises(PolicyError, match="not a run"):
         open_run(tmp_path)
     with pytest.raises(PolicyError, match="another configuration"):
-        train(config(gamma=0.5), street, path, 5, town="toy", town_sha256="00", resume=True)
+        train(a_run(config(gamma=0.5), path, 5, town="toy", town_sha256="00", resume=True), street)
     with pytest.raises(PolicyError, match="another town_sha256"):
-        train(config(), street, path, 5, town="other", town_sha256="01", resume=True)
+        train(a_run(config(), path, 5, town="other", town_sha256="01", resume=True), street)
     with pytest.raises(PolicyError, match="another rewards"):
-        train(config(), street, path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True)
+        train(a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street)
     with pytest.raises(PolicyError, match="unknown stage"):
         policy_path(f"{path}:best")
-    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), 1, "t", "", (), ()))
+    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), RunInfo(seed=1, town="t")))
     with pytest.raises(PolicyError, match="it has: none"):
         policy_path(str(fresh.path))
     (fresh.path / "manifest.json").write_text("{")
@@ -217,11 +221,11 @@ def test_wrong_folders_are_explained(run, tmp_path):
 
 def test_a_network_that_does_not_exist_leaves_a_clear_error(tmp_path):
     with pytest.raises(PolicyError, match="expected one of"):
-        train(config(network="enormous"), street, tmp_path / "run", 0)
+        train(a_run(config(network="enormous"), tmp_path / "run", 0), street)
 
 
 def test_a_run_of_one_phase_has_both_policies(tmp_path):
-    path = train(config(total_steps=60, phase1_steps=60), street, tmp_path / "run", 0)
+    path = train(a_run(config(total_steps=60, phase1_steps=60), tmp_path / "run", 0), street)
     assert weights(path) == weights(path, "phase1")
 
 
@@ -273,18 +277,25 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
 
 
 def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
-    run = create_run(tmp_path / "r", config(), make_manifest(config(), 1, "t", "ab", (), ("wcsim", "train")))
+    run = create_run(tmp_path / "r", config(), make_manifest(config(), INFO))
     digest = run.manifest_sha256()
     run = run.with_status("interrupted", 7)
     assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)
     assert run.manifest_sha256() == digest
 
 
+def test_a_manifest_keeps_what_it_was_told(tmp_path):
+    override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
+    told = replace(INFO, rewards=("a:B",), hook="c:D", overrides=(override,))
+    run = create_run(tmp_path / "r", config(), make_manifest(config(), told))
+    assert open_run(run.path).manifest.info == run.manifest.info == told
+
+
 def test_a_run_keeps_the_user_s_own_plant(tmp_path):
     own = tmp_path / "own.toml"
     own.write_bytes((Path(wcsim.__file__).parent / "config" / "plants" / "rwd.toml").read_bytes())
     wanted = config().model_copy(update={"chair": config().chair.model_copy(update={"plant": str(own)})})
-    run = create_run(tmp_path / "r", wanted, make_manifest(wanted, 1, "t", "ab", (), ("wcsim", "train")))
+    run = create_run(tmp_path / "r", wanted, make_manifest(wanted, INFO))
     text = own.read_bytes()
     own.unlink()
     kept = open_run(run.path).config.chair.plant

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wcsim.agents.replay import frame_store
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.frame_store import PackedFrames, RawFrames
 from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.errors import PolicyError
@@ -101,7 +101,7 @@ def test_every_draw_is_the_references_transition(data):
     plan[-1] = ["go" if e == "reset" else e for e in plan[-1]]
     buffer = FrameReplay(
         size * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats,
-        n_step=n_step, gamma=0.9, precrash_share=share, precrash_window=5, seed=1,
+        settings=ReplaySettings(n_step=n_step, gamma=0.9, precrash_share=share, precrash_window=5, seed=1),
     )  # fmt: skip
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
@@ -114,8 +114,9 @@ def test_every_draw_is_the_references_transition(data):
     assert len(buffer.after_end) <= buffer.size() * seats
 
 
-def filled(plan, seats=1, **kwargs):
-    buffer = FrameReplay(200, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **kwargs)
+def filled(plan, seats=1, **settings):
+    settings = ReplaySettings(**settings)
+    buffer = FrameReplay(200, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=settings)
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
     return buffer, reference

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import wcsim
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from tests.agents.toy import ToyStreet, WindowedStreet, a_run, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import open_policy, window_for
@@ -21,7 +21,7 @@ from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
 from wcsim.agents.replay.window_store import WindowStore
 from wcsim.agents.runs.policy_file import POLICY_JSON
@@ -174,7 +174,8 @@ def add(buffer, streets, ends):
 
 
 def replay(size=400, seats=1, space=WINDOWS):
-    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, n_step=1, seed=1)
+    settings = ReplaySettings(seed=1)
+    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=settings)
 
 
 def check(buffer, streets):
@@ -277,13 +278,13 @@ def weights(path, stage="final"):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return train(config(), street, tmp_path_factory.mktemp("a") / "run", 5)
+    return train(a_run(config(), tmp_path_factory.mktemp("a") / "run", 5), street)
 
 
 @pytest.mark.parametrize("network", ["fig6", "stack", "gru"])
 def test_equal_seeds_give_equal_runs(network, run, tmp_path):
-    first = run if network == "fig6" else train(config(network=network), street, tmp_path / "one", 5)
-    again = train(config(network=network), street, tmp_path / "two", 5)
+    first = run if network == "fig6" else train(a_run(config(network=network), tmp_path / "one", 5), street)
+    again = train(a_run(config(network=network), tmp_path / "two", 5), street)
     assert weights(first) == weights(again) != weights(first, "phase1")
 
 
@@ -298,8 +299,8 @@ def test_a_stopped_run_goes_on(tmp_path):
             return super().step(action)
 
     with pytest.raises(InterruptedRunError):
-        train(config(), lambda: Stops(street()), tmp_path / "run", 5)
-    train(config(), street, tmp_path / "run", 5, resume=True)
+        train(a_run(config(), tmp_path / "run", 5), lambda: Stops(street()))
+    train(a_run(config(), tmp_path / "run", 5, resume=True), street)
     assert open_run(tmp_path / "run").manifest.status == "done"
 
 
@@ -333,7 +334,7 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
 
 
 def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
-    path = train(config(window=1, network="patch", total_steps=60), lambda: street(1), tmp_path / "run", 5)
+    path = train(a_run(config(window=1, network="patch", total_steps=60), tmp_path / "run", 5), lambda: street(1))
     file = policy_path(str(path)) / POLICY_JSON
     data = json.loads(file.read_text())
     assert data.pop("window") == 1
@@ -342,12 +343,12 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
     kept = json.loads((path / "config.json").read_text())
     del kept["env"]["window"]
     (path / "config.json").write_text(json.dumps(kept))
-    train(config(window=1, network="patch", total_steps=60), lambda: street(1), path, 5, resume=True)
+    train(a_run(config(window=1, network="patch", total_steps=60), path, 5, resume=True), lambda: street(1))
 
 
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
-    single = train(config(window=1, network="patch", total_steps=60), lambda: street(1), tmp_path / "run", 5)
+    single = train(a_run(config(window=1, network="patch", total_steps=60), tmp_path / "run", 5), lambda: street(1))
     policies = [open_policy(str(path), CONFIG) for path in (run, single)] + [baseline("stop", CONFIG)]
     assert window_for(policies) == 3
     assert window_for(policies[1:]) == window_for([]) == 1

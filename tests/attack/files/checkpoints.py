@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, a_run, toy_camera
 from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped, pick
 from tests.attack.outcomes import Case
 from wcsim.agents.learning.build import build_model
@@ -66,7 +66,7 @@ class Bench:
     """Sound checkpoints, and a learner that is fresh again before each case."""
 
     def __init__(self, work: Path) -> None:
-        self.sound = train(config(), street, work / "sound", 5) / "checkpoints"
+        self.sound = train(a_run(config(), work / "sound", 5), street) / "checkpoints"
         self.model = build_model(config(), DummyVecEnv([street]), 7)
         self._nets = [copy.deepcopy(net.state_dict()) for net in (self.model.q_net, self.model.q_net_target)]
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())

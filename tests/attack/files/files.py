@@ -42,6 +42,7 @@ from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
 from wcsim.errors import WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
 from wcsim.users.recorded import COLUMNS, find_user, read_recording
@@ -72,7 +73,7 @@ def same(model: Model) -> bool:
 
 def take_config(config: RunConfig) -> bool:
     """A configuration, with all that the faces do with one before there is a world."""
-    make_face("nowhere", config, "quick", (), None, None, "").observation_space()
+    make_face("nowhere", {"config": config}).observation_space()
     plant_spec(config.chair)
     return same(config)
 
@@ -202,7 +203,11 @@ def _sound_trace(work: Path) -> bytes:
 def _sound_manifest(config: RunConfig) -> dict[str, Any]:
     override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
     words = ("wcsim", "train")
-    manifest = make_manifest(config, 3, "helsinki", "ab" * 32, ("own:Term",), words, "own:Hook", (override,))
+    info = RunInfo(
+        seed=3, town="helsinki", town_sha256="ab" * 32, rewards=("own:Term",), command=words, hook="own:Hook",
+        overrides=(override,),
+    )  # fmt: skip
+    manifest = make_manifest(config, info)
     names = ("seed", "town", "town_sha256", "config_sha256", "rewards", "command", "versions", "git_revision", "steps")
     data = {name: getattr(manifest, name) for name in (*names, "status", "hook")}
     rows = [{"option": "--step-length", "author": "1", "wcsim": "0.1", "why": "ticks"}]

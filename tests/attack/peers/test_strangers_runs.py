@@ -22,7 +22,7 @@ from wcsim.server.journal.replay import verify
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import ClientSpec, SeatRequest
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 from wcsim.server.transport.keys import make_keys
 
 HEADER = JournalHeader(
@@ -90,7 +90,8 @@ def a_small_run(tmp_path: Path, corner: Path) -> Path:
     config = learning(load_run_config("quick", ("learn.total_steps=30", "learn.network=patch")))
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
-    return create_run(tmp_path / "run", config, make_manifest(config, 1, town.name, streets_hash(town), (), words)).path
+    info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)
+    return create_run(tmp_path / "run", config, make_manifest(config, info)).path
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["symbolic", "hard"])
@@ -116,7 +117,10 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
     kept.mkdir(parents=True)
     join = SeatRequest(endpoint="ipc:///nowhere/x", name="small", claim="c")
     order = ClientSpec(
-        town="helsinki", config_json=quick_config().model_dump_json(), out=str(tmp_path / "small"), seed=1, join=join
+        config_json=quick_config().model_dump_json(),
+        out=str(tmp_path / "small"),
+        info=RunInfo(seed=1, town="helsinki"),
+        join=join,
     )
     with pytest.raises(PolicyError, match="holds work"):
         learn(order, resume=True)

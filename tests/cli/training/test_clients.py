@@ -19,7 +19,8 @@ from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import learning, steps_note, with_steps
-from wcsim.cli.training.clients import Group, client_names, resolved
+from wcsim.cli.training.clients import client_names, resolved
+from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
@@ -127,15 +128,15 @@ def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("[learn]\ngamma = 0.5\n[env]\nwindow = 2\n")
-    group = Group(networks="small,gru", preset="quick", steps=100, config_for=(f"gru={own}",))
-    small, gru = resolved(group)
+    options = Options(clients="small,gru", steps=100, config_for=(f"gru={own}",))
+    small, gru = resolved(options)
     assert [(c.name, c.seat) for c in (small, gru)] == [("small", 0), ("gru", 1)]
     assert [c.config.learn.network for c in (small, gru)] == ["small", "gru"]
     assert (small.config.learn.gamma, gru.config.learn.gamma, gru.config.env.window) == (0.97, 0.5, 2)
     assert small.config == learning(small.config)
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
     with pytest.raises(ConfigError, match="small and gru ask for different worlds"):
-        resolved(group)
+        resolved(options)
 
 
 # --- whole runs ---

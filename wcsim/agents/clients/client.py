@@ -18,7 +18,7 @@ from wcsim.agents.learning.callbacks import TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.own_terms import find_reward_term
-from wcsim.agents.runs.run_folder import MANIFEST
+from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import (
@@ -96,30 +96,21 @@ def learn(
     """
     config = with_window(RunConfig.model_validate_json(order.config_json))
     find_network(net_spec(config).network)
-    terms = tuple(find_reward_term(name) for name in order.rewards)
+    terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
             raise PolicyError(f"{out} holds work, and no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
-    env = WheelchairEnv(order.town, config=config, reward_terms=terms, join=order.join)
+    env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()
     pipe = StatusPipe(order.join.name, status_fd, env, shares)
     try:
         train(
-            config,
+            ResolvedRun(config=config, out=out, info=order.info, resume=goes_on),
             lambda: env,
-            out,
-            order.seed,
             pipe.show,
-            town=order.town,
-            town_sha256=order.town_sha256,
-            rewards=order.rewards,
-            command=order.command,
-            resume=goes_on,
-            hook=order.hook,
-            overrides=order.overrides,
             progress_every=1,
             callbacks=(shares,),
             alive=lambda: env.beat(next(beats)),  # else a server that hears nothing gives the seat away

@@ -7,27 +7,50 @@ A face is a standard interface over the same links: Gymnasium's (`agents/envs/wh
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import gymnasium
 import numpy as np
 
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config
+from wcsim.core.nearest_names import meant
 from wcsim.core.reading import MAX_INTEGER, shown_value
 from wcsim.errors import ConfigError
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.users.recorded import find_user
 
 RENDER_MODES = ("rgb_array",)
 RENDER_FPS = 10
 SEED_LIMIT = 1 << 31
 MAX_CHAIRS = 64  # of one world
+
+
+class EnvOptions(TypedDict, total=False):
+    """What every environment of a town takes by name; all may be left out."""
+
+    config: RunConfig | None
+    """A resolved configuration; `preset` and `overrides` make one otherwise."""
+    preset: str
+    """Name of a preset, "quick" by default."""
+    overrides: Sequence[str]
+    """Laid over the preset: "section.key=value"."""
+    seed: int | None
+    """Seed of the first reset when that brings none; drawn from the system when both are missing."""
+    reward_terms: Sequence[RewardTerm]
+    """The user's own terms, added to the reward as `RewardTerms.extra`; each chair has copies of its own."""
+    render_mode: str | None
+    """None or "rgb_array" (the cameras then draw colours too, for people to look at)."""
+    run: Path | None
+    """A run folder for the outputs of the town's own SUMO scenario; without one they go with the world."""
+    hook: str
+    """The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,27 +97,31 @@ class Face:
         )
 
 
-def make_face(
-    town: str,
-    config: RunConfig | None,
-    preset: str,
-    overrides: Sequence[str],
-    render_mode: str | None,
-    run: Path | None,
-    hook: str,
-) -> Face:
-    """The face that these arguments of an environment describe, see `WheelchairEnv`.
+def make_face(town: str, options: EnvOptions) -> Face:
+    """The face that these options of an environment describe.
 
     Raises:
         ConfigError: The configuration, the user's profile or the render mode cannot be used.
+        TypeError: There is no such option.
     """
-    resolved = config if config is not None else load_run_config(preset, tuple(overrides))
+    _require_known(options)
+    render_mode, config = options.get("render_mode"), options.get("config")
+    resolved = config or load_run_config(options.get("preset", "quick"), tuple(options.get("overrides", ())))
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
         raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
     if render_mode == "rgb_array":
         resolved = with_colours(resolved)
+    run, hook = options.get("run"), options.get("hook", "")
     return Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
+
+
+def _require_known(options: Iterable[str]) -> None:
+    """Raise TypeError, as Python does, for an argument that no environment takes."""
+    known = sorted(EnvOptions.__annotations__)
+    for name in options:
+        if name not in known:
+            raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")
 
 
 def checked_chairs(chairs: int) -> int:

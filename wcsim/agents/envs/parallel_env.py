@@ -6,64 +6,42 @@ is no second life before the next `reset`, which makes the world anew with all c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pettingzoo import ParallelEnv
 
-from wcsim.agents.envs.env_spec import checked_chairs, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
 from wcsim.agents.envs.episode_views import Chairs
-from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.reward_terms import RewardTerm
 
 
 class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]  # PettingZoo has no types
     """Drive several wheelchairs through one town; see the module's text."""
 
-    def __init__(
-        self,
-        town: str = "helsinki",
-        *,
-        chairs: int = 2,
-        config: RunConfig | None = None,
-        preset: str = "quick",
-        overrides: Sequence[str] = (),
-        seed: int | None = None,
-        reward_terms: Sequence[RewardTerm] = (),
-        render_mode: str | None = None,
-        run: Path | None = None,
-        hook: str = "",
-    ) -> None:
+    def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
         """Describe the environment; the world is made by the first reset.
 
         Args:
             town: A town's name or folder.
             chairs: How many agents.
-            config: As in `WheelchairEnv`, and so is what follows.
-            preset: Name of a preset.
-            overrides: Laid over the preset.
-            seed: Seed of the first reset when that brings none; drawn from the system when both are missing.
-            reward_terms: The user's own terms; each agent has copies of its own.
-            render_mode: None or "rgb_array" (the cameras then draw colours too).
-            run: A run folder for the outputs of the town's own SUMO scenario.
-            hook: The user's own step hook as "module:Class".
+            **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
 
         Raises:
             ConfigError: The configuration cannot be used.
+            TypeError: There is no such option.
         """
-        face = make_face(town, config, preset, overrides, render_mode, run, hook)
-        self._chairs = Chairs(face, checked_chairs(chairs), reward_terms)
-        self._seed = checked_seed(seed)
+        face = make_face(town, options)
+        self._chairs = Chairs(face, checked_chairs(chairs), options.get("reward_terms", ()))
+        self._seed = checked_seed(options.get("seed"))
         self._resets = 0  # since the seed was given, the first of them included
-        self.config, self.render_mode, self.metadata = face.config, render_mode, face.metadata
+        self.config, self.render_mode, self.metadata = face.config, face.render_mode, face.metadata
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
         self.agents: list[str] = []
         self._observation_spaces = {agent: face.observation_space() for agent in self.possible_agents}

@@ -8,51 +8,36 @@ episode's first one, `info["terminal_observation"]` the last one of the episode 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from wcsim.agents.envs.env_spec import checked_chairs, checked_seed, make_face
+from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.envs.episode_views import Chairs
-from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.links.base import Waits
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.reward_terms import RewardTerm
 
 
 class StreetVecEnv(VecEnv):
     """Drive several wheelchairs through one town; see the module's text."""
 
-    def __init__(
-        self,
-        town: str = "helsinki",
-        *,
-        chairs: int = 2,
-        config: RunConfig | None = None,
-        preset: str = "quick",
-        overrides: Sequence[str] = (),
-        seed: int | None = None,
-        reward_terms: Sequence[RewardTerm] = (),
-        render_mode: str | None = None,
-        run: Path | None = None,
-        hook: str = "",
-    ) -> None:
+    def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
         """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.
 
         Raises:
             ConfigError: The configuration cannot be used.
+            TypeError: There is no such option.
         """
-        face = make_face(town, config, preset, overrides, render_mode, run, hook)
-        self._chairs = Chairs(face, checked_chairs(chairs), reward_terms)
-        self._first_seed = checked_seed(seed)
+        face = make_face(town, options)
+        self._chairs = Chairs(face, checked_chairs(chairs), options.get("reward_terms", ()))
+        self._first_seed = checked_seed(options.get("seed"))
         self._waiting = False  # for what comes of a step
-        self.config, self.render_mode = face.config, render_mode
+        self.config, self.render_mode = face.config, face.render_mode
         super().__init__(chairs, face.observation_space(), face.action_space())
 
     def reset(self) -> VecEnvObs:

@@ -9,23 +9,27 @@ With `join` the environment makes no world: it takes its seat in a running one, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import RENDER_FPS, RENDER_MODES, SEED_LIMIT, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.env_spec import (
+    RENDER_FPS,
+    RENDER_MODES,
+    SEED_LIMIT,
+    EnvOptions,
+    checked_seed,
+    drawn_seed,
+    make_face,
+)
 from wcsim.agents.envs.episode_view import Chair
-from wcsim.config import RunConfig
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
 from wcsim.server.links.base import Waits, WorldLink
 from wcsim.server.links.open import open_link
 from wcsim.server.specs import SeatRequest
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.types import ClientSnapshot
 
 
@@ -35,44 +39,27 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
     def __init__(
-        self,
-        town: str = "helsinki",
-        *,
-        config: RunConfig | None = None,
-        preset: str = "quick",
-        overrides: Sequence[str] = (),
-        seed: int | None = None,
-        reward_terms: Sequence[RewardTerm] = (),
-        render_mode: str | None = None,
-        run: Path | None = None,
-        hook: str = "",
-        join: SeatRequest | None = None,
+        self, town: str = "helsinki", *, join: SeatRequest | None = None, **options: Unpack[EnvOptions]
     ) -> None:
         """Describe the environment; the world is made, or joined, by the first reset.
 
         Args:
             town: A town's name or folder.
-            config: A resolved configuration; `preset` and `overrides` ("section.key=value") make one otherwise.
-            preset: Name of a preset.
-            overrides: Laid over the preset.
-            seed: Seed of the first reset when that brings none; drawn from the system when both are missing.
-            reward_terms: The user's own terms; their sum is added to the reward as `RewardTerms.extra`.
-            render_mode: None or "rgb_array" (the camera then draws colours too, for people to look at).
-            run: A run folder for the outputs of the town's own SUMO scenario; without one they go with the world.
-            hook: The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md.
             join: Take this seat in a running world instead. Town, seed, run and hook are the server's then, cameras
                 and actions of the configuration must be the server's, and user and episode length are those of
                 `join.spec`.
+            **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
 
         Raises:
             ConfigError: The configuration cannot be used.
+            TypeError: There is no such option.
         """
-        self._face = make_face(town, config, preset, overrides, render_mode, run, hook)
+        self._face = make_face(town, options)
         self._join = join
-        self._first_seed = checked_seed(seed)
+        self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
-        self._chair = Chair(self._face.config, reward_terms)
-        self.town, self.config, self.render_mode = town, self._face.config, render_mode
+        self._chair = Chair(self._face.config, options.get("reward_terms", ()))
+        self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
         self.observation_space = self._face.observation_space()  # type: ignore[assignment]
         self.action_space = self._face.action_space()

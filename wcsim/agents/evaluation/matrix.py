@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import gymnasium
@@ -64,6 +65,20 @@ UPPER_BOUND_NOTES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TestPlan:
+    """Where, with whom and for how long every policy is tested."""
+
+    __test__ = False  # it is not a test case of pytest
+
+    towns: tuple[str, ...]
+    profiles: tuple[str, ...]
+    episodes: int
+    max_steps: int  # after so many an episode is cut, and counts as survived
+    seed: int  # every policy begins from it, in every town with every profile
+    tick_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TestResult:
     """All policies in one town with one user profile."""
 
@@ -109,31 +124,21 @@ class TestResult:
 
 
 def run_test(
-    policies: Sequence[Policy],
-    make_env: MakeEnv,
-    *,
-    towns: Sequence[str],
-    profiles: Sequence[str],
-    episodes: int,
-    max_steps: int,
-    seed: int,
-    tick_s: float = 0.1,
-    progress: Progress | None = None,
+    policies: Sequence[Policy], make_env: MakeEnv, plan: TestPlan, progress: Progress | None = None
 ) -> list[TestResult]:
     """Every policy in every town with every profile, each from the same seed; one environment a town and profile."""
     results: list[TestResult] = []
-    for town in towns:
-        for profile in profiles:
-            env = make_env(town, profile)
-            try:
-                rows: list[EvalRow] = []
-                for policy in policies:
-                    rows.append(evaluate(policy, env, episodes, max_steps, seed, tick_s))
-                    if progress is not None:
-                        progress(f"{town}, {profile}: {policy.name}")
-            finally:
-                env.close()
-            results.append(TestResult(town=town, seed=seed, profile=profile, rows=tuple(rows)))
+    for town, profile in product(plan.towns, plan.profiles):
+        env = make_env(town, profile)
+        try:
+            rows: list[EvalRow] = []
+            for policy in policies:
+                rows.append(evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s))
+                if progress is not None:
+                    progress(f"{town}, {profile}: {policy.name}")
+        finally:
+            env.close()
+        results.append(TestResult(town=town, seed=plan.seed, profile=profile, rows=tuple(rows)))
     return results
 
 

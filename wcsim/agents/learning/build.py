@@ -11,6 +11,7 @@ from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError
 
@@ -132,12 +133,14 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         gradient_steps=learn.gradient_steps,
         max_grad_norm=learn.clip_norm,
         replay_buffer_kwargs={
-            "n_step": learn.n_step,
-            "gamma": learn.gamma,
-            "precrash_share": learn.precrash_share,
-            "precrash_window": learn.precrash_window,
-            "advice": learn.aid == "oracle",
-            "seed": seed,
+            "settings": ReplaySettings(
+                n_step=learn.n_step,
+                gamma=learn.gamma,
+                precrash_share=learn.precrash_share,
+                precrash_window=learn.precrash_window,
+                advice=learn.aid == "oracle",
+                seed=seed,
+            )
         },
         policy_kwargs={"spec": net_spec(config)},
         device=learn.device,

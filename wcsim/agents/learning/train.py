@@ -25,7 +25,7 @@ from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.run_folder import (
     METRICS,
-    Manifest,
+    ResolvedRun,
     RunFolder,
     create_run,
     make_manifest,
@@ -36,7 +36,6 @@ from wcsim.config import RunConfig
 from wcsim.config.plant import plant_text
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
-from wcsim.towns.scenario.overrides import Override
 
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
@@ -45,19 +44,10 @@ Q_ALARM = 1.5  # times the largest value that the reward allows
 
 
 def train(
-    config: RunConfig,
+    run: ResolvedRun,
     make_env: MakeEnv,
-    out: Path,
-    seed: int,
     progress: Progress | None = None,
     *,
-    town: str = "",
-    town_sha256: str = "",
-    rewards: Sequence[str] = (),
-    command: Sequence[str] = (),
-    resume: bool = False,
-    hook: str = "",
-    overrides: Sequence[Override] = (),
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
     alive: Callable[[], object] = lambda: None,
@@ -66,18 +56,10 @@ def train(
     """Learn both phases and leave a run folder.
 
     Args:
-        config: Everything about the run; with `resume` it must be the run's own.
-        make_env: Makes the environment; it is reset with `seed` first.
-        out: The run folder, new or empty, or an interrupted run with `resume`.
-        seed: Of networks, exploration, replay and the environment. Equal seeds on equal machines give equal weights.
+        run: The run; with `resume`, configuration, seed, town and rewards must be its own. Equal seeds on equal
+            machines give equal weights.
+        make_env: Makes the environment; it is reset with the run's seed first.
         progress: Called every `progress_every` steps.
-        town: Name of the training town, for the manifest.
-        town_sha256: Hash of its streets.
-        rewards: Names of the user's own reward terms, for the manifest, as is the command.
-        command: What started the run.
-        hook: Name of the user's own step hook, for the manifest.
-        overrides: What the run overrides of the town's own SUMO options, for the manifest.
-        resume: Go on from the newest sound checkpoint, in a new episode; without one the run begins again.
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
         alive: Called now and then while something takes long that is no step of the environment.
@@ -91,15 +73,14 @@ def train(
         LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
         PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
     """
-    checked_device(config.learn.device)
-    manifest = make_manifest(config, seed, town, town_sha256, rewards, command, hook, overrides)
-    run = _open(out, config, manifest, resume)
-    with files.locked(run.path), _torch_settings(config), StopRequest() as request:
+    checked_device(run.config.learn.device)
+    folder = _open(run)
+    with files.locked(folder.path), _torch_settings(run.config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
-            model = build_model(config, env, seed)
-            loaded = _loaded(run, model, say) if resume else None
-            session = _Session(run, model, request, progress, resume, loaded, progress_every, alive)
+            model = build_model(run.config, env, run.info.seed)
+            loaded = _loaded(folder, model, say) if run.resume else None
+            session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
             session.callbacks.extend(callbacks)
             return session.learn()
         finally:
@@ -247,18 +228,17 @@ def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Load
     return loaded
 
 
-def _open(out: Path, config: RunConfig, wanted: Manifest, resume: bool) -> RunFolder:
+def _open(run: ResolvedRun) -> RunFolder:
     """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards."""
-    if not resume:
-        return create_run(out, config, wanted)
-    run = open_run(out)
-    kept = ("seed", "town_sha256", "rewards")
-    other = [key for key in kept if getattr(run.manifest, key) != getattr(wanted, key)]
-    if plant_text(config.chair.plant) != plant_text(run.config.chair.plant):
+    if not run.resume:
+        return create_run(run.out, run.config, make_manifest(run.config, run.info))
+    folder, kept = open_run(run.out), ("seed", "town_sha256", "rewards")
+    other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
+    if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    if with_window(run.config) != with_window(with_kept_plant(config, out)) or other:
-        raise PolicyError(f"{out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
-    return run
+    if with_window(folder.config) != with_window(with_kept_plant(run.config, run.out)) or other:
+        raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
+    return folder
 
 
 @contextmanager

@@ -33,6 +33,18 @@ I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReplaySettings:
+    """What a replay memory is told beside what Stable-Baselines3 tells every one."""
+
+    n_step: int = 1
+    gamma: float = 0.99
+    precrash_share: float = 0.0  # of a batch from the steps before crashes
+    precrash_window: int = 20  # so many of them
+    advice: bool = False  # keep which actions end well, too
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Chains:
     """n-step chains from K start rows."""
 
@@ -57,24 +69,18 @@ class FrameReplay(ReplayBuffer):
         device: torch.device | str = "auto",
         n_envs: int = 1,
         optimize_memory_usage: bool = False,
-        handle_timeout_termination: bool = True,
-        *,
-        n_step: int = 1,
-        gamma: float = 0.99,
-        precrash_share: float = 0.0,
-        precrash_window: int = 20,
-        advice: bool = False,
-        seed: int = 0,
+        settings: ReplaySettings | None = None,
     ) -> None:
+        settings = settings or ReplaySettings()
         # SB3's own constructor would allocate two uncompressed copies of every frame.
         self.observation_space, self.action_space = observation_space, action_space
         self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
-        self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, handle_timeout_termination
-        self.buffer_size = rows = max(buffer_size // n_envs, n_step + 1, 2)
-        self.n_step, self.gamma = n_step, gamma
-        self.precrash_share, self.precrash_window = precrash_share, precrash_window
+        self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, True
+        self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, 2)
+        self.n_step, self.gamma = settings.n_step, settings.gamma
+        self.precrash_share, self.precrash_window = settings.precrash_share, settings.precrash_window
         self.layout = layout_of(observation_space)
-        self.rng = seeding.generator(seed, "agent", "replay")
+        self.rng = seeding.generator(settings.seed, "agent", "replay")
         self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes)
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
@@ -83,7 +89,7 @@ class FrameReplay(ReplayBuffer):
         self.terminated = np.zeros((rows, n_envs), dtype=bool)
         self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
         count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
-        self.advice = AdviceRing(rows, n_envs, count) if advice else None
+        self.advice = AdviceRing(rows, n_envs, count) if settings.advice else None
         self.reset()
 
     def reset(self) -> None:

@@ -15,8 +15,8 @@ import contextlib
 import json
 import platform
 import subprocess
-from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -32,6 +32,7 @@ from wcsim.core.nearest_names import meant
 from wcsim.core.reading import FileKind, is_file, is_folder, shown
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
@@ -60,6 +61,21 @@ class Manifest:
     hook: str = ""
     overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
     own_code: str = ""  # mark of the user's own classes, see agents/runs/own_code.py
+
+    @property
+    def info(self) -> RunInfo:
+        """The part of it that a run which goes on keeps."""
+        return RunInfo(**{field.name: getattr(self, field.name) for field in fields(RunInfo)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResolvedRun:
+    """A run as it is going to be: nothing about it is left to be looked up or filled in."""
+
+    config: RunConfig
+    out: Path  # the run folder, new or empty; with `resume` that of an interrupted run
+    info: RunInfo
+    resume: bool = False  # go on from the newest sound checkpoint, in a new episode; without one the run begins again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,30 +111,14 @@ class RunFolder:
             file.write(json.dumps({"event": kind, **values}, allow_nan=False) + "\n")
 
 
-def make_manifest(
-    config: RunConfig,
-    seed: int,
-    town: str,
-    town_sha256: str,
-    rewards: Sequence[str],
-    command: Sequence[str],
-    hook: str = "",
-    overrides: Sequence[Override] = (),
-    networks: Collection[str] = (),
-) -> Manifest:
+def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = ()) -> Manifest:
     """A manifest for a run that starts now; `networks` are those of all clients, by default the configuration's."""
     return Manifest(
-        seed=seed,
-        town=town,
-        town_sha256=town_sha256,
+        **{field.name: getattr(info, field.name) for field in fields(info)},
         config_sha256=config.digest(),
-        rewards=tuple(rewards),
-        command=tuple(command),
         versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
         git_revision=git_revision(),
-        hook=hook,
-        overrides=tuple(overrides),
-        own_code=mark_of(own_classes(hook, rewards, networks or (config.learn.network,))),
+        own_code=mark_of(own_classes(info.hook, info.rewards, networks or (config.learn.network,))),
     )
 
 

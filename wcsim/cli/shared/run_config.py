@@ -4,18 +4,82 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from wcsim.agents.networks.names import is_own, require_network
 from wcsim.agents.runs.own_terms import find_reward_term
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
-from wcsim.config import RunConfig, with_overrides
+from wcsim.cli.shared.common import check_folder
+from wcsim.config import RunConfig, load_run_config, with_file, with_overrides
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT
+
+
+class Asked(Protocol):
+    """The options that the commands that train make a configuration of."""
+
+    preset: str
+    config: Path | None
+    set: tuple[str, ...]
+    steps: int | None
+
+
+def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunConfig:
+    """The configuration that was asked for, as it is learned with; the window is left to `resolve_run`.
+
+    Args:
+        asked: The options.
+        network: Laid over what they say; "" for theirs.
+        file: TOML file laid over that, for one of several clients.
+
+    Raises:
+        ConfigError: An option cannot be used, or the user is kept for tests.
+    """
+    named = (f'learn.network="{network}"',) if network else ()
+    config = load_run_config(asked.preset, (*asked.set, *named), asked.config)
+    config = with_steps(config if file is None else with_file(config, file), asked.steps)
+    _require_trained_user(config)
+    return learning(config)
+
+
+def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False) -> ResolvedRun:
+    """The run of a configuration in a town: with the network's window, and with what its manifest says of the town.
+
+    Args:
+        config: As it is learned with.
+        info: Seed, command, and the user's own classes.
+        town: To train in.
+        out: The run folder.
+        resume: Go on with the run in it.
+
+    Raises:
+        PolicyError, ConfigError, HookError: A name stands for nothing, or the folder cannot be one.
+    """
+    from wcsim.users.recorded import find_user
+
+    check_folder("--out", out)
+    require_known(config.learn.network, info.rewards, info.hook)
+    find_user(config.env.profile)
+
+    from wcsim.agents.learning.build import with_window  # torch is loaded here: not for --help, nor for a refusal
+    from wcsim.agents.networks.registry import find_network
+
+    find_network(config.learn.network)
+    return ResolvedRun(config=with_window(config), out=out, info=in_town(info, town, config), resume=resume)
+
+
+def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
+    """The same, with what there is to say of the town."""
+    overrides = overrides_of(town, config, info.seed)
+    return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
 def with_steps(config: RunConfig, steps: int | None) -> RunConfig:
@@ -58,7 +122,7 @@ def learning(config: RunConfig) -> RunConfig:
     return config.model_copy(update={"env": config.env.model_copy(update=env)})
 
 
-def require_trained_user(config: RunConfig) -> None:
+def _require_trained_user(config: RunConfig) -> None:
     """Raise ConfigError for a simulated user that is kept for tests."""
     if config.env.profile in HELD_OUT:
         raise ConfigError(

@@ -141,10 +141,11 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
 def _manifest(options: RunOptions, town: Town, config: RunConfig, command: tuple[str, ...]) -> dict[str, Any]:
     from wcsim.agents.runs.run_folder import make_manifest
+    from wcsim.server.specs import RunInfo
 
-    made = make_manifest(config, options.seed, town.name, content_hash(town), (), command)
+    info = RunInfo(seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command)
     return {
-        **asdict(made),
+        **asdict(make_manifest(config, info)),
         "kind": "town run",
         "sumo_seed": seeding.derive(options.seed, "sumo"),
         "chairs": options.chairs,

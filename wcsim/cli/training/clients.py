@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -24,10 +24,11 @@ from wcsim.agents.runs.run_folder import MANIFEST, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import learning, overrides_of, require_trained_user, steps_note, with_steps
+from wcsim.cli.shared.run_config import in_town, resolve_config, steps_note
 from wcsim.cli.training.report import TickRate, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
-from wcsim.config import RunConfig, load_run_config, with_file
+from wcsim.cli.training.train import Options
+from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
@@ -40,10 +41,9 @@ from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import ClientSpec, Recovery, SeatRequest, WorldSpec, seat_spec, to_line
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
-from wcsim.towns.scenario.overrides import Override
-from wcsim.towns.scenario.town import Town, streets_hash
+from wcsim.towns.scenario.town import Town
 from wcsim.users.profiles import recordings
 from wcsim.users.recorded import find_user
 from wcsim.view.live_table import LiveTable
@@ -58,28 +58,6 @@ _TAKEN = ("world", "logs", "ledgers", "configs", "journal")  # names in a run fo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """What is asked for."""
-
-    networks: str  # joined by commas
-    preset: str
-    file: Path | None = None
-    overrides: tuple[str, ...] = ()
-    steps: int | None = None
-    config_for: tuple[str, ...] = ()  # NAME=FILE
-    rewards: tuple[str, ...] = ()
-    hook: str = ""
-    seed: int = 0
-    out: Path = field(default_factory=Path)
-    resume: bool = False
-    lease_s: float = 120.0
-    recovery: Recovery = "new_epoch"
-    command: tuple[str, ...] = ()
-    verbose: bool = False
-    json: Path | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Client:
     """One of them, resolved."""
 
@@ -88,7 +66,17 @@ class Client:
     config: RunConfig
 
 
-def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroupRun:
+    """All of them in one world, as it is going to be: a `ResolvedRun` with a configuration for each."""
+
+    clients: tuple[Client, ...]
+    out: Path
+    info: RunInfo
+    resume: bool = False
+
+
+def train_clients(options: Options, run: GroupRun, town: Town) -> int:
     """Train them all; returns the exit code: FAILED when a client was given up, or the world.
 
     Raises:
@@ -96,51 +84,47 @@ def train_clients(group: Group, clients: Sequence[Client], town: Town) -> int:
         NothingKept: ... before anything was done.
         WcsimError: Something that was asked for cannot be used.
     """
-    in_bounds("--lease", group.lease_s, 1.0, 86_400.0)
-    check_folder("--out", group.out)
-    require_files(len(clients))
-    overrides = overrides_of(town, clients[0].config, group.seed)
+    in_bounds("--lease", options.lease, 1.0, 86_400.0)
+    check_folder("--out", run.out)
+    require_files(len(run.clients))
     with StopSignals() as signals, ExitStack() as held:
-        folder = held.enter_context(_opened(group, town, clients, overrides))
+        folder = held.enter_context(_opened(run))
         place = held.enter_context(workplace())
-        left = tuple(client for client in clients if not folder.done(client.name, client.config.learn.total_steps))
-        plans = [_plan(group, town, folder, place, client, overrides) for client in left]
-        order = _world_order(group, town, folder, place, clients, len(left))
+        left = tuple(client for client in run.clients if not folder.done(client.name, client.config.learn.total_steps))
+        plans = [_plan(run, folder, place, client) for client in left]
+        order = _world_order(options, run, town, folder, place, len(left))
         rate = TickRate()
         with LiveTable() as table:
 
             def show(state: LaunchState) -> None:
                 if rate.add(state):
-                    note = steps_note(clients[0].config, group.steps)
-                    notes = (note,) if note else ()
-                    print_overrides(table.console, town.name, overrides, notes, verbose=group.verbose, kept=True)
+                    note = "" if run.resume else steps_note(run.clients[0].config, options.steps)
+                    notes, told = (note,) if note else (), run.info.overrides
+                    print_overrides(table.console, town.name, told, notes, verbose=options.verbose, kept=True)
                 table.show(state)
 
-            rules = LaunchRules(client_lease_s=max(30.0, group.lease_s))
+            rules = LaunchRules(client_lease_s=max(30.0, options.lease))
             launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
-        return _told(group, folder, clients, outcome, rate)
+        return _told(run, folder, options.json, outcome, rate)
 
 
-def resolved(group: Group) -> tuple[Client, ...]:
+def resolved(options: Options) -> tuple[Client, ...]:
     """The clients with their names, seats and configurations.
 
     Raises:
         ConfigError: A name or an option cannot be used, or they do not fit into one world.
     """
-    networks = some_words("--clients", group.networks)
+    networks = some_words("--clients", options.clients or "")
     if len(networks) > MOST_CLIENTS:
         raise ConfigError(f"--clients: {len(networks)} of them; expected {MOST_CLIENTS} at most")
     names = client_names(networks)
-    files = _files(group.config_for, names)
+    files = _files(options.config_for, names)
     clients: list[Client] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
-        config = load_run_config(group.preset, (*group.overrides, f'learn.network="{network}"'), group.file)
-        config = with_file(config, files[name]) if name in files else config
-        config = with_steps(config, group.steps)
-        require_trained_user(config)
+        config = resolve_config(options, network, files.get(name))
         find_user(config.env.profile)
-        clients.append(Client(name=name, seat=seat, config=learning(config)))
+        clients.append(Client(name=name, seat=seat, config=config))
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
@@ -183,7 +167,7 @@ def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
     return files
 
 
-def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...], Town]:
+def resumed_group(options: Options, out: Path, typed: Typed) -> tuple[GroupRun, Town]:
     """What a run goes on with, by what its folder says.
 
     Raises:
@@ -191,71 +175,53 @@ def resumed_group(group: Group, typed: Typed) -> tuple[Group, tuple[Client, ...]
         ConfigError: An option cannot be used.
         TownError: Its town is not there.
     """
-    folder = open_clients_folder(group.out)
+    folder, named = open_clients_folder(out), options.clients or ""
     manifest = folder.manifest
-    if group.networks and client_names(some_words("--clients", group.networks)) != folder.clients:
+    if named and client_names(some_words("--clients", named)) != folder.clients:
         raise PolicyError(
-            f"--clients {group.networks}: {group.out} was made with another clients ({', '.join(folder.clients)}); "
+            f"--clients {named}: {out} was made with another clients ({', '.join(folder.clients)}); "
             "resume with its own, or leave that option out"
         )
-    require_same(group.out, manifest, typed)
+    require_same(out, manifest, typed)
     networks = [folder.client_config(name).learn.network for name in folder.clients]
-    require_own_classes(group.out, manifest, networks, typed, group.networks.split(","))
-    town = town_of(group.out, manifest, typed)
-    own = _files(group.config_for, folder.clients)
+    require_own_classes(out, manifest, networks, typed, named.split(","))
+    town = town_of(out, manifest, typed)
+    own = _files(options.config_for, folder.clients)
     clients = []
     for seat, name in enumerate(folder.clients):
         config = folder.client_config(name)
-        steps = steps_of(group.out, config, typed)
-        require_same_config(group.out, config, typed, [own[name]] if name in own else [])
+        steps = steps_of(out, config, typed)
+        require_same_config(out, config, typed, [own[name]] if name in own else [])
         longer = config.model_copy(update={"learn": config.learn.model_copy(update={"total_steps": steps})})
         clients.append(Client(name=name, seat=seat, config=longer))
-    again = replace(
-        group, seed=manifest.seed, rewards=manifest.rewards, hook=manifest.hook, command=manifest.command, steps=None
-    )
-    return again, tuple(clients), town
-
-
-def networks_of(clients: Sequence[Client]) -> tuple[str, ...]:
-    """The networks that the clients learn with."""
-    return tuple(client.config.learn.network for client in clients)
+    info = in_town(manifest.info, town, clients[0].config)
+    return GroupRun(clients=tuple(clients), out=out, info=info, resume=True), town
 
 
 @contextmanager
-def _opened(
-    group: Group, town: Town, clients: Sequence[Client], overrides: tuple[Override, ...]
-) -> Iterator[ClientsFolder]:
+def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
     """The run folder, new or gone on with, for this process alone; a new one is removed when nothing came of it."""
-    configs = {client.name: client.config for client in clients}
-    if group.resume:
-        with locked(group.out):
-            folder = open_clients_folder(group.out)
+    configs = {client.name: client.config for client in run.clients}
+    world = run.clients[0].config
+    if run.resume:
+        with locked(run.out):
+            folder = open_clients_folder(run.out)
             _mend(folder)
             for name, config in configs.items():
                 _lengthen(folder.path / name, config.learn.total_steps)
             write_client_configs(folder.path, configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
-    wanted = make_manifest(
-        clients[0].config,
-        group.seed,
-        town.name,
-        streets_hash(town),
-        group.rewards,
-        group.command,
-        group.hook,
-        overrides,
-        networks_of(clients),
-    )
-    made = not group.out.exists()
+    wanted = make_manifest(world, run.info, [config.learn.network for config in configs.values()])
+    made = not run.out.exists()
     if made:
-        group.out.mkdir(parents=True)
-    with locked(group.out):
+        run.out.mkdir(parents=True)
+    with locked(run.out):
         try:
-            folder = create_clients_folder(group.out, clients[0].config, wanted, configs)
+            folder = create_clients_folder(run.out, world, wanted, configs)
         except WcsimError:
             if made:
-                shutil.rmtree(group.out, ignore_errors=True)
+                shutil.rmtree(run.out, ignore_errors=True)
             raise
         try:
             yield folder
@@ -291,33 +257,31 @@ def _say_torn(path: Path, cut_bytes: int) -> None:
 
 
 def _world_order(
-    group: Group, town: Town, folder: ClientsFolder, place: Path, clients: Sequence[Client], expected: int
+    options: Options, run: GroupRun, town: Town, folder: ClientsFolder, place: Path, expected: int
 ) -> WorldSpec:
     rules = Rules(
-        capacity=len(clients),
+        capacity=len(run.clients),
         config=folder.config.world_digest(),
         expected=expected,
         gather_s=GATHER_S,
-        lease_s=group.lease_s,
-        recordings=recordings(client.config.env.profile for client in clients),
+        lease_s=options.lease,
+        recordings=recordings(client.config.env.profile for client in run.clients),
     )
     return WorldSpec(
         town=town.address,
         config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
-        seed=group.seed,
+        seed=run.info.seed,
         rules=rules,
         endpoint=endpoint_in(place),
         ring=str(place / "ring"),
         name=folder.path.name,
         run=str(folder.path.absolute()),
-        hook=group.hook,
-        recovery=group.recovery,
+        hook=run.info.hook,
+        recovery=options.recovery,
     )
 
 
-def _plan(
-    group: Group, town: Town, folder: ClientsFolder, place: Path, client: Client, overrides: tuple[Override, ...]
-) -> ClientPlan:
+def _plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
     """A client's order, and how its process is started."""
     config, env = client.config, client.config.env
     out = (folder.path / client.name).absolute()
@@ -333,14 +297,8 @@ def _plan(
             patience=Patience(reconnect_s=RECONNECT_S),
         ),
         config_json=config.model_dump_json(),
-        seed=seeding.derive(group.seed, "client", client.seat),
         out=str(out),
-        town=town.name,
-        town_sha256=streets_hash(town),
-        rewards=group.rewards,
-        command=group.command,
-        hook=group.hook,
-        overrides=overrides,
+        info=replace(run.info, seed=seeding.derive(run.info.seed, "client", client.seat)),
     )
     file = place / f"{client.name}.json"
     return ClientPlan(
@@ -349,14 +307,14 @@ def _plan(
         argv=(*CLIENT_ARGV, str(file)),
         log=folder.log(client.name),
         folder=out,
-        resume=group.resume,
+        resume=run.resume,
         order=to_line(order),
         order_file=file,
     )
 
 
 def _told(
-    group: Group, folder: ClientsFolder, clients: Sequence[Client], outcome: LaunchOutcome, rate: TickRate
+    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, rate: TickRate
 ) -> int:
     """Write down how it ended and say so; returns the exit code.
 
@@ -365,25 +323,25 @@ def _told(
         NothingKept: ... before anything was done.
         ConfigError: A client or the world could not use what was asked for.
     """
-    if folder.fruitless() and not group.resume:
+    if folder.fruitless() and not run.resume:
         if outcome.stopped:
             raise NothingKept("stopped before anything was learned; nothing is kept")
         if outcome.code == Exit.REFUSED:
             raise ConfigError(outcome.message)
     steps = sum(client.status.step for client in outcome.clients if client.status is not None)
-    done = all(folder.done(client.name, client.config.learn.total_steps) for client in clients)
+    done = all(folder.done(client.name, client.config.learn.total_steps) for client in run.clients)
     try:
         folder = folder.with_status("done" if done else "interrupted", steps or folder.manifest.steps)
     except DiskFullError as error:  # the work is there all the same
         print(f"wcsim: {error}", file=sys.stderr)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    report = report_of(folder, group.seed, rate)
+    report = report_of(folder, run.info.seed, rate)
     print_report(Console(highlight=False), report)
     for kept in folder.kept_torn():
         print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
-    if group.json is not None:
-        write_json(group.json, report.as_json())
+    if json is not None:
+        write_json(json, report.as_json())
     if outcome.stopped:
         raise InterruptedRunError(f"stopped; {folder.path} holds what was learned so far; continue with --resume")
     if outcome.code:

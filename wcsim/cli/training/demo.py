@@ -11,9 +11,11 @@ from rich.console import Console
 
 from wcsim.cli import test
 from wcsim.cli.shared.common import OutFolder, Repeated, parse, write_json
+from wcsim.cli.shared.run_config import learning, resolve_run
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import load_run_config
 from wcsim.errors import InterruptedRunError, TownError
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.view.filming import open_stage
 from wcsim.view.pictures import triptych, write_png
@@ -51,9 +53,10 @@ def run(words: list[str]) -> int:
     stage_town = next(iter(tested.values()))
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
     console.print(f"[bold]1/3[/] training in {school.name} (Ctrl-C ends it early and keeps what was learned)")
-    config = load_run_config("quick", options.set)
+    config = learning(load_run_config("quick", options.set))
+    info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
     try:
-        folder = train_in(school, config, out, options.seed, command=("wcsim", "demo", *words))
+        folder = train_in(resolve_run(config, info, school, out), school)
     except InterruptedRunError as stop:
         console.print(f"{stop}", highlight=False)
         folder = out

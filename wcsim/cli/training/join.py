@@ -11,23 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from wcsim.agents.networks.names import client_name
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
-from wcsim.cli.shared.run_config import (
-    how_to_test,
-    learning,
-    require_known,
-    require_trained_user,
-    steps_note,
-    with_steps,
-)
+from wcsim.cli.shared.run_config import how_to_test, require_known, resolve_config, steps_note
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
-from wcsim.config import RunConfig, load_run_config, parse_json
+from wcsim.config import RunConfig, parse_json
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, ServerGoneError
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
-from wcsim.server.specs import SeatRequest, seat_spec
+from wcsim.server.specs import RunInfo, SeatRequest, seat_spec
 from wcsim.types import CLIENT_NAME
 from wcsim.users.recorded import find_user
 
@@ -81,15 +75,13 @@ def run(words: list[str]) -> int:
         raise ConfigError(f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as serve prints it")
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
-    overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
-    config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
-    require_trained_user(config)
+    config = resolve_config(options, options.network)
     require_known(config.learn.network, options.reward)
     find_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
     out = options.out if options.out is not None else Path("runs") / f"joined-{network}-{options.seed}"
     check_folder("--out", out)
-    folder = _joined(options, learning(config), out, ("wcsim", "join", *words))
+    folder = _joined(options, config, out, ("wcsim", "join", *words))
     if options.steps is not None:
         print(steps_note(config, options.steps))
     print(f"run folder: {folder}    test it: {how_to_test(folder, config.learn.network)}")
@@ -119,18 +111,10 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
         _require_known_plant(offered, options.endpoint)
         fit = fitted(config, offered)
         env = SeatedEnv(seat, fit, world.town, terms)
+        info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         with TrainBar(config.learn.total_steps) as bar:
-            return train(
-                fit,
-                lambda: env,
-                out,
-                options.seed,
-                bar.show,
-                town=world.town,
-                rewards=options.reward,
-                command=command,
-                resume=options.resume,
-            )
+            run = ResolvedRun(config=fit, out=out, info=info, resume=options.resume)
+            return train(run, lambda: env, bar.show)
 
 
 def _require_known_plant(offered: RunConfig, endpoint: str) -> None:

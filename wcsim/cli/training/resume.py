@@ -9,8 +9,8 @@ from pathlib import Path
 
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.runs.own_code import own_classes, require_own
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, open_run, read_json, with_kept_plant
-from wcsim.cli.shared.run_config import learning
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
+from wcsim.cli.shared.run_config import learning, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.errors import PolicyError, TownError
@@ -163,7 +163,7 @@ def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:
     return typed.steps
 
 
-def resumed(path: Path, typed: Typed) -> tuple[Manifest, RunConfig, Town]:
+def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
     """What a run of one network goes on with.
 
     Raises:
@@ -181,7 +181,7 @@ def resumed(path: Path, typed: Typed) -> tuple[Manifest, RunConfig, Town]:
     if steps != run.config.learn.total_steps:
         extend(path, steps)
         run = open_run(path)
-    return run.manifest, run.config, town
+    return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town
 
 
 def _another(path: Path, what: str, said: str, own: object = None) -> PolicyError:

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
-from wcsim.cli.shared.run_config import (
-    how_to_test,
-    learning,
-    overrides_of,
-    require_known,
-    require_trained_user,
-    steps_note,
-    with_steps,
-)
+from wcsim.cli.shared.run_config import how_to_test, in_town, resolve_config, resolve_run, steps_note
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
-from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, TownError
+from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, find_town, streets_hash
+from wcsim.towns.scenario.town import Town, find_town
 
 
 @dataclass
@@ -81,24 +74,11 @@ def run(words: list[str]) -> int:
         return _train_clients(options, words)
     if options.resume:
         return _resume(options, words)
-    overrides = options.set + ((f'learn.network="{options.network}"',) if options.network else ())
-    config = with_steps(load_run_config(options.preset, overrides, options.config), options.steps)
-    require_trained_user(config)
+    config = resolve_config(options, options.network)
     town = checked_town(options.town, options.allow_test_town)
-    out = _out(options, town)
-    command = ("wcsim", "train", *words)
-    folder = train_in(
-        town,
-        config,
-        out,
-        options.seed,
-        rewards=options.reward,
-        command=command,
-        hook=options.hook,
-        note=steps_note(config, options.steps),
-        verbose=options.verbose,
-    )
-    return _told(options, folder, town, options.seed, config.learn.network)
+    resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
+    train_in(resolved, town, note=steps_note(config, options.steps), verbose=options.verbose)
+    return _told(options, resolved)
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -107,19 +87,15 @@ def _resume(options: Options, words: list[str]) -> int:
     if out is None:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
-    manifest, config, town = resumed(out, typed(options, words))
-    folder = train_in(
-        town,
-        config,
-        out,
-        manifest.seed,
-        rewards=manifest.rewards,
-        resume=True,
-        command=manifest.command,
-        hook=manifest.hook,
-        verbose=options.verbose,
-    )
-    return _told(options, folder, town, manifest.seed, config.learn.network)
+    resolved, town = resumed(out, typed(options, words))
+    train_in(resolved, town, verbose=options.verbose)
+    return _told(options, resolved)
+
+
+def _info_of(options: Options, words: list[str]) -> RunInfo:
+    """What is known of a run before its town is."""
+    command = ("wcsim", "train", *words)
+    return RunInfo(seed=options.seed, rewards=options.reward, command=command, hook=options.hook)
 
 
 def typed(options: Options, words: list[str]) -> Typed:
@@ -138,10 +114,10 @@ def typed(options: Options, words: list[str]) -> Typed:
     )
 
 
-def _told(options: Options, folder: Path, town: Town, seed: int, network: str) -> int:
-    print(f"run folder: {folder}    test it: {how_to_test(folder, network, town.name)}")
+def _told(options: Options, run: ResolvedRun) -> int:
+    print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, run.info.town)}")
     if options.json is not None:
-        write_json(options.json, {"run": str(folder), "town": town.name, "seed": seed})
+        write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
     return Exit.DONE
 
 
@@ -151,33 +127,17 @@ def _out(options: Options, town: Town) -> Path:
 
 def _train_clients(options: Options, words: list[str]) -> int:
     """Several networks in one world."""
-    from wcsim.cli.training.clients import Group, resolved, resumed_group, train_clients
+    from wcsim.cli.training.clients import GroupRun, resolved, resumed_group, train_clients
 
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
-    group = Group(
-        networks=options.clients or "",
-        preset=options.preset,
-        file=options.config,
-        overrides=options.set,
-        steps=options.steps,
-        config_for=options.config_for,
-        rewards=options.reward,
-        hook=options.hook,
-        seed=options.seed,
-        resume=options.resume,
-        lease_s=options.lease,
-        recovery=options.recovery,
-        command=("wcsim", "train", *words),
-        verbose=options.verbose,
-        json=options.json,
-    )
     if options.resume:
         out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
-        return train_clients(*resumed_group(replace(group, out=out), typed(options, words)))
-    clients = resolved(group)
+        return train_clients(options, *resumed_group(options, out, typed(options, words)))
+    clients = resolved(options)
     town = checked_town(options.town, options.allow_test_town)
-    return train_clients(replace(group, out=_out(options, town)), clients, town)
+    info = in_town(_info_of(options, words), town, clients[0].config)
+    return train_clients(options, GroupRun(clients=clients, out=_out(options, town), info=info), town)
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
@@ -192,43 +152,20 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
-def train_in(
-    town: Town,
-    config: RunConfig,
-    out: Path,
-    seed: int,
-    *,
-    rewards: tuple[str, ...] = (),
-    resume: bool = False,
-    command: tuple[str, ...] = (),
-    hook: str = "",
-    note: str = "",
-    verbose: bool = False,
-) -> Path:
+def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False) -> Path:
     """Train with a progress bar; returns the run folder."""
-    from wcsim.users.recorded import find_user
-
-    check_folder("--out", out)
-    require_known(config.learn.network, rewards, hook)
-    find_user(config.env.profile)
-
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-    from wcsim.agents.learning.build import with_window  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train
-    from wcsim.agents.networks.registry import find_network
     from wcsim.agents.runs.own_terms import find_reward_term
 
-    find_network(config.learn.network)
-    config = with_window(config)
-    terms = tuple(find_reward_term(name) for name in rewards)
-    overrides = overrides_of(town, config, seed)
-    learned = learning(config)
+    config, info = run.config, run.info
+    terms = tuple(find_reward_term(name) for name in info.rewards)
     notes = (note,) if note else ()
-    with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(out):
+    with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(run.out):
         place = beside(bar.console)
         announce = _once(
-            lambda: print_overrides(place, town.name, overrides, notes, verbose=verbose, kept=True)
+            lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True)
         )
 
         def show(now: TrainProgress) -> None:
@@ -236,18 +173,9 @@ def train_in(
             bar.show(now)
 
         return train(
-            learned,
-            lambda: WheelchairEnv(town.address, config=learned, reward_terms=terms, run=out, hook=hook),
-            out,
-            seed,
+            run,
+            lambda: WheelchairEnv(town.address, config=config, reward_terms=terms, run=run.out, hook=info.hook),
             show,
-            town=town.name,
-            town_sha256=streets_hash(town),
-            rewards=rewards,
-            command=command,
-            resume=resume,
-            hook=hook,
-            overrides=overrides,
             say=lambda text: print(f"wcsim: {text}", file=sys.stderr),
         )
 

@@ -1,0 +1,63 @@
+"""How the options of a command become the run that is made: each setting is decided once, and in this order."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from wcsim.cli.shared.run_config import learning, overrides_of, resolve_config, resolve_run
+from wcsim.cli.training.train import Options
+from wcsim.config import load_run_config
+from wcsim.errors import ConfigError, PolicyError
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town, streets_hash
+
+INFO = RunInfo(seed=3, command=("wcsim", "train"))
+
+
+def test_what_is_laid_over_what(tmp_path):
+    file, own = tmp_path / "a.toml", tmp_path / "own.toml"
+    file.write_text('[learn]\ngamma = 0.1\nbatch_size = 9\nnetwork = "gru"\ntotal_steps = 77\n')
+    own.write_text("[learn]\nbatch_size = 11\n")
+    asked = Options(config=file, set=("learn.gamma=0.5",), steps=60)
+    learn = resolve_config(asked, "fig6").learn
+    assert (learn.gamma, learn.batch_size, learn.network, learn.total_steps) == (0.5, 9, "fig6", 60)
+    assert resolve_config(asked, "").learn.network == "gru"
+    assert resolve_config(asked, "fig6", own).learn == learn.model_copy(update={"batch_size": 11})
+
+
+def test_a_run_is_learned_with_episodes_of_its_own_length():
+    config = resolve_config(Options(set=("learn.episode_steps=123", "learn.aid=oracle")), "")
+    assert (config.env.max_steps, config.env.truth) == (123, True)
+    assert config == learning(config)
+
+
+def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):
+    town, config = find_town(str(corner)), resolve_config(Options(), "fig6")
+    assert config.env.window is None
+    run = resolve_run(config, INFO, town, tmp_path / "run")
+    assert run.config == config.model_copy(update={"env": config.env.model_copy(update={"window": 4})})
+    assert run.info.overrides == overrides_of(town, config, 3) != ()
+    assert replace(run.info, overrides=()) == replace(INFO, town=town.name, town_sha256=streets_hash(town))
+    assert resolve_run(run.config, run.info, town, run.out) == run
+    assert not run.out.exists()
+
+
+def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path):
+    town, config = find_town(str(corner)), load_run_config("quick")
+    (tmp_path / "file").write_text("mine")
+    for info, out, error in (
+        (INFO, tmp_path / "file", ConfigError),
+        (replace(INFO, rewards=("nonesuch:Term",)), tmp_path / "run", PolicyError),
+    ):
+        with pytest.raises(error):
+            resolve_run(config, info, town, out)
+    code = (
+        "import sys; from wcsim.cli.training.train import Options; from wcsim.cli.shared.run_config import *\n"
+        "resolve_config(Options(), 'fig6'); print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
