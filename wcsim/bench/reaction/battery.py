@@ -137,42 +137,33 @@ def roll_out(stage: ReactionStage, way: RollOut) -> bool | None:
     return touched
 
 
-def run_battery(
-    town: str,
-    work: Path,
-    *,
-    seed: int,
-    standing_s: float,
-    trials: int,
-    streets: int,
-    places: int,
-    progress: Progress,
-    warmup_s: float = WARMUP_S,
-) -> Battery:
-    """Run everything.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatteryOrder:
+    """What to run."""
 
-    Args:
-        town: Name or path of a town with real streets; "" for the small streets alone.
-        work: Folder for the small streets.
-        seed: Of the traffic, the places and the trials.
-        standing_s: How long a chair stands at each place.
-        trials: Roll-outs at each share of attention.
-        streets: How many of the small streets to use.
-        places: Places of each kind in the town.
-        progress: Told what has been done.
-        warmup_s: How long the traffic runs before a chair comes, and is watched for places where much of it comes by.
+    town: str  # name or path of a town with real streets; "" for the small streets alone
+    seed: int  # of the traffic, the places and the trials
+    standing_s: float  # how long a chair stands at each place
+    trials: int  # roll-outs at each share of attention
+    streets: int  # of the small ones
+    places: int  # of each kind in the town
+    warmup_s: float = WARMUP_S  # before a chair comes; the traffic is watched for places where much of it comes by
+
+
+def run_battery(order: BatteryOrder, work: Path, progress: Progress) -> Battery:
+    """Run everything, with the small streets in the folder `work`; `progress` is told what has been done.
 
     Raises:
         TownError: no such town, or it offers no place to stand.
     """
-    sites = list(_sites(town, work, seed, streets, places, warmup_s))
+    sites = list(_sites(order, work))
     results: dict[str, list[Standing]] = {kind: [] for kind in KINDS}
     hits = {1: 0, 0: 0}
     done = 0
     for i, site in enumerate(sites):
-        for kind, result in site.stand_everywhere(standing_s, progress):
+        for kind, result in site.stand_everywhere(order.standing_s, progress):
             results[kind].append(result)
-        share = trials // len(sites) + (i < trials % len(sites))
+        share = order.trials // len(sites) + (i < order.trials % len(sites))
         ways = site.ways(share)
         rolled = {attention: site.roll(ways, share, attention, progress) for attention in (1, 0)}
         tried = min(len(touched) for touched in rolled.values())
@@ -180,7 +171,7 @@ def run_battery(
         hits = {attention: hits[attention] + sum(rolled[attention][:tried]) for attention in hits}
     missing = [kind for kind in KINDS if not results[kind]]
     if missing:
-        raise TownError(f"bench reaction: no {missing[0]} with traffic in {town!r}; choose another town")
+        raise TownError(f"bench reaction: no {missing[0]} with traffic in {order.town!r}; choose another town")
     return _battery(results, hits, done)
 
 
@@ -236,15 +227,17 @@ class _Site:
         return found
 
 
-def _sites(town: str, work: Path, seed: int, streets: int, places: int, warmup_s: float) -> Iterator[_Site]:
-    for street in SMALL_STREETS[:streets]:
-        built = build_small_street(street, work / street.name, seed)
-        site_seed = seeding.derive(seed, "site", street.name)
-        yield _Site(town=built, street=load_street(built), seed=site_seed, per_kind=1, warmup_s=warmup_s)
-    if town:
-        found = find_town(town)
-        site_seed = seeding.derive(seed, "site", found.name)
-        yield _Site(town=found, street=load_street(found), seed=site_seed, per_kind=places, warmup_s=warmup_s)
+def _sites(order: BatteryOrder, work: Path) -> Iterator[_Site]:
+    for street in SMALL_STREETS[: order.streets]:
+        yield _site(order, build_small_street(street, work / street.name, order.seed), street.name, 1)
+    if order.town:
+        town = find_town(order.town)
+        yield _site(order, town, town.name, order.places)
+
+
+def _site(order: BatteryOrder, town: Town, name: str, per_kind: int) -> _Site:
+    seed = seeding.derive(order.seed, "site", name)
+    return _Site(town=town, street=load_street(town), seed=seed, per_kind=per_kind, warmup_s=order.warmup_s)
 
 
 def _told(town: str, place: ChairPlace, result: Standing) -> str:

@@ -21,7 +21,7 @@ from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.walking.routes import Router
-from wcsim.types import Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
+from wcsim.types import Events, Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
 from wcsim.users.crossing import CARRIAGEWAY, RED_BELIEVED_S, Crossing, crossings, is_red
 from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
@@ -114,8 +114,10 @@ class _Watch:
         seat.user.profile = replace(seat.user.profile, law_share=law_share)
         seat.user.follow(seat.route)
 
-    def entered(self, ground: Ground) -> bool:
+    def entered(self, events: Events, ground: Ground) -> bool:
         """Whether the footplate is on the crossing: beyond its beginning and over the kerb, which may run aslant."""
+        if events.crashed:  # the chair stands at its start again
+            return False
         plant, outline = self.seat.chair.state(), self.seat.chair.outline
         ahead_m = outline.middle_x_m + 0.5 * outline.length_m
         x = float(plant.p_WB_m[0]) + ahead_m * math.cos(plant.yaw_rad)
@@ -158,8 +160,8 @@ def approach_crossings(
         todo = _ordered(signalled(world.street, outline), count, seed, town)
         watches: dict[int, _Watch] = {}
         while todo or watches:
-            for seat in range(CHAIRS):
-                place = _next(todo, world) if seat not in watches else None
+            for seat in sorted(set(range(CHAIRS)) - set(watches)):
+                place = _next(todo, world)
                 if place is not None:
                     todo.remove(place)
                     world.admit(seat, SeatSpec(profile=name, max_steps=ENDLESS, start=place.start))
@@ -169,21 +171,27 @@ def approach_crossings(
             for client in snapshot.clients:
                 watch = watches[client.seat]
                 watch.ticks += 1
-                events = client.events
-                # After a crash the chair stands at its start again.
-                entered = not events.crashed and watch.entered(world.street.grid)
-                over = watch.ticks * config.world.tick_s >= LONGEST_S
-                if not (entered or over or events.crashed or events.arrived or events.gave_up):
+                seconds = watch.ticks * config.world.tick_s
+                entered = watch.entered(client.events, world.street.grid)
+                if not entered and not _is_over(client.events, seconds):
                     continue
                 colour = _colour(watch.place.crossing, snapshot.signals) if entered else "none"
-                seconds = watch.ticks * config.world.tick_s
                 at = watch.place.crossing.start_W_m
                 done.append(CrossingApproach(town=town.name, colour=colour, seconds=seconds, at_W_m=at))
-                how = events.crash_reason or ("arrived" if events.arrived else "gave up" if events.gave_up else "")
-                progress(f"{town.name}: {colour} after {seconds:.0f} s at ({at[0]:.1f}, {at[1]:.1f}) {how}".rstrip())
+                told = f"{town.name}: {colour} after {seconds:.0f} s at ({at[0]:.1f}, {at[1]:.1f})"
+                progress(f"{told} {_ending(client.events)}".rstrip())
                 world.dismiss(client.seat)
                 del watches[client.seat]
     return done
+
+
+def _is_over(events: Events, seconds: float) -> bool:
+    return seconds >= LONGEST_S or events.crashed or events.arrived or events.gave_up
+
+
+def _ending(events: Events) -> str:
+    """How an approach ended, "" when it did on the crossing or when its time was up."""
+    return events.crash_reason or ("arrived" if events.arrived else "gave up" if events.gave_up else "")
 
 
 def colours(found: Sequence[CrossingApproach]) -> dict[str, int]:

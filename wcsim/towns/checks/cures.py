@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -88,20 +89,24 @@ def grade_cure(town: Town) -> str:
 
 def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
     """The command that routes a town's demand again and drops what finds no way."""
-    routes = ",".join(str(path.resolve()) for path in town.routes) or "DEMAND"
     roots = {path: read_root(path) for path in town.additional}
     needed = [path for path, root in roots.items() if any(element.tag in FOR_ROUTES for element in root)]
-    more = f" -a {shlex.quote(','.join(str(path.resolve()) for path in needed))}" if needed else ""
     typed = [path.name for path in needed if _has_types(roots[path])]
-    both = typed and any(_has_types(read_root(path)) for path in town.routes)
+    twice = typed if any(_has_types(read_root(path)) for path in town.routes) else []
     deadly = [path.name for path in needed if roots[path].find(DEADLY) is not None]
-    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
-    first += f"take the types out of {', '.join(typed)}, for {name} will have them, " if both else ""
-    more += " --vtype-output /dev/null" if typed and not both else ""  # SUMO takes each type once
+    more = f" -a {_paths(needed)}" if needed else ""
+    more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
     return (
-        f"{first}make {name}, and name it in {_path(town.sumocfg)}: {_tool('duarouter')} -n {_path(town.net)} "
-        f"-r {shlex.quote(routes)}{more} --ignore-errors -o {_beside(town, name)}"
+        f"{_before_routing(deadly, twice, name)}make {name}, and name it in {_path(town.sumocfg)}: "
+        f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes) if town.routes else 'DEMAND'}{more} "
+        f"--ignore-errors -o {_beside(town, name)}"
     )
+
+
+def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
+    """What has to be done by hand to files of these names before a demand is routed into `name`."""
+    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
+    return first + (f"take the types out of {', '.join(twice)}, for {name} will have them, " if twice else "")
 
 
 def _has_types(root: Element) -> bool:
@@ -118,4 +123,9 @@ def _beside(town: Town, name: str) -> str:
 
 
 def _path(path: Path) -> str:
-    return shlex.quote(str(path.resolve()))
+    return _paths([path])
+
+
+def _paths(paths: Sequence[Path]) -> str:
+    """Several as SUMO's tools take them."""
+    return shlex.quote(",".join(str(path.resolve()) for path in paths))

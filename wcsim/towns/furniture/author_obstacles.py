@@ -46,14 +46,18 @@ def _things(item: Item) -> list[StandingObject]:
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
         return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
-    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
-    if (item.filled or (closed and item.kind == "roadworks")) and len(points_m) > 2:
-        outline = shapely.make_valid(Polygon(points_m))
-    else:
-        outline = shapely.LineString(points_m).buffer((width_m or usual[1]) / 2, cap_style="flat", join_style="mitre")
+    outline = _outline(item, points_m, width_m or usual[1])
     areas = [part for part in _polygons(outline) if part.area > 1e-4]
     make = _fenced if item.kind == "roadworks" else _filled
     return [make(item.kind, area, height_m or usual[2]) for area in areas]
+
+
+def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
+    """The ground that several points (N, 2) mark: what they enclose, or a band along them."""
+    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
+    if (item.filled or (closed and item.kind == "roadworks")) and len(points_m) > 2:
+        return shapely.make_valid(Polygon(points_m))
+    return shapely.LineString(points_m).buffer(width_m / 2, cap_style="flat", join_style="mitre")
 
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:

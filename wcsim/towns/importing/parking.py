@@ -60,24 +60,17 @@ class _Space:
 def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
     lots = sorted(_lots(poly))
-    if not lots or taken <= 0.0:
-        return Parking()
     lanes = [lane for edge in net.edges if not edge.function for lane in edge.lanes if _leads_there(lane)]
-    lines = [shapely.LineString(lane.points_m) for lane in lanes]
-    if not lines:
+    if not lots or taken <= 0.0 or not lanes:
         return Parking()
-    used = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
-    town = used.convex_hull.buffer(INSIDE_M)  # there is no ground far outside of the streets
-    used = used.union(_buildings(poly)).union(_junctions(net))
-    shapely.prepare(used)
-    shapely.prepare(town)
+    lines = [shapely.LineString(lane.points_m) for lane in lanes]
+    town, used = _town_and_used(net, poly)
     tree, left = shapely.STRtree(lines), MOST_SPACES
     rng = generator(seed, "parking")
     areas: list[str] = []
     vehicles: list[str] = []
     for lot_id, lot in lots:
-        marks = ((space, space.footprint()) for space in _spaces(lot))
-        spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
+        spaces = [space for space in _spaces(lot) if _is_free(space.footprint(), town, used)][:left]
         nearest = int(tree.nearest(lot))
         if not spaces or lines[nearest].distance(lot) > NEAR_M:
             continue
@@ -87,6 +80,18 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
         cars = round(taken * len(spaces))
         vehicles += [_vehicle(f"lot.{lot_id}", number, lanes[nearest]) for number in range(cars)]
     return Parking(areas=tuple(areas), vehicles=tuple(vehicles))
+
+
+def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
+    """Where there is ground, which ends not far outside of the streets, and where something is on it."""
+    lanes = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
+    shapely.prepare([town, used])
+    return town, used
+
+
+def _is_free(mark: Polygon, town: BaseGeometry, used: BaseGeometry) -> bool:
+    return bool(town.contains(mark) and not used.intersects(mark))
 
 
 def _leads_there(lane: Lane) -> bool:

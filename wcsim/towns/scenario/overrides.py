@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from wcsim.config import RunConfig
@@ -121,25 +121,38 @@ def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tu
         settings: What the world decides.
         outputs: Options of the author that write files, each with the value it gets.
     """
-    rows = []
+    files = [_override(config, name, value, OUTPUT_WHY) for name, value in outputs]
+    return (*_forced_rows(config, settings), *files, *_aggregated_rows(config), *_idle_rows(config))
+
+
+def _override(config: Configuration, name: str, value: str, why: str) -> Override:
+    return Override(option=name, author=config.value(name) or "", wcsim=value, why=why)
+
+
+def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override]:
+    """What a world sets, where that is another value than it would have been."""
     for name, value in forced(settings, author_scale(config)):
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
             told = f"{default} (default)" if author is None and name == STEP else author or ""
             why = _WHY[name] + _faster(author or default, config, settings) * (name == STEP)
-            rows.append(Override(option=name, author=told, wcsim=value, why=why))
-    for name, value in outputs:
-        rows.append(Override(option=name, author=config.value(name) or "", wcsim=value, why=OUTPUT_WHY))
+            yield Override(option=name, author=told, wcsim=value, why=why)
+
+
+def _aggregated_rows(config: Configuration) -> Iterator[Override]:
     if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
-        author = config.value(AGGREGATED) or ""
-        rows.append(Override(option=AGGREGATED, author=author, wcsim="true", why=UNASKED_WHY[AGGREGATED]))
+        yield _override(config, AGGREGATED, "true", UNASKED_WHY[AGGREGATED])
+
+
+def _idle_rows(config: Configuration) -> Iterator[Override]:
+    """Options of the author that do nothing in a world."""
     for item in config.given:
+        topic, name = item.option.topic, item.option.name
         if item.option.treatment is Treatment.DROP:
-            why = DROP_WHY.get(item.option.topic, PREFIX_WHY if item.option.topic == "output" else _WHY["no-step-log"])
-            rows.append(Override(option=item.option.name, author=item.value, wcsim="(left out)", why=why))
-        elif item.option.name == "end":
-            rows.append(Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY))
-    return tuple(rows)
+            why = DROP_WHY.get(topic, PREFIX_WHY if topic == "output" else _WHY["no-step-log"])
+            yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
+        elif name == "end":
+            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY)
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
