@@ -11,7 +11,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo test lint look bench proof clean
+.PHONY: setup setup-cpu demo test lint look bench proof release clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,9 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
 	@touch $(STAMP)
 	@echo "installed; next: source .venv/bin/activate, wcsim doctor"
+
+setup-cpu:
+	$(MAKE) setup TORCH_INDEX=https://download.pytorch.org/whl/cpu
 
 demo: $(STAMP)
 	$(BIN)/wcsim demo
@@ -51,6 +54,20 @@ proof: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick
 	$(BIN)/wcsim bench camera
+
+# VERSION=Unreleased tries the recipe before a version is named.
+VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+release: $(STAMP)
+	rm -rf dist build/release
+	@mkdir -p dist
+	$(BIN)/python tools/release_notes.py $(VERSION) > dist/NOTES.md
+	$(BIN)/python -m build --no-isolation
+	$(PYTHON) -m venv build/release
+	@echo "the wheel in a fresh venv ..."
+	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	cd build/release && bin/wcsim doctor && bin/wcsim scene run car-at-zebra
+	@ls -l dist
 
 clean:
 	rm -rf .venv build dist look

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 import wcsim
+from wcsim.agents.networks import encoder
+from wcsim.server.specs import SeatRequest
 
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted((ROOT / "wcsim").rglob("*.py"))
@@ -28,6 +30,17 @@ def test_public_names_are_those_that_are_meant():
     assert wcsim.ENV_ID == "wcsim/Street-v1"
     with pytest.raises(AttributeError, match="no attribute 'Street'"):
         _ = wcsim.Street
+
+
+def test_names_that_docs_told_before_still_work_and_say_where_they_are():
+    with pytest.warns(DeprecationWarning, match="wcsim.server.specs.SeatRequest"):
+        from wcsim.server.orders import JoinOrder
+    assert JoinOrder is SeatRequest
+    with pytest.warns(DeprecationWarning, match=r"networks\.encoder\.ObservationEncoder"):
+        from wcsim.agents.networks import ObservationEncoder
+    assert ObservationEncoder is encoder.ObservationEncoder
+    with pytest.raises(ImportError, match="Nothing"):
+        from wcsim.server.orders import Nothing  # noqa: F401
 
 
 def test_completion_shows_the_faces_and_nothing_that_was_only_needed():
@@ -78,15 +91,20 @@ STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsi
 MOST_ENTRIES = 14
 MOST_ROOMS = 16
 ROOTS = (ROOT, ROOT / "wcsim", ROOT / "tests")
-SAME_FILE_NAME = {
-    "base": "what a room's files build on",
-    "world": "the section of a run file, and the world that it is for",
-}
-
 
 def entries(folder: Path) -> set[str]:
     """What one sees in a folder: code and rooms, without data and what Python itself needs."""
-    hidden = {"__init__.py", "__main__.py", "__pycache__", "conftest.py", "py.typed", "plants", "presets", "build", "dist"}
+    hidden = {
+        "__init__.py",
+        "__main__.py",
+        "__pycache__",
+        "conftest.py",
+        "py.typed",
+        "plants",
+        "presets",
+        "build",
+        "dist",
+    }
     seen = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name not in hidden)
     return {path.name for path in seen if path.is_dir() or path.suffix not in (".xml", ".toml") or folder == ROOT}
 

@@ -24,7 +24,7 @@ from wcsim.towns.ground.landcover import covered
 from wcsim.towns.ground.mesh import build_mesh
 from wcsim.towns.ground.raster import GridMaker
 from wcsim.towns.ground.relief import on_land, relief_of
-from wcsim.towns.ground.solids import Solid, prism
+from wcsim.towns.ground.solid_shapes import Solid, prism
 from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
 from wcsim.towns.ground.tiled_geometry import buffered
 from wcsim.towns.ground.tiles import Packed, pack_tiles

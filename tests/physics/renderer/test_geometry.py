@@ -146,11 +146,11 @@ def test_solids_are_closed_and_look_outward(table):
 
 
 def test_every_kind_has_a_template_and_its_classes(table):
-    riders = {Template.MOTORCYCLE, Template.BICYCLE, Template.SCOOTER}
+    with_rider = {Template.MOTORCYCLE, Template.BICYCLE, Template.SCOOTER}
     for kind in ActorKind:
         t = template_of(kind)
         classes = set(table.face_class[table.faces_of[t] : table.faces_of[t + 1]].tolist())
-        assert (ClassId.RIDER in classes) == (t in riders)
+        assert (ClassId.RIDER in classes) == (t in with_rider)
     chair = slice(table.faces_of[Template.WHEELCHAIR], table.faces_of[Template.WHEELCHAIR + 1])
     assert set(table.face_class[chair].tolist()) == {ClassId.PERSON, ClassId.DYNAMIC}
 

@@ -11,9 +11,9 @@ from tests.towns.furniture.standing_samples import PLACE, item
 from wcsim.towns.furniture.mapped import LOOK_OF, look_of, things_of
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
-from wcsim.towns.ground import solids
+from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane import cross_z
-from wcsim.towns.ground.solids import Solid
+from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.lengths import metres
 from wcsim.towns.osm.levels import off_ground
 from wcsim.towns.sumo.additional import AUTHOR_KINDS
@@ -29,9 +29,11 @@ def outward(piece: Solid) -> np.ndarray:
 @pytest.mark.parametrize(
     "piece",
     [
-        solids.post(np.array([3.0, 4.0]), 0.1, 0.0, 5.0, ClassId.POLE),
-        solids.box(np.array([-3.0, 4.0]), (2.0, 1.0, 0.5), 0.0, 0.7, ClassId.STATIC),
-        solids.spindle(np.array([9.0, 9.0]), ((0.0, 2.0), (2.0, 4.0), (1.0, 6.0), (0.0, 7.0)), ClassId.VEGETATION),
+        solid_shapes.post(np.array([3.0, 4.0]), 0.1, 0.0, 5.0, ClassId.POLE),
+        solid_shapes.box(np.array([-3.0, 4.0]), (2.0, 1.0, 0.5), 0.0, 0.7, ClassId.STATIC),
+        solid_shapes.spindle(
+            np.array([9.0, 9.0]), ((0.0, 2.0), (2.0, 4.0), (1.0, 6.0), (0.0, 7.0)), ClassId.VEGETATION
+        ),
     ],
 )
 def test_faces_look_outward(piece: Solid) -> None:
@@ -40,7 +42,7 @@ def test_faces_look_outward(piece: Solid) -> None:
 
 def test_prism_with_a_courtyard_has_walls_both_ways_and_a_roof_with_a_hole() -> None:
     outline = box(0, 0, 20, 20).difference(box(5, 5, 15, 15))
-    piece = solids.prism(outline, 0.0, 10.0, ClassId.BUILDING)
+    piece = solid_shapes.prism(outline, 0.0, 10.0, ClassId.BUILDING)
     corners = piece.vertices_W_m[piece.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     roof = normal[:, 2] > 1e-9
@@ -114,8 +116,8 @@ def test_looks_named_elsewhere_exist() -> None:
 
 
 def test_a_wheel_and_a_box_look_outward() -> None:
-    assert (outward(solids.disc(0.3, 0.34, 0.05, ClassId.BICYCLE)) > 0).all()
-    assert (outward(solids.box(np.zeros(2), (1.0, 1.0, 1.0), 1.0, 0.0, ClassId.STATIC, floor=True)) > 0).all()
+    assert (outward(solid_shapes.disc(0.3, 0.34, 0.05, ClassId.BICYCLE)) > 0).all()
+    assert (outward(solid_shapes.box(np.zeros(2), (1.0, 1.0, 1.0), 1.0, 0.0, ClassId.STATIC, floor=True)) > 0).all()
 
 
 def test_two_things_do_not_share_their_ground() -> None:

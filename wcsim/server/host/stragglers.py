@@ -10,7 +10,7 @@ from wcsim.server.specs import Held
 class Stragglers:
     """Adds up time in which some members had acted and others had not; a moment's late ones share it evenly.
 
-    >>> holdups = HoldUps()
+    >>> holdups = Stragglers()
     >>> holdups.saw(2, ("a", "b"), 0.0)  # nobody waits yet
     >>> holdups.saw(2, ("b",), 1.0)  # a has acted
     >>> holdups.saw(2, (), 3.5)  # b too

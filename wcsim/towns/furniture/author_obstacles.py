@@ -13,8 +13,8 @@ from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
 from wcsim.towns.furniture.placement import StandingObject, stood
-from wcsim.towns.ground import solids
-from wcsim.towns.ground.solids import Solid
+from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
 from wcsim.types import F64, ClassId
 
@@ -62,7 +62,7 @@ def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
     class_id = CLASS_OF_AREA.get(kind, ClassId.STATIC)
-    return _thing(area, [solids.prism(shapely.segmentize(area, LONGEST_M), FOOT_M, height_m, class_id)])
+    return _thing(area, [solid_shapes.prism(shapely.segmentize(area, LONGEST_M), FOOT_M, height_m, class_id)])
 
 
 def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
@@ -72,18 +72,19 @@ def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
     share = height_m / BOARDS_M[-1][1]
     for band in _polygons(shapely.segmentize(area, LONGEST_M).difference(inner)):
         pieces += [
-            solids.prism(band, share * low_m, share * high_m, ClassId.FENCE, floor=True) for low_m, high_m in BOARDS_M
+            solid_shapes.prism(band, share * low_m, share * high_m, ClassId.FENCE, floor=True)
+            for low_m, high_m in BOARDS_M
         ]
     rail = area.buffer(-0.6 * BOARD_M, join_style="mitre")
     for xy in _stations(rail):
-        pieces.append(solids.post(xy, 0.04, FOOT_M, height_m, ClassId.FENCE, sides=5))
+        pieces.append(solid_shapes.post(xy, 0.04, FOOT_M, height_m, ClassId.FENCE, sides=5))
     for xy in _corners(area.buffer(-CONE_IN_M, join_style="mitre")):
         pieces.append(stood("cone", xy, 0.0).piece)
     return _thing(area, pieces or _filled(kind, area, height_m).piece)
 
 
 def _thing(area: Polygon, pieces: list[Solid] | Solid) -> StandingObject:
-    piece = solids.joined(pieces) if isinstance(pieces, list) else pieces
+    piece = solid_shapes.joined(pieces) if isinstance(pieces, list) else pieces
     base_m = shapely.get_coordinates(area.representative_point())[0]
     return StandingObject(piece=piece, footprint=area, base_m=base_m, follows=True)
 

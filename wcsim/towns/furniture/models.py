@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.towns.ground import solids
-from wcsim.towns.ground.solids import Solid
+from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.types import ClassId
 
 FOOT_M = -0.25  # how deep things reach into the ground
@@ -38,14 +38,14 @@ def _box(
 ) -> Solid:
     """A box on the ground, or with a floor when it hangs at `low_m`."""
     if low_m is None:
-        return solids.box(np.array(at), (size[0], size[1], size[2] - FOOT_M), FOOT_M, 0.0, class_id)
-    return solids.box(np.array(at), size, low_m, 0.0, class_id, floor=True)
+        return solid_shapes.box(np.array(at), (size[0], size[1], size[2] - FOOT_M), FOOT_M, 0.0, class_id)
+    return solid_shapes.box(np.array(at), size, low_m, 0.0, class_id, floor=True)
 
 
 def _post(
     radius_m: float, high_m: float, class_id: int = ClassId.POLE, at: tuple[float, float] = (0.0, 0.0), sides: int = 6
 ) -> Solid:
-    return solids.post(np.array(at), radius_m, FOOT_M, high_m, class_id, sides)
+    return solid_shapes.post(np.array(at), radius_m, FOOT_M, high_m, class_id, sides)
 
 
 def _solid(size: tuple[float, float, float], class_id: int = ClassId.STATIC) -> FurnitureModel:
@@ -63,13 +63,13 @@ def _tree(rng: np.random.Generator) -> list[Solid]:
     radius_m, top_m = rng.uniform(1.3, 2.4), rng.uniform(5.5, 9.0)
     middle_m = 2.5 + 0.4 * (top_m - 2.5)
     levels = ((0.0, 2.4), (radius_m, middle_m), (0.6 * radius_m, 0.8 * top_m), (0.0, top_m))
-    return [_post(0.15, 2.6, ClassId.VEGETATION), solids.spindle(_HERE, levels, ClassId.VEGETATION)]
+    return [_post(0.15, 2.6, ClassId.VEGETATION), solid_shapes.spindle(_HERE, levels, ClassId.VEGETATION)]
 
 
 def _shrub(rng: np.random.Generator) -> list[Solid]:
     high_m = rng.uniform(0.7, 1.2)
     levels = ((0.35, FOOT_M), (0.5, 0.5 * high_m), (0.0, high_m))
-    return [solids.spindle(_HERE, levels, ClassId.VEGETATION, sides=6)]
+    return [solid_shapes.spindle(_HERE, levels, ClassId.VEGETATION, sides=6)]
 
 
 def _lamp(rng: np.random.Generator) -> list[Solid]:
@@ -96,14 +96,14 @@ def _barrier(rng: np.random.Generator) -> list[Solid]:
 
 def _roadworks(rng: np.random.Generator) -> list[Solid]:
     return [
-        *(solids.moved(p, np.array([0.0, y])) for y in (-0.4, 0.4) for p in _barrier(rng)),
+        *(solid_shapes.moved(p, np.array([0.0, y])) for y in (-0.4, 0.4) for p in _barrier(rng)),
         _box((0.9, 0.4, 0.45), ClassId.DYNAMIC),
     ]
 
 
 def _cone(rng: np.random.Generator) -> list[Solid]:
     foot = _box((0.38, 0.38, 0.04), ClassId.DYNAMIC)
-    return [foot, solids.spindle(_HERE, ((0.14, 0.03), (0.03, 0.75), (0.0, 0.76)), ClassId.DYNAMIC, sides=6)]
+    return [foot, solid_shapes.spindle(_HERE, ((0.14, 0.03), (0.03, 0.75), (0.0, 0.76)), ClassId.DYNAMIC, sides=6)]
 
 
 def _sign(rng: np.random.Generator) -> list[Solid]:
@@ -136,7 +136,7 @@ def _planter(rng: np.random.Generator) -> list[Solid]:
 
 def _bicycle(rng: np.random.Generator) -> list[Solid]:
     bike = ClassId.BICYCLE
-    wheels = [solids.disc(x, 0.34, 0.04, bike) for x in (-0.54, 0.54)]
+    wheels = [solid_shapes.disc(x, 0.34, 0.04, bike) for x in (-0.54, 0.54)]
     frame = [_box((1.0, 0.05, 0.07), bike, low_m=0.38), _box((0.75, 0.05, 0.06), bike, (0.0, 0.0), 0.74)]
     tubes = [_box((0.05, 0.05, 0.62), bike, (x, 0.0), 0.36) for x in (-0.2, 0.4)]
     return [*wheels, *frame, *tubes, _box((0.26, 0.16, 0.07), bike, (-0.25, 0.0), 0.94), _bar(bike)]
@@ -145,7 +145,7 @@ def _bicycle(rng: np.random.Generator) -> list[Solid]:
 def _plain_bicycle() -> list[Solid]:
     """One of many: few triangles."""
     bike = ClassId.BICYCLE
-    wheels = [solids.disc(x, 0.34, 0.05, bike, sides=6) for x in (-0.54, 0.54)]
+    wheels = [solid_shapes.disc(x, 0.34, 0.05, bike, sides=6) for x in (-0.54, 0.54)]
     return [
         *wheels,
         _box((0.7, 0.06, 0.08), bike, (0.0, 0.0), 0.6),
@@ -177,9 +177,9 @@ def _rack(rng: np.random.Generator) -> list[Solid]:
         pieces += [_box((0.05, 0.05, 0.8), ClassId.STATIC, (x, y)) for y in (-0.35, 0.35)]
         pieces.append(_box((0.05, 0.75, 0.05), ClassId.STATIC, (x, 0.0), 0.8))
         if rng.random() < 0.6:
-            bicycle = solids.joined(_plain_bicycle())
+            bicycle = solid_shapes.joined(_plain_bicycle())
             turned_rad = np.pi / 2 * (1.0 if rng.random() < 0.5 else -1.0)
-            pieces.append(solids.moved(bicycle, np.array([x + 0.2, 0.0]), turned_rad))
+            pieces.append(solid_shapes.moved(bicycle, np.array([x + 0.2, 0.0]), turned_rad))
     return pieces
 
 
@@ -209,7 +209,7 @@ def _fountain(rng: np.random.Generator) -> list[Solid]:
 
 def _statue(rng: np.random.Generator) -> list[Solid]:
     levels = ((0.25, 1.2), (0.3, 2.0), (0.15, 2.7), (0.16, 2.9), (0.0, 3.1))
-    return [_box((1.0, 1.0, 1.2)), solids.spindle(_HERE, levels, ClassId.STATIC, sides=6)]
+    return [_box((1.0, 1.0, 1.2)), solid_shapes.spindle(_HERE, levels, ClassId.STATIC, sides=6)]
 
 
 def _picket(rng: np.random.Generator) -> list[Solid]:

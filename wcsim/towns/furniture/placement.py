@@ -13,8 +13,8 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.seeding import generator
 from wcsim.towns.furniture.models import LOOKS
-from wcsim.towns.ground import solids
-from wcsim.towns.ground.solids import Solid
+from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.types import F64, Bool, SignalHead
 
 CLEAR_M = 0.75  # free space beside the walking line
@@ -101,12 +101,12 @@ def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, 
     size_m = size_lwh_m or look.size_lwh_m
     # Things may lie within a millimetre of each other on two machines, and must look the same on both.
     rng = generator(0, kind, *(int(abs(c) * 10) for c in xy_m)) if look.random else np.random.default_rng(0)
-    piece = solids.joined(look.make(rng))
+    piece = solid_shapes.joined(look.make(rng))
     if size_lwh_m is not None:
         l0, w0, h0 = look.size_lwh_m
-        piece = solids.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
+        piece = solid_shapes.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
     footprint = footprint_of(kind, xy_m, yaw_rad, size_m)
-    return StandingObject(piece=solids.moved(piece, xy_m, yaw_rad), footprint=footprint, base_m=np.asarray(xy_m))
+    return StandingObject(piece=solid_shapes.moved(piece, xy_m, yaw_rad), footprint=footprint, base_m=np.asarray(xy_m))
 
 
 def footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]) -> Polygon:
@@ -114,7 +114,7 @@ def footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, 
     length_m, width_m, _ = size_lwh_m
     if LOOKS[kind].round and length_m == width_m:
         return shapely.Point(xy_m).buffer(length_m / 2, quad_segs=2)
-    return solids.rectangle(xy_m, length_m, width_m, yaw_rad)
+    return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
 
 
 def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround, taken: Taken) -> StandingObject | None:
@@ -135,6 +135,6 @@ def set_on_ground(things: Iterable[StandingObject], height_at: HeightAt) -> tupl
     for thing in things:
         base_m = float(height_at(thing.base_m[None])[0])
         lift_m = height_at(thing.piece.vertices_W_m[:, :2]) if thing.follows else base_m
-        pieces.append(solids.raised(thing.piece, lift_m))
+        pieces.append(solid_shapes.raised(thing.piece, lift_m))
         heads += [replace(head, p_W_m=head.p_W_m + np.array([0.0, 0.0, base_m])) for head in thing.heads]
     return pieces, tuple(heads)

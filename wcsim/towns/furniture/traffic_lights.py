@@ -14,8 +14,8 @@ from shapely import Polygon
 
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, stood_if_free
-from wcsim.towns.ground import solids
-from wcsim.towns.ground.solids import Solid
+from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_of
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes
@@ -163,10 +163,12 @@ def _at_kerb(approach: Approach, groups: Groups, place: FreeGround, taken: Taken
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place, taken)
     if xy_m is not None:
-        post = solids.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M + 0.5 * HEAD_LWH_M[2], ClassId.POLE, sides=5)
+        post = solid_shapes.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M + 0.5 * HEAD_LWH_M[2], ClassId.POLE, sides=5)
         front = xy_m - (POST_M + HEAD_LWH_M[1] / 2) * approach.ahead
         pieces, heads = _heads(front, approach.ahead, approach.aside, groups, HEAD_LOW_M)
-        return StandingObject(piece=solids.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads)
+        return StandingObject(
+            piece=solid_shapes.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads
+        )
     over = approach.stop_m + 0.5 * approach.ahead
     pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, HANGING_LOW_M)
     last = over - (len(groups) - 1) * SIDE_BY_SIDE_M * approach.aside
@@ -174,9 +176,11 @@ def _at_kerb(approach: Approach, groups: Groups, place: FreeGround, taken: Taken
     held_m = foot_m if foot_m is not None else _wall(over, place)
     pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
     if foot_m is None:
-        return StandingObject(piece=solids.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
-    pieces.append(solids.post(foot_m, POST_M, FOOT_M, HANGING_LOW_M + HEAD_LWH_M[2] + ARM_M, ClassId.POLE, sides=5))
-    return StandingObject(piece=solids.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
+        return StandingObject(piece=solid_shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
+    pieces.append(
+        solid_shapes.post(foot_m, POST_M, FOOT_M, HANGING_LOW_M + HEAD_LWH_M[2] + ARM_M, ClassId.POLE, sides=5)
+    )
+    return StandingObject(piece=solid_shapes.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
 
 
 def _foot_of_arm(over_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
@@ -208,7 +212,7 @@ def _arm(start_m: F64, end_m: F64) -> Solid:
     size_m = (float(np.hypot(*along)) + ARM_M, ARM_M, ARM_M)
     yaw_rad = float(np.arctan2(along[1], along[0]))
     top_m = HANGING_LOW_M + HEAD_LWH_M[2]
-    return solids.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
+    return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
 
 
 def _beside(approach: Approach) -> F64:
@@ -243,7 +247,7 @@ def _heads(
     heads: list[SignalHead] = []
     for k, (tls_id, link) in enumerate(reversed(groups)):
         middle = first_m + k * SIDE_BY_SIDE_M * aside
-        pieces.append(solids.box(middle, HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
+        pieces.append(solid_shapes.box(middle, HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
         p_W_m = np.array([*middle, low_m + HEAD_LWH_M[2] / 2])
         heads.append(SignalHead(tls_id=tls_id, link=link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=False))
     return pieces, tuple(heads)
@@ -279,8 +283,8 @@ def _at_crossing(
     xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * right, place, taken)
     if xy_m is None:
         return None
-    post = solids.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
-    head = solids.box(xy_m, WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
+    post = solid_shapes.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
+    head = solid_shapes.box(xy_m, WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
     p_W_m = np.array([*xy_m, HEAD_LOW_M + WALK_HEAD_LWH_M[2] / 2])
     shown = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
-    return StandingObject(piece=solids.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))
+    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))

@@ -6,7 +6,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from wcsim.towns.ground.solids import Solid, joined
+from wcsim.towns.ground.solid_shapes import Solid, joined
 from wcsim.towns.ground.triangulation import CELL_M, GroundMesh
 from wcsim.types import F64, I32, Relief, StreetMesh
 from wcsim.types.street import FLAT
