@@ -12,17 +12,17 @@ from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, Wa
 from wcsim.users.route_line import Path
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
-START_S, CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
-SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
+START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
+_SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
 RED_BELIEVED_S = 130.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
-KERB_GAP_M = 0.3  # left between footplate and road while waiting
-LIGHT_SEEN_M, TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
-ALONG_KERB_M, ROAD_STEP_M = 3.0, 0.25
-NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
+_KERB_GAP_M = 0.3  # left between footplate and road while waiting
+_LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
+_ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
+_NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
 RING = tuple((math.cos(0.25 * math.pi * k), math.sin(0.25 * math.pi * k)) for k in range(8))
 CARRIAGEWAY = (ClassId.ROAD, ClassId.CROSSWALK)
-HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
+_HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +52,7 @@ class Kerbs:
         """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
         starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
         self._half_length_m = half_length_m
-        self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
+        self._waits_m = half_length_m + _KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._law_share = law_share
         self._rng = rng
@@ -83,12 +83,12 @@ class Kerbs:
             island = line_m > behind_m + self._half_length_m  # too short a refuge is no place to wait
             stop_m, behind_m = max(stop_m, behind_m + self._half_length_m), item.end_m
             to_go_m = line_m - arc_m
-            back_m = KERB_GAP_M + min(HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
-            if not -back_m < to_go_m < LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
+            back_m = _KERB_GAP_M + min(_HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
+            if not -back_m < to_go_m < _LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
                 continue
             if self._closed(item, to_go_m, time_s, signals, vehicles):
                 return stop_m
-            if to_go_m < -KERB_GAP_M:
+            if to_go_m < -_KERB_GAP_M:
                 self._begun.add(item)
         return None
 
@@ -105,7 +105,7 @@ class Kerbs:
         signals: Iterable[SignalState],
         vehicles: Iterable[ActorState],
     ) -> bool:
-        near = to_go_m < TRAFFIC_SEEN_M
+        near = to_go_m < _TRAFFIC_SEEN_M
         if is_red(item, signals):
             since_s = self._red_since_s.setdefault(item, time_s) if near else time_s
             if time_s - since_s < RED_BELIEVED_S:
@@ -143,12 +143,12 @@ def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
 
 def kerb_m(ground: Ground, path: Path, start_m: float) -> float:
     """Arc where a route to a crossing comes near to the road: at its start, or before it on a way along the kerb."""
-    for step in range(round(ALONG_KERB_M / ROAD_STEP_M), 0, -1):
-        x, y = path.at(start_m - step * ROAD_STEP_M)
-        around = ((x + NEAR_ROAD_M * cos, y + NEAR_ROAD_M * sin) for cos, sin in RING)
+    for step in range(round(_ALONG_KERB_M / _ROAD_STEP_M), 0, -1):
+        x, y = path.at(start_m - step * _ROAD_STEP_M)
+        around = ((x + _NEAR_ROAD_M * cos, y + _NEAR_ROAD_M * sin) for cos, sin in RING)
         on_pavement = ground.class_here(x, y) not in CARRIAGEWAY
         if on_pavement and any(ground.class_here(*at) in CARRIAGEWAY for at in around):
-            return start_m - step * ROAD_STEP_M
+            return start_m - step * _ROAD_STEP_M
     return start_m
 
 
@@ -176,7 +176,7 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
     the chair gets to that place.
     """
     length_m = math.dist(crossing.start_W_m, crossing.end_W_m)
-    needed_s = START_S + length_m / CROSSING_MPS
+    needed_s = START_S + length_m / _CROSSING_MPS
     later_s = np.arange(0.0, needed_s + GAP_S, 0.25)  # (T,)
     for vehicle in vehicles:
         v: F64 = vehicle.v_W_mps[:2]
@@ -186,10 +186,10 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
         ends_m = 0.5 * vehicle.size_lwh_m[0] / speed * np.array([-1.0, 0.0, 1.0])[:, None] * v  # tail, middle, nose
         points = vehicle.p_W_m[:2] + later_s[:, None, None] * v + ends_m  # (T, 3, 2)
         share, distance_m = _beside(points, np.array(crossing.start_W_m), np.array(crossing.end_W_m))
-        there_s = START_S + share * length_m / CROSSING_MPS
+        there_s = START_S + share * length_m / _CROSSING_MPS
         when_s = np.broadcast_to(later_s[:, None], share.shape)
         close = (when_s < GAP_S) | (np.abs(when_s - there_s) < GAP_S)
-        if (close & (distance_m < 0.5 * vehicle.size_lwh_m[1] + SIDE_M)).any():
+        if (close & (distance_m < 0.5 * vehicle.size_lwh_m[1] + _SIDE_M)).any():
             return True
     return False
 
