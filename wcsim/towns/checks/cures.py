@@ -19,7 +19,7 @@ from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
 
-HOUR_S = 3600.0
+_HOUR_S = 3600.0
 FOR_ROUTES = frozenset(
     (
         "vType", "vTypeDistribution", "route", "routeDistribution", "include",
@@ -66,7 +66,7 @@ def walkers_cure(town: Town) -> str:
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
         f"make walkers.rou.xml, and add it to <route-files> in {_path(town.sumocfg)}: {tool} -n {_path(town.net)} "
-        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + HOUR_S):.12g} "
+        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
         f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
     )
 
@@ -76,7 +76,7 @@ def own_time(town: Town) -> tuple[float, float]:
     config = read_configuration(town.sumocfg)
     begin_s = seconds_of(config.value("begin") or "0", town.sumocfg)
     end_s = seconds_of(config.value("end") or "-1", town.sumocfg)
-    return begin_s, end_s if end_s > begin_s else begin_s + HOUR_S
+    return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
 
 def grade_cure(town: Town) -> str:

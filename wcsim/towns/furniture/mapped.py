@@ -17,8 +17,8 @@ from wcsim.towns.osm.levels import off_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.types import F64, ClassId
 
-SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
-TREE_STEP_M = 8.0
+_SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
+_TREE_STEP_M = 8.0
 POST_STEP_M = 1.5
 LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
 _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
@@ -111,7 +111,7 @@ def _stood(item: Item, kind: str, middle: F64, site: _Site) -> StandingObject | 
     facing = _mapped_direction(item.tags)
     if facing is None:
         facing = float(np.arctan2(-away[1], -away[0]))  # things look at those who walk by
-    for shift_m in SHIFTS_M:
+    for shift_m in _SHIFTS_M:
         thing = stood_if_free(kind, middle + shift_m * away, facing - np.pi / 2, site.place, site.taken)
         if thing is not None:
             return thing
@@ -162,11 +162,11 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
             base_m=shapely.get_coordinates(part.representative_point())[0],
             follows=True,
         )
-        for part in solid_parts(band.difference(blocked))
+        for part in _solid_parts(band.difference(blocked))
     ]
 
 
-def solid_parts(area: BaseGeometry) -> list[Polygon]:
+def _solid_parts(area: BaseGeometry) -> list[Polygon]:
     """The polygons of an area on a centimetre grid, crumbs left out."""
     parts = [shapely.set_precision(part, 0.01) for part in shapely.get_parts(area)]
     flat = [p for part in parts for p in shapely.get_parts(part)]
@@ -196,7 +196,7 @@ LOOK_OF: dict[str, str] = {
 }  # fmt: skip
 """Looks of mapped points by the second word of their type; "" for what stands nowhere."""
 
-_ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
+_ROW_STEPS_M = {"tree_row": ("tree", _TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
 _LINE_SPECS: dict[str, tuple[float, float, int]] = {  # height and thickness in metres, class
     "fence": (1.2, 0.12, ClassId.FENCE),
     "guard_rail": (0.8, 0.15, ClassId.FENCE),

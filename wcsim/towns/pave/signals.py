@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
-SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
+_SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
 _RED = frozenset("rRs")
 _GREEN = frozenset("Gg")
 _OFF = frozenset("oO")
@@ -132,7 +132,7 @@ def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[Vehicl
 
 def _changes(state: str, duration_s: float) -> bool:
     letters = set(state)
-    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < SHORT_S)
+    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < _SHORT_S)
 
 
 def _key(link: Element, shifts: Mapping[str, int]) -> tuple[str, str, str, int, int]:

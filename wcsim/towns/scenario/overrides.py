@@ -52,11 +52,11 @@ class Rule:
     value: str = ""
 
 
-STEP, ACTION_STEP = "step-length", "default.action-step-length"
+STEP, _ACTION_STEP = "step-length", "default.action-step-length"
 RULES = (
     Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
     Rule(
-        option=ACTION_STEP,
+        option=_ACTION_STEP,
         says="kept, unless `world.action_step_s` is set",
         why="the run says how often drivers decide",
     ),
@@ -81,20 +81,20 @@ RULES = (
 )
 _FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
 _WHY = {rule.option: rule.why for rule in RULES}
-FASTER = (
+_FASTER = (
     "; traffic that was calibrated with longer steps drives 10 to 20 % faster in these: world.action_step_s, 0.5 to "
     "0.7 of its author's step, brings it near to what it was"
 )
-END_WHY = "kept for flows that have no end of their own; the run itself decides when it stops"
-OUTPUT_WHY = "into the run folder only"
-DROP_WHY = {
+_END_WHY = "kept for flows that have no end of their own; the run itself decides when it stops"
+_OUTPUT_WHY = "into the run folder only"
+_DROP_WHY = {
     "configuration": "a run writes no configurations",
     "gui_only": "there is no window",
     "traci_server": "no other program steers this simulation",
 }
-PREFIX_WHY = "outputs keep their names"
+_PREFIX_WHY = "outputs keep their names"
 AGGREGATED = "elechybrid-output.aggregated"
-UNASKED_WHY = {
+_UNASKED_WHY = {
     "device.ssm.file": "SUMO's own choice is the current folder",
     "save-state.prefix": "SUMO's own choice lies beside the configuration",
     AGGREGATED: "else the ids of vehicles would name files",
@@ -109,7 +109,7 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
     if settings.jam_teleport_s is not None:
         set_here.append(("time-to-teleport", repr(settings.jam_teleport_s)))
     if settings.action_step_s is not None:
-        set_here.append((ACTION_STEP, repr(settings.action_step_s)))
+        set_here.append((_ACTION_STEP, repr(settings.action_step_s)))
     return (*set_here, *_FIXED)
 
 
@@ -121,7 +121,7 @@ def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tu
         settings: What the world decides.
         outputs: Options of the author that write files, each with the value it gets.
     """
-    files = [_override(config, name, value, OUTPUT_WHY) for name, value in outputs]
+    files = [_override(config, name, value, _OUTPUT_WHY) for name, value in outputs]
     return (*_forced_rows(config, settings), *files, *_aggregated_rows(config), *_idle_rows(config))
 
 
@@ -141,7 +141,7 @@ def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override
 
 def _aggregated_rows(config: Configuration) -> Iterator[Override]:
     if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
-        yield _override(config, AGGREGATED, "true", UNASKED_WHY[AGGREGATED])
+        yield _override(config, AGGREGATED, "true", _UNASKED_WHY[AGGREGATED])
 
 
 def _idle_rows(config: Configuration) -> Iterator[Override]:
@@ -149,16 +149,16 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
     for item in config.given:
         topic, name = item.option.topic, item.option.name
         if item.option.treatment is Treatment.DROP:
-            why = DROP_WHY.get(topic, PREFIX_WHY if topic == "output" else _WHY["no-step-log"])
+            why = _DROP_WHY.get(topic, _PREFIX_WHY if topic == "output" else _WHY["no-step-log"])
             yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
         elif name == "end":
-            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY)
+            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=_END_WHY)
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
     """What shorter steps than the author's do to the traffic, unless somebody says how often drivers decide."""
-    said = settings.action_step_s is not None or config.value(ACTION_STEP) is not None
-    return FASTER if _seconds(author) > settings.step_s and not said else ""
+    said = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    return _FASTER if _seconds(author) > settings.step_s and not said else ""
 
 
 def _seconds(text: str) -> float:
@@ -180,21 +180,21 @@ def overrides_markdown() -> str:
     """The page `docs/overrides.md`."""
     rows = [(f"`{rule.option}`", rule.says, rule.why) for rule in RULES]
     rows += [
-        ("`end`", "kept, but it does not end the run", END_WHY),
+        ("`end`", "kept, but it does not end the run", _END_WHY),
         ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they are the traffic"),
-        ("every option that writes a file", "a file of the same name in `RUN/sumo/`", OUTPUT_WHY),
+        ("every option that writes a file", "a file of the same name in `RUN/sumo/`", _OUTPUT_WHY),
         *(
-            (f"`{name}`", told, UNASKED_WHY[name])
+            (f"`{name}`", told, _UNASKED_WHY[name])
             for name, told in (
                 ("device.ssm.file", "`RUN/sumo/ssm.xml`, unless the author names a file"),
                 ("save-state.prefix", "`RUN/sumo/state`, unless the author names one"),
                 (AGGREGATED, "true where there is such an output"),
             )
         ),
-        ("`output-prefix`, `output-suffix`", "left out", PREFIX_WHY),
-        ("options of sumo-gui", "left out", DROP_WHY["gui_only"]),
-        ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
-        ("`save-configuration`, `save-template`, ...", "left out", DROP_WHY["configuration"]),
+        ("`output-prefix`, `output-suffix`", "left out", _PREFIX_WHY),
+        ("options of sumo-gui", "left out", _DROP_WHY["gui_only"]),
+        ("`remote-port`, `num-clients`", "left out", _DROP_WHY["traci_server"]),
+        ("`save-configuration`, `save-template`, ...", "left out", _DROP_WHY["configuration"]),
     ]
     lines = [f"| {' | '.join(row)} |" for row in (("option", "in a run", "why"), ("---", "---", "---"), *rows)]
     return _PAGE.format(table="\n".join(lines))
