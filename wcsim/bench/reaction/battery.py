@@ -24,17 +24,17 @@ from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorState, Street
 
-WARMUP_S = 120.0
+_WARMUP_S = 120.0
 BEFORE_S = 2.5  # so far ahead of the next vehicle the chair comes out
-ROLL_MPS = 1.2
-ROLL_S = 12.0
+_ROLL_MPS = 1.2
+_ROLL_S = 12.0
 WAIT_S = 90.0  # for a vehicle to come
-CALM_S = 8.0  # without a chair, between two trials
-GONE_M = 8.0
-SOON_S = 2.5
+_CALM_S = 8.0  # without a chair, between two trials
+_GONE_M = 8.0
+_SOON_S = 2.5
 CLEAR_M = 1.5
 STANDS_MPS = 0.3
-SPARE_PLACES = 3
+_SPARE_PLACES = 3
 
 Progress = Callable[[str], None]
 
@@ -75,7 +75,7 @@ class _Passers:
                 self.longest_s = max(self.longest_s, blocked.for_s)
                 self.could.add(blocked.actor_id)
         self.could.update(stage.passing())
-        self.near = {a.id for a in actors if math.dist(a.p_W_m[:2], chair.p_W_m) < GONE_M + 0.5 * a.size_lwh_m[0]}
+        self.near = {a.id for a in actors if math.dist(a.p_W_m[:2], chair.p_W_m) < _GONE_M + 0.5 * a.size_lwh_m[0]}
 
 
 def stand(stage: ReactionStage, place: ChairPlace, duration_s: float) -> Standing | None:
@@ -104,7 +104,7 @@ def stand(stage: ReactionStage, place: ChairPlace, duration_s: float) -> Standin
 def _comes_soon(actor: ActorState, chair: ChairInStreet) -> bool:
     """Whether an actor is at the chair's place, or will be before it could do anything about it."""
     speed_mps = float(np.hypot(*actor.v_W_mps[:2]))
-    reach_m = 2.0 + 0.5 * actor.size_lwh_m[0] + SOON_S * speed_mps
+    reach_m = 2.0 + 0.5 * actor.size_lwh_m[0] + _SOON_S * speed_mps
     return math.dist(actor.p_W_m[:2], chair.p_W_m) < reach_m
 
 
@@ -124,15 +124,15 @@ def roll_out(stage: ReactionStage, way: RollOut) -> bool | None:
     else:
         return None
     stage.contacts.clear()
-    step_m = tick_s * ROLL_MPS * np.array([math.cos(way.yaw_rad), math.sin(way.yaw_rad)])
+    step_m = tick_s * _ROLL_MPS * np.array([math.cos(way.yaw_rad), math.sin(way.yaw_rad)])
     actors: tuple[ActorState, ...] = ()
-    for _ in range(round(ROLL_S / tick_s)):
+    for _ in range(round(_ROLL_S / tick_s)):
         ahead = stage.chair(place + 3.0 * step_m, way.yaw_rad)
         waits = any(np.hypot(*a.v_W_mps[:2]) < STANDS_MPS and touches_chair(a, ahead) for a in actors)
         place = place if waits else place + step_m
-        actors = stage.tick((stage.chair(place, way.yaw_rad, 0.0 if waits else ROLL_MPS),))
+        actors = stage.tick((stage.chair(place, way.yaw_rad, 0.0 if waits else _ROLL_MPS),))
     touched = bool(stage.contacts)
-    for _ in range(round(CALM_S / tick_s)):
+    for _ in range(round(_CALM_S / tick_s)):
         stage.tick(())
     return touched
 
@@ -147,7 +147,7 @@ class BatteryOrder:
     trials: int  # roll-outs at each share of attention
     streets: int  # of the small ones
     places: int  # of each kind in the town
-    warmup_s: float = WARMUP_S  # before a chair comes; the traffic is watched for places where much of it comes by
+    warmup_s: float = _WARMUP_S  # before a chair comes; the traffic is watched for places where much of it comes by
 
 
 def run_battery(order: BatteryOrder, work: Path, progress: Progress) -> Battery:
@@ -195,7 +195,7 @@ class _Site:
             places = busy_places(net, stage, self.warmup_s, seeding.generator(self.seed, "places"))
         for kind, ranked in places.items():
             found = 0
-            for place in ranked[: self.per_kind + SPARE_PLACES]:
+            for place in ranked[: self.per_kind + _SPARE_PLACES]:
                 if found == self.per_kind:
                     break
                 with self.stage(1.0) as stage:

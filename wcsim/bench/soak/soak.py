@@ -31,10 +31,10 @@ from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
 
-CALM_SHARE = 0.25  # of the time, at the end
+_CALM_SHARE = 0.25  # of the time, at the end
 SETTLE_S = 3.0  # of the calm time, before memory is watched
 SAMPLE_S = 0.5
-WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
+_WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,16 +83,16 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     end_s = time.monotonic() + order.seconds
-    watch = _Watch(Chaos(order.seed, end_s - CALM_SHARE * order.seconds), end_s, progress, order.seconds)
+    watch = _Watch(Chaos(order.seed, end_s - _CALM_SHARE * order.seconds), end_s, progress, order.seconds)
     with workplace() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
-        rules = LaunchRules(world_lease_s=WORLD_LEASE_S, client_lease_s=30.0)
+        rules = LaunchRules(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
         launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
         watch.launcher = launcher
         outcome = launcher.run()
     ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
-    times = recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
+    times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
         faults=tuple(watch.chaos.faults),
@@ -104,7 +104,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     )
 
 
-def recovery_times(faults: Sequence[Fault], sights: dict[str, list[StubSight]]) -> RecoveryTimes:
+def _recovery_times(faults: Sequence[Fault], sights: dict[str, list[StubSight]]) -> RecoveryTimes:
     """How long each fault was felt, by what was hit; one that struck while another was felt is a case of its own."""
     took = [recovery_s(fault, sights) for fault in faults]
     rejoined = [rejoin_s(fault, sights) for fault in faults]
@@ -201,7 +201,7 @@ class _Watch:
                 size_mb += process.memory_info().rss / 1e6
                 if pid in pids:
                     self._seen.add((pid, process.create_time()))
-        calm_s = CALM_SHARE * self._seconds
+        calm_s = _CALM_SHARE * self._seconds
         all_there = state.world is not None and len(state.world.members) == len(state.clients)
         if not state.stopping and all_there and now_s > self._end_s - calm_s + SETTLE_S:
             self._samples.append((now_s, size_mb))

@@ -27,9 +27,9 @@ from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
 
 Colour = Literal["green", "red", "none"]
-CHAIRS = 6  # at work at the same time
+_CHAIRS = 6  # at work at the same time
 ENDLESS = 1_000_000_000
-RUN_UP_M, LEAST_RUN_UP_M = 12.0, 6.0  # of pavement before the kerb
+RUN_UP_M, _LEAST_RUN_UP_M = 12.0, 6.0  # of pavement before the kerb
 BEYOND_M = 6.0
 NEAR_M = 30.0  # a pavement to start from or to go to begins so near to the crossing
 ROOM_M = 4.0  # between a start and anybody else
@@ -56,7 +56,7 @@ class CrossingApproach:
     at_W_m: tuple[float, float]
 
 
-def signalled(street: Street, outline: Outline) -> tuple[CrossingPlace, ...]:
+def _signalled(street: Street, outline: Outline) -> tuple[CrossingPlace, ...]:
     """The crossings of a town that have a light, from each side with enough pavement for a chair before it."""
     router = Router(street.walk)
     ends = [(tuple(e.points_W_m[0]), tuple(e.points_W_m[-1])) for e in street.walk.edges if e.kind is WayKind.SIDEWALK]
@@ -94,7 +94,7 @@ def _place(
         return None
     first = items[0]
     path = Path(route)
-    if first.start_m < LEAST_RUN_UP_M or path.length_m < first.end_m + BEYOND_M:
+    if first.start_m < _LEAST_RUN_UP_M or path.length_m < first.end_m + BEYOND_M:
         return None
     from_m = max(0.0, first.start_m - RUN_UP_M)
     xy, yaw_rad = path.at(from_m), path.heading(from_m)
@@ -155,12 +155,12 @@ def approach_crossings(
         TownError: The town has no crossing with a light and a pavement before it.
     """
     done: list[CrossingApproach] = []
-    with World(town, config, (None,) * CHAIRS, seed) as world:
+    with World(town, config, (None,) * _CHAIRS, seed) as world:
         outline = plant_spec(config.chair).outline
-        todo = _ordered(signalled(world.street, outline), count, seed, town)
+        todo = _ordered(_signalled(world.street, outline), count, seed, town)
         watches: dict[int, _Watch] = {}
         while todo or watches:
-            for seat in sorted(set(range(CHAIRS)) - set(watches)):
+            for seat in sorted(set(range(_CHAIRS)) - set(watches)):
                 place = _next(todo, world)
                 if place is not None:
                     todo.remove(place)

@@ -15,10 +15,10 @@ from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
 from wcsim.users.perception import PERSON_SIGHT, Seen
 from wcsim.users.profiles import UserProfile
 
-SHAKES = 0.05  # a tremor below this is not averaged away before the fit
-SHORTEST_S = 15.0  # of a route whose hand is fitted
-SURELY_NEAR, SURELY_AHEAD_RAD = 0.8, rad(60.0)  # what is so near and so far ahead must have been looked at
-SAME_PLACE_M = 1e-6
+_SHAKES = 0.05  # a tremor below this is not averaged away before the fit
+_SHORTEST_S = 15.0  # of a route whose hand is fitted
+_SURELY_NEAR, _SURELY_AHEAD_RAD = 0.8, rad(60.0)  # what is so near and so far ahead must have been looked at
+_SAME_PLACE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ def meet(view: UserView, seen: Seen, profile: UserProfile, met: dict[str, bool])
     """Add to `met` what has come near enough that the user must have noticed or missed it, and which it was."""
     aware = np.array([(thing.x_m, thing.y_m) for thing in seen.things]).reshape(-1, 2)
     here = view.p_W_m[:2]
-    near = [(f"thing {int(n)}", x, y, profile.see_m, SAME_PLACE_M) for x, y, _, n in view.obstacles_W_m.tolist()]
+    near = [(f"thing {int(n)}", x, y, profile.see_m, _SAME_PLACE_M) for x, y, _, n in view.obstacles_W_m.tolist()]
     for actor in view.actors:
         if actor.kind is ActorKind.PEDESTRIAN:
             x, y, _ = actor.p_W_m.tolist()
@@ -67,13 +67,13 @@ def meet(view: UserView, seen: Seen, profile: UserProfile, met: dict[str, bool])
     for name, x, y, sight_m, size_m in near:
         away_m = math.hypot(x - here[0], y - here[1])
         aside = abs(wrap(math.atan2(y - here[1], x - here[0]) - view.yaw_rad))
-        if name not in met and away_m < SURELY_NEAR * sight_m and aside < SURELY_AHEAD_RAD:
+        if name not in met and away_m < _SURELY_NEAR * sight_m and aside < _SURELY_AHEAD_RAD:
             met[name] = bool((np.hypot(*(aware - (x, y)).T) < size_m).any())
 
 
 def _of_hands(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
     """What fits of the hand, spectra and corrections say."""
-    long = [log for log in logs if len(log.speed_mps) * log.tick_s >= SHORTEST_S]
+    long = [log for log in logs if len(log.speed_mps) * log.tick_s >= _SHORTEST_S]
     if not long:
         return {}
     users, shakes = [log.profile for log in long], [tremor(log.hand) for log in long]
@@ -90,7 +90,7 @@ def _of_hands(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
 
 def _averaged_s(user: UserProfile, shake: Tremor) -> float:
     """Over which time a hand is averaged before the fit: one period of a tremor that is strong enough to matter."""
-    return 1.0 / shake.hz if shake.amplitude > SHAKES and user.tremor > 0.0 else 0.0
+    return 1.0 / shake.hz if shake.amplitude > _SHAKES and user.tremor > 0.0 else 0.0
 
 
 def _of_responses(fits: Sequence[HandFit], users: Sequence[UserProfile]) -> dict[str, Statistic]:
