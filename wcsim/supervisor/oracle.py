@@ -20,7 +20,7 @@ from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
 from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
-LONGEST_ROLL_OUT_S = 2.5
+_LONGEST_ROLL_OUT_S = 2.5
 FASTEST_MPS = 5.0  # of any chair
 FAR_M = 25.5
 
@@ -60,16 +60,16 @@ class Oracle:
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
         commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        return bool(np.isfinite(self._roll_out(plant, commands, actor_table(plant, actors), ())[0]))
+        return bool(np.isfinite(self._roll_out(plant, commands, _actor_table(plant, actors), ())[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, actor_table(plant, actors), ()))
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, _actor_table(plant, actors), ()))
         return safe
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, actor_table(plant, actors))
+        return self._clearance(plant, _actor_table(plant, actors))
 
     def assess(
         self,
@@ -85,10 +85,10 @@ class Oracle:
         actors with whom alone it is asked once more what ends badly.
         """
         later_s = len(waiting) * self._tick_s
-        table = actor_table(plant, actors, later_s=later_s)
+        table = _actor_table(plant, actors, later_s=later_s)
         said, visible = self._verdict(plant, joystick, table, waiting), None
         if known is not None:
-            few = actor_table(plant, known, later_s=later_s)
+            few = _actor_table(plant, known, later_s=later_s)
             visible = said if len(few) == len(table) else self._verdict(plant, joystick, few, waiting)
         gap_m = self._clearance(plant, table)
         return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
@@ -128,7 +128,7 @@ class Oracle:
         return min(float(gap), FAR_M)
 
 
-def actor_table(
+def _actor_table(
     plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
 ) -> F64:
     """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`).
@@ -141,7 +141,7 @@ def actor_table(
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
-        meets_m = REACH_M + later_s * FASTEST_MPS + (LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
+        meets_m = REACH_M + later_s * FASTEST_MPS + (_LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
         reach = max(meets_m, within_m) + 0.5 * (length + width)
         if abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M:
             rows.append((ax, ay, actor.yaw_rad, 0.0, 0.5 * length, 0.5 * width, vx, vy, 0.0))
