@@ -18,7 +18,7 @@ TRACE: Final = "trace"
 JOURNAL: Final = "journal"
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Kind = Literal["trace", "journal"]
-SHOW_EVERY = 1000  # ticks
+_SHOW_EVERY = 1000  # ticks
 
 
 @dataclass
@@ -152,7 +152,7 @@ def _verify(options: Options) -> int:
     begun_s = time.perf_counter()
 
     def show(ticks: int) -> None:
-        if ticks % SHOW_EVERY == 0:
+        if ticks % _SHOW_EVERY == 0:
             print(f"{ticks} ticks", file=sys.stderr)
 
     result = verify(found.path, options.epoch, options.first or 0, options.last, show, options.hook)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 MAX_CHAIRS = 64
 MAX_STEPS = 10_000_000
 LISTED = 60
-PER_STEPS = (8_000, 30_000)
+_PER_STEPS = (8_000, 30_000)
 
 
 @dataclass
@@ -103,7 +103,7 @@ def as_json(drive: CrashDrive) -> dict[str, Any]:
         "crashes_per_km": _rate(drive, len(drive.crashes)),
         "own_per_km": _rate(drive, sum(crash.fault == "own" for crash in drive.crashes)),
         "lost_share": drive.lost_steps / drive.steps,
-        "lost_per_steps": {str(steps): len(drive.lost) * steps / drive.steps for steps in PER_STEPS},
+        "lost_per_steps": {str(steps): len(drive.lost) * steps / drive.steps for steps in _PER_STEPS},
     }
 
 
@@ -181,10 +181,10 @@ def _cells(drive: CrashDrive) -> dict[str, str]:
 
 def _control(drives: Sequence[CrashDrive]) -> Table:
     """Lost control of each policy and town."""
-    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in PER_STEPS), "of steps")
+    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in _PER_STEPS), "of steps")
     table = Table(*heads, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for drive in drives:
-        scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in PER_STEPS)
+        scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in _PER_STEPS)
         share = f"{drive.lost_steps / drive.steps:.2%}"
         table.add_row(f"{drive.policy}, {drive.town}", f"{drive.steps:,}", str(len(drive.lost)), *scaled, share)
     return table

@@ -19,7 +19,7 @@ from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.towns.scenario.town import find_town
 
-CLIENT_BAR_S, WORLD_BAR_S = 5.0, 30.0
+_CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 
 
 @dataclass
@@ -98,9 +98,9 @@ def faults_of(facts: SoakFacts) -> list[str]:
     found = result(facts)
     wrong = [key for key in ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered") if found[key]]
     slow = (
-        ("recovery_client_p99_s", CLIENT_BAR_S),
-        ("recovery_world_p99_s", WORLD_BAR_S),
-        ("recovery_overlap_p99_s", WORLD_BAR_S),  # any of them may be the world's
+        ("recovery_client_p99_s", _CLIENT_BAR_S),
+        ("recovery_world_p99_s", _WORLD_BAR_S),
+        ("recovery_overlap_p99_s", _WORLD_BAR_S),  # any of them may be the world's
     )
     return wrong + [key for key, bar_s in slow if (found[key] or 0.0) > bar_s]
 
