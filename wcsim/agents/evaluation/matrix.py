@@ -25,11 +25,11 @@ from wcsim.supervisor.observation import imu_size
 MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
 Progress = Callable[[str], None]
 
-CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
+_CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 """What makes the same street look different to a network."""
 
 Columns = tuple[tuple[str, str, str], ...]
-FOLLOWING: Columns = (
+_FOLLOWING: Columns = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
     ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
     ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
@@ -40,7 +40,7 @@ FOLLOWING: Columns = (
     ("freezes", "\nfreezes", "{:d}"),
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
 )
-GETTING_THERE: Columns = (
+_GETTING_THERE: Columns = (
     ("crashes", "\ncrashes", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
     ("crashes_per_km", "crash\n/km", "{:.2f}"),
@@ -52,7 +52,7 @@ GETTING_THERE: Columns = (
     ("red_entries", "at\nred", "{:d}"),
     ("standing_on_carriageway_s", "s stood\non road", "{:.1f}"),
 )
-UPPER_BOUND_NOTES = {
+_UPPER_BOUND_NOTES = {
     UPPER_BOUND: "oracle sees the truth: an upper bound",
     VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
 }
@@ -85,14 +85,14 @@ class TestResult:
         """
         title = f"{self.town}, {self.profile} user, seed {self.seed}"
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
-        there = _table("getting there", GETTING_THERE, drops)
-        following = _table(f"{title}: following", FOLLOWING)
+        there = _table("getting there", _GETTING_THERE, drops)
+        following = _table(f"{title}: following", _FOLLOWING)
         bounds = [name for name in UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
         if bounds:
-            there.caption, there.caption_justify = "\n".join(UPPER_BOUND_NOTES[name] for name in bounds), "left"
+            there.caption, there.caption_justify = "\n".join(_UPPER_BOUND_NOTES[name] for name in bounds), "left"
         for row in self.rows:
-            following.add_row(*_cells(row, FOLLOWING))
-            there.add_row(*_cells(row, GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))
+            following.add_row(*_cells(row, _FOLLOWING))
+            there.add_row(*_cells(row, _GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))
         return following, there
 
 
@@ -145,7 +145,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"policy {name!r} wants {file.vector_size} numbers from IMU and joystick, this test gives {numbers}: "
             "set env.observe_gyro and env.observe_yaw as in its training"
         )
-    other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
             f"policy {name!r} was trained with another camera or class form than this test has "

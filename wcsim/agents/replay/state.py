@@ -13,8 +13,8 @@ from wcsim.agents.replay.buffer import FrameReplay
 
 Arrays = dict[str, npt.NDArray[Any]]
 
-PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
-SLICE = 512  # steps read at once
+_PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
+_SLICE = 512  # steps read at once
 
 
 def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
@@ -27,11 +27,11 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     rows = index % replay.buffer_size
     blobs: list[bytes] = []
     for seat in range(replay.n_envs):
-        for k in range(0, size, SLICE):
-            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + SLICE], seat))
+        for k in range(0, size, _SLICE):
+            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
     ends = sorted(replay.after_end)
-    arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
+    arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
@@ -86,7 +86,7 @@ def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple
     layout = replay.layout
     ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
     return {
-        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in PER_STEP},
+        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in _PER_STEP},
         "end_at": ((ends, 2), np.int64),
         "end_images": ((ends, layout.image_bytes), np.uint8),
         "end_vectors": ((ends, layout.vector_size), np.float32),
@@ -111,7 +111,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     replay.reset()
     index = total - size + np.arange(size)
     rows = index % replay.buffer_size
-    for name in PER_STEP:
+    for name in _PER_STEP:
         getattr(replay, name)[rows] = arrays[name]
     if replay.advice is not None:
         replay.advice.restore(arrays, index)
