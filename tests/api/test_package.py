@@ -278,7 +278,6 @@ FOLDERS_NAMED = {path.name for path in (ROOT / "wcsim").iterdir() if path.is_dir
     "scenarios",
 }
 NOT_OURS = {"__init__.py", "randomTrips.py", "dist/NOTES.md"}  # any, SUMO's tool, and what a release makes
-OLD_PAGES = ("CHANGELOG.md",)  # tells of files as they were called then
 
 
 def is_ours(word: str) -> bool:
@@ -309,8 +308,7 @@ def not_there(text: str, here: Path) -> list[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_that_a_page_names_are_there(page):
-    if page.name not in OLD_PAGES:
-        assert not_there(page.read_text(encoding="utf-8"), page.parent) == []
+    assert not_there(page.read_text(encoding="utf-8"), page.parent) == []
 
 
 def test_files_that_docstrings_name_are_there():
