@@ -277,7 +277,7 @@ FOLDERS_NAMED = {path.name for path in (ROOT / "wcsim").iterdir() if path.is_dir
     "examples",
     "scenarios",
 }
-NOT_OURS = {"__init__.py", "randomTrips.py", "dist/NOTES.md"}  # any, SUMO's tool, and what a release makes
+NOT_OURS = {"__init__.py", "randomTrips.py", "dist/NOTES.md", "wcsim/Street-v1"}  # any; SUMO's; a release's; an id
 
 
 def is_ours(word: str) -> bool:

@@ -128,9 +128,7 @@ class Oracle:
         return min(float(gap), FAR_M)
 
 
-def _actor_table(
-    plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
-) -> F64:
+def _actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0) -> F64:
     """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`).
 
     The roll-out of a command begins `later_s` from now.

@@ -130,9 +130,7 @@ def chosen(instances: Instances, rows: Bool) -> Instances:
 def transforms(instances: Instances) -> F64:
     """Unit model box to world, (n, 3, 4) float64: turn, size and place of every instance."""
     T_WM = np.empty((len(instances), 3, 4))
-    place_models(
-        instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM
-    )
+    place_models(instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM)
     return T_WM
 
 

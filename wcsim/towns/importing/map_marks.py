@@ -40,9 +40,7 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
         ground: What it made of groundtypes.xml.
     """
     root = read_root(ground)
-    marks = [
-        CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")
-    ]
+    marks = [CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")]
     plain = unpainted(net, marks)
     squares = [each for each in root.iterfind("poly") if each.get("type") in _SQUARES and _closed(each)]
     for square in squares:

@@ -209,9 +209,7 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
     ElementTree.indent(root, "")
 
 
-def _needed(
-    root: Element, places: dict[str, tuple[float, float]], box: Box
-) -> tuple[set[str], set[str], set[Element]]:
+def _needed(root: Element, places: dict[str, tuple[float, float]], box: Box) -> tuple[set[str], set[str], set[Element]]:
     """Ids of the nodes and ways around a box, and the ways that are not; all ways lose what is not within reach."""
     near, far = grown(box, MARGIN_M), grown(box, FAR_M)
     inside = {key for key, place in places.items() if _within(place, near)}

@@ -104,14 +104,10 @@ def _with_yields(letters: list[str], links: SignalLinks) -> list[str]:
     """A state in which vehicles that turn into a street with a green crossing have to yield."""
     lit = list(letters)
     for drive in links.drives:
-        if lit[drive.link] == "G" and not drive.straight and _walked(drive.end, lit, links):
+        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+        if lit[drive.link] == "G" and not drive.straight and any(drive.end in edges for edges in crossed):
             lit[drive.link] = "g"
     return lit
-
-
-def _walked(edge: str, letters: Sequence[str], links: SignalLinks) -> bool:
-    """Whether a crossing of an edge is green."""
-    return any(edge in edges for link, edges in links.crossings.items() if letters[link] == "G")
 
 
 def _moved(state: str, links: SignalLinks) -> list[str]:
