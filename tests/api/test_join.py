@@ -15,12 +15,12 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError
+from wcsim.server.host.made_world import made_world
 from wcsim.server.links import socket
-from wcsim.server.links.base import WorldOrder
-from wcsim.server.links.local import LocalServer, made_world
+from wcsim.server.links.local import LocalServer
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules
-from wcsim.server.specs import SeatRequest
+from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import SeatSpec
 
 CONFIG = load_run_config("quick", TINY)

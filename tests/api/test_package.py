@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import networkx
 import pytest
 
 import wcsim
@@ -135,6 +136,33 @@ def test_nothing_executes_foreign_data(path):
     assert not FORBIDDEN_CALLS.search(re.sub(r"\.eval\(\)", "", code))
 
 
+def test_no_two_folders_need_each_other():
+    """A file's own folder is its room; `TYPE_CHECKING` imports count for nothing, as nothing is loaded by them."""
+    graph = networkx.DiGraph()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("wcsim."):
+                for alias in node.names:
+                    here, there = room_of(path), room_of(file_of(node.module, alias.name))
+                    if here != there:
+                        graph.add_edge(here, there)
+    assert graph.number_of_edges() > 300
+    assert [sorted(loop) for loop in networkx.strongly_connected_components(graph) if len(loop) > 1] == []
+
+
+def file_of(module: str, name: str) -> Path:
+    """Where `from module import name` leads: a file, or the door of a package."""
+    folder = ROOT / module.replace(".", "/")
+    places = (folder / f"{name}.py", folder / name / "__init__.py", folder.with_suffix(".py"), folder / "__init__.py")
+    return next(place for place in places if place.is_file())
+
+
+def room_of(path: Path) -> str:
+    """The folder of a file; a file that lies beside rooms, as `wcsim/bridge/world.py` does, counts as a room itself."""
+    beside_rooms = any(child.is_dir() and child.name != "__pycache__" for child in path.parent.iterdir())
+    return str((path if beside_rooms and path.name != "__init__.py" else path.parent).relative_to(ROOT))
+
+
 MOST_BRANCHES = 15
 MOST_PARAMETERS = 8
 KERNELS = {"kernel", "exact_kernel"}  # of `wcsim/core/jit.py`: numba takes no dataclasses, and calls cost it inlining
@@ -233,6 +261,7 @@ SAME_FILE_NAME = {
     "files": "written whole, of a scenario, of the cache",
     "overrides": "of a scenario's options, and of a run's settings",
     "parts": "of a message, and of the barrier's bench",
+    "people": "as the oracle reckons with them, and how they look",
     "plant": "its file, and what physics makes of it",
     "process": "of a world, and of a scene",
     "randomization": "its section of a run file, and the draw",

@@ -11,6 +11,7 @@ from tests.support.worlds import follow, hashes, open_world
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
+from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec
 
 
@@ -145,11 +146,28 @@ def test_the_truth_knows_of_the_commands_that_wait(corner):
             if client.first is not None:
                 break
             seat, others = world.seats[0], world._others(world.seats[0])
-            said = seat._oracle.assess(client.plant, client.user, others, sticks[-3:])
+            accel_mps2 = seat.chair.drive_accel_mps2()
+            said = seat._oracle.assess(client.plant, client.user, others, sticks[-3:], accel_mps2=accel_mps2)
             assert client.truth is not None and client.truth.danger == said.danger
             np.testing.assert_array_equal(client.truth.first_s, said.first_s)
-            differs += bool((said.first_s != seat._oracle.assess(client.plant, client.user, others).first_s).any())
+            at_once = seat._oracle.assess(client.plant, client.user, others, accel_mps2=accel_mps2)
+            differs += bool((said.first_s != at_once.first_s).any())
     assert differs > 3
+
+
+def test_the_truth_knows_that_the_chair_speeds_up(corner, monkeypatch):
+    asked_mps2 = []
+    assess = Oracle.assess
+
+    def heard(oracle, plant, stick, others, waiting, known, accel_mps2):
+        asked_mps2.append(accel_mps2)
+        return assess(oracle, plant, stick, others, waiting, known, accel_mps2)
+
+    monkeypatch.setattr(Oracle, "assess", heard)
+    with open_world(corner, spec=SeatSpec(truth=True)) as world:
+        for tick in range(4):
+            world.tick((Command(seat=0, tick=tick, joystick=Joystick(0.0, 1.0)),))
+    assert asked_mps2[0] == 0.0 and min(asked_mps2[2:]) > 0.5
 
 
 def test_a_slow_camera_repeats_its_image_with_its_old_tick(corner):

@@ -8,10 +8,10 @@ import pytest
 
 from wcsim.errors import ConfigError, SumoError, TownError
 from wcsim.scenes.build import build_scene, find_scene, list_scenes
-from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.build_street import build_street
+from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import content_hash
-from wcsim.towns.street import build_street
 from wcsim.types import ClassId
 
 

@@ -102,7 +102,7 @@ def test_moving_others():
 
 
 def test_following_a_walker_is_no_danger_and_a_standing_one_is():
-    assert not danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 6.7, 5.5, 0.0, 1.3),))
+    assert not danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 7.0, 5.5, 0.0, 1.3),))
     assert danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 6.7, 5.5),))
 
 
@@ -128,7 +128,7 @@ def test_clearance():
     assert ORACLE.clearance(plant(60.0, 7.2, UP), ()) == pytest.approx(1.0, abs=0.1)
     person = actor(ActorKind.PEDESTRIAN, 5.0 + 0.8 + 0.25 + 0.7, 5.5)
     assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (person,)) == pytest.approx(0.7)
-    corner = actor(ActorKind.PEDESTRIAN, 5.8 + 0.25 + 0.3, 5.81 + 0.25 + 0.4)
+    corner = actor(ActorKind.BICYCLE, 5.8 + 0.9 + 0.3, 5.81 + 0.325 + 0.4)
     assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (corner,)) == pytest.approx(0.5)
     assert ORACLE.clearance(plant(5.0, 5.5, 0.0), (actor(ActorKind.CAR, 6.0, 5.5),)) == 0.0
     assert ORACLE.clearance(plant(-15.0, 5.5, 0.0), ()) > 20.0

@@ -85,6 +85,9 @@ def test_attention_has_its_share_and_length():
     assert all(turning.attend(0.1, calm=False) for _ in range(1000))
     turning.attend(0.1, calm=True)
     assert not turning.attentive  # what was put off comes when there is time for it
+    turning.attend(0.1, calm=True)
+    assert turning.attend(0.1, heeds=True)  # a light ahead ends it,
+    assert all(turning.attend(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
     always = Perception(profile("competent"), generator(3))
     assert all(always.attend(0.1) for _ in range(100))
 

@@ -243,7 +243,7 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     user = sim.user
     while not 0.0 < user.intent.y < 0.35 or sim.chair.v < 0.6:  # it has seen them, and brakes
         sim.tick()
-    user._perception.attend = lambda dt_s, calm: False
+    user._perception.attend = lambda dt_s, calm, heeds: False
     user._intent = Joystick(0.19, user.intent.y)
     held = [user.intent]
     for _ in range(40):
@@ -278,6 +278,65 @@ def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(besid
     route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
     stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
     assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
+
+
+def test_who_comes_from_afar_after_a_short_green_moves_up_and_waits_for_the_next_one():
+    """A green of 5 s that comes when the chair still has 2.9 m to the kerb: it stops behind it, and goes next time."""
+    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    assert here.stop_m(8.0, 0.0, red, ()) is not None
+    assert here.stop_m(8.0, 0.1, green, ()) is None  # it may get there
+    for age_s in (1.0, 3.0, 5.0):
+        assert here.stop_m(8.0, age_s, green, ()) == pytest.approx(11.5 - 0.5675 - 0.3)
+    assert here.stop_m(8.0, 6.6, green, ()) is None  # it is a longer one
+    assert here.stop_m(10.6, 60.0, red, ()) is not None
+    assert here.stop_m(10.6, 60.1, green, ()) is None  # near enough
+
+
+def test_who_comes_to_the_kerb_as_a_short_green_ends_does_not_enter_at_red():
+    """Greens of 5 s in every 25 s, which come at any moment of the way to the kerb, at y = 4."""
+    entered = []
+    for onset_s in np.arange(3.0, 9.0, 0.5).tolist():
+
+        def signals(t, onset_s=onset_s):
+            return light(0.0 if (t - onset_s) % 25.0 < 5.0 else 1e9)(t)
+
+        sim, log = cross(signals, law_share=1.0)
+        over = int(np.argmax(log[:, 1] < 4.0 + 0.5675))
+        entered.append((log[over, 0] - 0.1 - onset_s) % 25.0)
+        assert sim.user.arrived
+    assert max(entered) < 5.0
+
+
+def test_a_green_begins_the_belief_in_a_red_light_anew():
+    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    assert here.stop_m(10.6, 0.0, red, ()) is not None
+    here.stop_m(10.6, 100.0, green, ())
+    assert here.stop_m(10.6, 131.0, red, ()) is not None
+    assert here.stop_m(10.6, 250.0, red, ()) is not None
+    assert here.stop_m(10.6, 262.0, red, ()) is None
+
+
+def test_who_obeys_keeps_a_light_in_sight_from_just_before_the_kerb():
+    here = kerbs(over_the_road())
+    for arc_m, heeds in ((4.0, False), (8.3, False), (8.6, True), (10.9, True), (11.3, False)):
+        here.stop_m(arc_m, 0.0, light(0.0)(0.0), ())
+        assert here.heeds_light(arc_m) == heeds
+    careless = Kerbs(crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57)
+    careless.stop_m(10.0, 0.0, light(0.0)(0.0), ())
+    assert not careless.heeds_light(10.0)
+
+
+def test_nobody_who_obeys_looks_elsewhere_while_driving_towards_a_kerb_with_a_light():
+    near = []
+    for seed in range(5):
+        user = make_user("inattentive", seed, lit(STREET), see_share=1.0, law_share=1.0, away_share=0.9, away_s=5.0)
+        sim = Sim(user, over_the_road(), Chair(x=32.0, y=5.5))
+        while sim.time_s < 60.0 and not user.arrived:
+            sim.signals = light(0.0)(sim.time_s)
+            sim.tick()
+            if 9.0 < user.route_progress_m < 10.9:
+                near.append(user._perception.attentive)
+    assert len(near) > 30 and all(near)
 
 
 def test_a_light_that_stays_red_is_believed_for_two_minutes():

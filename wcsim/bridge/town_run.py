@@ -10,7 +10,7 @@ import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.traffic import TownTraffic
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig

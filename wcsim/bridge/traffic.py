@@ -11,7 +11,8 @@ from typing import Self
 import numpy as np
 
 from wcsim.bridge.recording.trace import state_hash
-from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
 from wcsim.config import RunConfig
 from wcsim.core import seeding

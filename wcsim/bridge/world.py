@@ -19,22 +19,24 @@ from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
 from wcsim.bridge.mirror_check import MirrorCheck
 from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.reaction.commands import ChairInStreet, in_street, on_level
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
 from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
-from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError
+from wcsim.physics.buffers import ImageSink
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.sensors.camera import CameraRig, ImageSink
+from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.town import Town
@@ -48,10 +50,7 @@ TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictur
 
 
 class World:
-    """A town with traffic and places for any number of wheelchairs, which come and go between ticks.
-
-    Wherever `out` is given, the images are made in its buffers; in the cameras' own otherwise.
-    """
+    """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
 
     def __init__(
         self,
@@ -180,7 +179,7 @@ class World:
     def _react(self, commands: Sequence[Command]) -> None:
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid) for seat in self.seats)
+            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
             pilot = self._sumo.pilot
             here = self._level(self._actors)
             orders = self._street.react(here, self._chairs, pilot)
@@ -233,10 +232,10 @@ class World:
         self._tick = 0
         self._actors, self._before = (), dict[str, ActorState]()
         self._signals = ()
-        habits = AttentionModel(self.config.world, seeding.derive(seed, "street"), self.config.vary)
+        self._habits = street_habits(self.config.world, seeding.derive(seed, "street"))
         self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
-        self._street = StreetReaction(self.config.world, habits, self._swing)
-        self._deflection = PedestrianAvoidance(self.street.grid, self.config.world.tick_s, habits.people)
+        self._street = StreetReaction(self.config.world, self._habits, self._swing)
+        self._deflection = PedestrianAvoidance(self.street.grid, self.config.world.tick_s, self._habits.people)
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
         if self._engine is not None:
@@ -266,7 +265,7 @@ class World:
     def _open_episodes(self, seats: Sequence[Ego], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
         """Begin the next episode of these seats: all are placed before any of them looks around."""
         for seat in seats:
-            seat.spawn(self._taken)
+            seat.spawn(self._taken, self._habits)
             self._rig.reset(seat.index)
             if seat.fitting is not None:
                 self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)

@@ -69,7 +69,7 @@ def run(words: list[str]) -> int:
     results = test_policies(options)
     console = Console()
     for result in results:
-        console.print(*result.tables())
+        console.print(*result.tables(console.width))
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
     if options.json is not None:
         write_json(options.json, as_json(results))

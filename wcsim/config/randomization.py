@@ -39,10 +39,7 @@ PlantSpans = Annotated[dict[Word, Span], Field(max_length=64)]  # by the dotted 
 
 
 class VaryConfig(Model):
-    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range.
-
-    Those of the street, `attention` and `reaction`, are drawn from once for every world and epoch: all seats share it.
-    """
+    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range."""
 
     light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = None  # times; colours only
     friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = None  # times; of wheels and casters
@@ -51,7 +48,7 @@ class VaryConfig(Model):
     camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
     action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
     plant: PlantSpans = Field(default_factory=dict)
-    attention: Shares = Field(default_factory=dict)  # share of those who look, by class
+    attention: Shares = Field(default_factory=dict)  # share of those who look for this chair, by class
     reaction: Reactions = Field(default_factory=dict)  # seconds, by class
 
     @model_validator(mode="before")
@@ -61,5 +58,5 @@ class VaryConfig(Model):
 
     @property
     def nothing(self) -> bool:
-        """Whether every episode's chair is like the others."""
-        return self == VaryConfig(attention=self.attention, reaction=self.reaction)
+        """Whether every episode is like the others."""
+        return self == VaryConfig()

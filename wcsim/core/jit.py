@@ -1,21 +1,37 @@
 """Compiles kernels with numba, and keeps the machine code on disk where that is possible.
 
-numba keeps it in `__pycache__` beside the source, or in the user's cache folder when the package is read-only; where
-neither can be written it refuses to decorate, and then the code is compiled anew in each process.
+numba freezes into a kernel whatever it takes from outside: the kernels that it calls, from any file, and the constants
+that it names. Its own copies on disk notice a change of the kernel's file alone; so here a copy is named by a digest of
+the kernel and of all that is frozen into it, taken at the first call, when everything has its value.
+
+The copies lie in `__pycache__` beside the source, or in the user's cache folder when the package is read-only; where
+neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from enum import Enum
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.extending import is_jitted
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+KEPT = 3  # copies of a kernel: who goes to and fro between two states of the code compiles once
+
 # Rounding must not depend on how a loop is vectorised more than it has to: products may be fused, and that is all.
 _FAST = {"contract", "nsz"}
+_WORD = re.compile(r"\w+")
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -28,9 +44,136 @@ def exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function)
 
 
+def frozen_digest(compiled: Any) -> str:
+    """SHA-256 over a kernel's code and options and over all that is frozen into it, without comments and places.
+
+    Raises:
+        TypeError: It names something of its own package that can be no constant.
+    """
+    digest = hashlib.sha256(f"numpy {np.__version__}".encode())
+    for fact in _facts(compiled, compiled.py_func.__module__.partition(".")[0], set()):
+        digest.update(f"{fact}\n".encode())
+    return digest.hexdigest()
+
+
 def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
-    try:
-        compiled = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # "cannot cache function: no locator available"
-        compiled = numba.njit(**options)(function)
+    compiled: Any = numba.njit(**options)(function)
+    if is_jitted(compiled):  # not when numba is told by its user to compile nothing
+        try:
+            compiled._cache = _FrozenCache(compiled)  # type: ignore[attr-defined]
+        except RuntimeError:  # "cannot cache function: no locator available"
+            return cast("Callable[P, R]", compiled)
     return cast("Callable[P, R]", compiled)
+
+
+class _FrozenCache(FunctionCache):
+    """The copies on disk of one kernel, found by `frozen_digest`."""
+
+    def __init__(self, compiled: Any) -> None:
+        """Find a folder; raises RuntimeError when there is none that can be written."""
+        super().__init__(compiled.py_func)  # type: ignore[no-untyped-call]
+        self._compiled = compiled
+        self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
+        self._aimed = False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The machine code for a signature, or None."""
+        self._aim()
+        return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the machine code for a signature, and let go of old copies."""
+        self._aim()
+        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        _keep_newest(Path(self._cache_path), self._stem)
+
+    def _aim(self) -> None:
+        if not self._aimed:
+            digest = frozen_digest(self._compiled)
+            name = f"{self._stem}-{digest[:24]}.py{sys.version_info[0]}{sys.version_info[1]}"
+            self._cache_file = IndexDataCacheFile(self._cache_path, name, digest)  # type: ignore[no-untyped-call]
+            self._aimed = True
+
+
+def _keep_newest(folder: Path, stem: str) -> None:
+    """Remove all but the newest copies; what another process has removed meanwhile is gone too."""
+    dated: list[tuple[int, Path]] = []
+    for index in folder.glob(f"{stem}-*.nbi"):
+        try:
+            dated.append((index.stat().st_mtime_ns, index))
+        except OSError:
+            continue
+    for _, index in sorted(dated, reverse=True)[KEPT:]:
+        for path in (index, *folder.glob(f"{index.stem}.*.nbc")):
+            path.unlink(missing_ok=True)
+
+
+def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
+    """What a value is, as things whose `str` is the same in each process that has the same value."""
+    if is_jitted(value):
+        options = value.targetoptions.items()
+        yield [(name, sorted(was) if isinstance(was, set) else was) for name, was in sorted(options)]
+        value, package = value.py_func, value.py_func.__module__.partition(".")[0]
+    if isinstance(value, FunctionType) and value.__module__.partition(".")[0] == package:
+        if id(value) not in seen:
+            seen.add(id(value))
+            yield from _function_facts(value, package, seen)
+    elif isinstance(value, tuple | frozenset):
+        yield type(value).__qualname__, getattr(value, "_fields", ())
+        for item in value if isinstance(value, tuple) else sorted(value, key=repr):
+            yield from _facts(item, package, seen)
+    else:
+        yield _plain_fact(value, package)
+
+
+def _plain_fact(value: Any, package: str) -> object:
+    """What a value is that holds no function and no other values but numbers."""
+    if isinstance(value, type) and issubclass(value, Enum):
+        return value.__qualname__, [(name, member.value) for name, member in value.__members__.items()]
+    if isinstance(value, type) and hasattr(value, "_fields"):
+        return value.__qualname__, value._fields
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes | Enum):
+        return type(value).__qualname__, repr(value)
+    if isinstance(value, ModuleType):
+        return value.__name__  # what is taken from it, `_function_facts` knows
+    return _foreign(value, package)
+
+
+def _foreign(value: Any, package: str) -> str:
+    """The name of something of a library, whose code changes with its version alone."""
+    home = getattr(value, "__module__", None) or type(value).__module__
+    if home.partition(".")[0] == package:
+        raise TypeError(f"a kernel names {value!r}; expected a kernel, a number, an array, a tuple, an enumeration")
+    return f"{home}.{getattr(value, '__qualname__', type(value).__qualname__)}"
+
+
+def _function_facts(function: FunctionType, package: str, seen: set[int]) -> Iterator[object]:
+    known = function.__globals__
+    for code in _codes(function.__code__):
+        yield code.co_name, code.co_code.hex(), code.co_names, code.co_varnames, code.co_freevars
+        for value in (*code.co_consts, *(known[name] for name in code.co_names if name in known)):
+            if value is function.__doc__ or isinstance(value, CodeType):
+                continue
+            yield from _facts(value, package, seen)
+            if isinstance(value, ModuleType):
+                yield from _all_facts((vars(value)[n] for n in code.co_names if n in vars(value)), package, seen)
+    closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
+    yield from _all_facts((function.__defaults__ or (), closed), package, seen)
+    # a tuple with names comes in as an argument: its kind counts by name alone in numba's own key
+    words = (word for note in function.__annotations__.values() for word in _WORD.findall(str(note)))
+    yield from _all_facts((known[word] for word in words if hasattr(known.get(word), "_fields")), package, seen)
+
+
+def _all_facts(values: Iterable[Any], package: str, seen: set[int]) -> Iterator[object]:
+    for value in values:
+        yield from _facts(value, package, seen)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A function's code and that of what it defines inside."""
+    yield code
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _codes(inner)

@@ -1,8 +1,7 @@
 """The one law by which a chair's controller takes a joystick: dead band, shape, limits of speed, acceleration and jerk.
 
 The drive (`physics/wheelchair/drive_controller.py`) obeys it, the oracle and `dwa` reckon with it, the simulated user
-steers by its inverse. The kernels are compiled into those that call them, and numba's copies on disk do not notice a
-change here: after one, delete the `__pycache__` folders beside the callers.
+steers by its inverse.
 """
 
 from __future__ import annotations

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import msgspec
 
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import FileKind, read_bytes
 from wcsim.errors import ConfigError, DiskFullError
@@ -16,9 +17,6 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
-
-if TYPE_CHECKING:
-    from wcsim.server.links.base import WorldOrder
 
 _MOST_ORDER_BYTES = 16 << 20
 Recovery = Literal["new_epoch", "replay"]
@@ -29,6 +27,24 @@ def seat_spec(env: EnvConfig) -> SeatSpec:
     return SeatSpec(
         profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldOrder:
+    """Everything that a world is made from."""
+
+    town: str
+    config: RunConfig
+    seed: int
+    seat: SeatSpec = SeatSpec()  # noqa: RUF009 - frozen; of a sole client
+    seats: int = 1
+    run: str = ""  # the run folder, where the outputs of the town's own scenario go
+    hook: str = ""  # the user's own step hook, module:Class
+
+    @property
+    def place(self) -> RunPlace:
+        """The same for a world."""
+        return RunPlace(folder=Path(self.run) if self.run else None, hook=self.hook)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,8 +71,6 @@ class WorldSpec:
     @property
     def world(self) -> WorldOrder:
         """The world of it."""
-        from wcsim.server.links.base import WorldOrder  # loads SUMO, which a launcher has no use for
-
         return WorldOrder(
             town=self.town,
             config=RunConfig.model_validate_json(self.config_json),

@@ -1,8 +1,9 @@
 """The oracle: which commands end badly, on the true geometry. For metrics and baselines, never part of an observation.
 
 A command is dangerous when holding it for 0.5 s and then letting the stick go (the chair brakes at its comfortable
-rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. Everything else
-is free. Where commands reach the chair late, those that still wait are driven first.
+rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. So is one that
+lets the chair run into somebody on foot who does otherwise, although the stick is let go after a tick (`people.py`).
+Everything else is free. Where commands reach the chair late, those that still wait are driven first.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
-from wcsim.types import F64, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
+from wcsim.types import F64, ActorKind, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
 _LONGEST_ROLL_OUT_S = 2.5
@@ -60,16 +62,16 @@ class Oracle:
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
         commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        return bool(np.isfinite(self._roll_out(plant, commands, _actor_table(plant, actors), ())[0]))
+        return bool(np.isfinite(self._roll_out(plant, commands, _others_near(plant, actors), (), 0.0)[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, _actor_table(plant, actors), ()))
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, _others_near(plant, actors), (), 0.0))
         return safe
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, _actor_table(plant, actors))
+        return self._clearance(plant, _others_near(plant, actors))
 
     def assess(
         self,
@@ -78,30 +80,37 @@ class Oracle:
         actors: Iterable[ActorState],
         waiting: Sequence[Joystick] = (),
         known: Iterable[ActorState] | None = None,
+        accel_mps2: float = 0.0,
     ) -> Assessment:
         """All answers at once.
 
         `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
-        actors with whom alone it is asked once more what ends badly.
+        actors with whom alone it is asked once more what ends badly; `accel_mps2` is what the drive asks for now: it
+        fades with the drive's jerk, whatever the stick says.
         """
         later_s = len(waiting) * self._tick_s
-        table = _actor_table(plant, actors, later_s=later_s)
-        said, visible = self._verdict(plant, joystick, table, waiting), None
+        others = _others_near(plant, actors, later_s=later_s)
+        said, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
         if known is not None:
-            few = _actor_table(plant, known, later_s=later_s)
-            visible = said if len(few) == len(table) else self._verdict(plant, joystick, few, waiting)
-        gap_m = self._clearance(plant, table)
+            few = _others_near(plant, known, later_s=later_s)
+            same = few.many == others.many
+            visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
+        gap_m = self._clearance(plant, others)
         return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
 
-    def _verdict(self, plant: PlantState, joystick: Joystick, table: F64, waiting: Sequence[Joystick]) -> Verdict:
+    def _verdict(
+        self, plant: PlantState, joystick: Joystick, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+    ) -> Verdict:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), table, waiting)
+        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2)
         return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
-    def _roll_out(self, plant: PlantState, commands: F64, table: F64, waiting: Sequence[Joystick]) -> F64:
+    def _roll_out(
+        self, plant: PlantState, commands: F64, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+    ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         first_s: F64 = roll_out(
-            _state(plant),
+            _state(plant, accel_mps2),
             self._steps(waiting),
             commands,
             self._limits,
@@ -111,7 +120,9 @@ class Oracle:
             grid.clearance_dm,
             np.array(grid.origin_W_m, np.float64),
             grid.cell_m,
-            table,
+            others.boxes,
+            others.people,
+            self._tick_s,
         )
         return first_s
 
@@ -121,33 +132,49 @@ class Oracle:
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
-    def _clearance(self, plant: PlantState, table: F64) -> float:
+    def _clearance(self, plant: PlantState, others: Others) -> float:
         grid = self._grid.around(plant.p_WB_m)
         origin_m = np.array(grid.origin_W_m, np.float64)
-        gap = free_distance(_state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, table)
+        gap = free_distance(
+            _state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, others.boxes, others.people
+        )
         return min(float(gap), FAR_M)
 
 
-def _actor_table(plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0) -> F64:
-    """The actors that can meet the chair, or are within `within_m`, as (n, 9) float64 (columns: see `rollout`).
+class Others(NamedTuple):
+    """Those near a chair, as the kernels take them."""
 
-    The roll-out of a command begins `later_s` from now.
-    """
+    boxes: F64  # (n, 9) who drives, see `rollout`
+    people: F64  # (m, 9) who walks, see `people`
+
+    @property
+    def many(self) -> int:
+        """How many they are."""
+        return len(self.boxes) + len(self.people)
+
+
+def _others_near(
+    plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
+) -> Others:
+    """Who can meet the chair, or is within `within_m`; the roll-out of a command begins `later_s` from now."""
     x, y, z = plant.p_WB_m.tolist()
-    rows = []
+    boxes, people = [], []
     for actor in actors:
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
         meets_m = REACH_M + later_s * FASTEST_MPS + (_LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
         reach = max(meets_m, within_m) + 0.5 * (length + width)
-        if abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M:
-            rows.append((ax, ay, actor.yaw_rad, 0.0, 0.5 * length, 0.5 * width, vx, vy, 0.0))
-    table = np.array(rows, np.float64).reshape(-1, 9)
-    table[:, 3] = np.sin(table[:, 2])
-    table[:, 2] = np.cos(table[:, 2])
-    return table
+        if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
+            continue
+        cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
+        if actor.kind is ActorKind.PEDESTRIAN:
+            ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
+            people.append((ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0))
+        else:
+            boxes.append((ax, ay, cos, sin, 0.5 * length, 0.5 * width, vx, vy, 0.0))
+    return Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
 
 
-def _state(plant: PlantState) -> F64:
-    return np.array([plant.p_WB_m[0], plant.p_WB_m[1], plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2]])
+def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:
+    return np.array([plant.p_WB_m[0], plant.p_WB_m[1], plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2], accel_mps2])

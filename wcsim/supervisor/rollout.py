@@ -1,7 +1,7 @@
 """The oracle's kernel: where a chair goes when a command is held for half a second and then the stick let go.
 
 Plain arrays in and out, compiled by numba. The chair is kinematic, with the drive's limits of speed, acceleration, jerk
-and turn rate; the street is the raster of `StreetGrid`; others drive straight on.
+and turn rate; the street is the raster of `StreetGrid`; others drive straight on, but for people (`people.py`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy.typing as npt
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import driven
+from wcsim.core.joystick import DECEL, JERK, V_MAX, driven
+from wcsim.supervisor.people import near_people, person_gap, runs_into_any_way, runs_into_going_on, set_margins
 from wcsim.types import F64, U8
 
 I64 = npt.NDArray[np.int64]
@@ -50,11 +51,13 @@ def roll_out(
     origin_m: F64,
     cell_m: float,
     actors: F64,
+    people: F64,
+    tick_s: float,
 ) -> F64:
     """Seconds until each command goes wrong, infinity when it ends well.
 
     Args:
-        state: (5,) x, y, yaw, v, w of the drive axle.
+        state: (6,) x, y, yaw, v, w of the drive axle, and the acceleration that its drive gives.
         waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (7,) of the drive, see `wcsim.core.joystick`.
@@ -64,21 +67,30 @@ def roll_out(
         clearance_dm: (rows, cols) of the street grid.
         origin_m: (2,) of the street grid.
         cell_m: Size of a cell.
-        actors: (n, 9) see the column names above; the margin column is overwritten.
+        actors: (n, 9) those who drive, see the column names above; the margin column is overwritten.
+        people: (m, 9) those who walk, see `people`; the margin column is overwritten.
+        tick_s: How long a command lasts before another one can be given.
 
     Returns:
         (K,) float64.
     """
     _set_margins(state, hull, actors)
+    set_margins(state[0], state[1], state[2], hull, people)
     start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
+    # as fast as it may be, for as long as it may take until it stands
+    stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
+    near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
             state, waiting, commands[k], limits, hull, wheels, allowed_gap,
-            height_cm, clearance_dm, origin_m, cell_m, actors,
+            height_cm, clearance_dm, origin_m, cell_m, actors, people,
         )  # fmt: skip
+        if len(near):
+            let_go_s = _let_go(state, waiting, commands[k], limits, hull, near, tick_s)
+            first_s[k] = min(first_s[k], let_go_s)
         if first_s[k] <= len(waiting) * STEP_S:  # before any command begins
             first_s[:] = first_s[k]
             break
@@ -86,7 +98,9 @@ def roll_out(
 
 
 @exact_kernel
-def free_distance(state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64) -> float:
+def free_distance(
+    state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64, people: F64
+) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
     nearest = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, np.inf)
     cos, sin = math.cos(state[2]), math.sin(state[2])
@@ -106,6 +120,8 @@ def free_distance(state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m
             ),
         )  # fmt: skip
         nearest = min(nearest, gap)
+    for i in range(len(people)):
+        nearest = min(nearest, person_gap(state[0], state[1], state[2], hull, people[i]))
     return max(0.0, nearest)
 
 
@@ -123,9 +139,9 @@ def _one(
     origin_m: F64,
     cell_m: float,
     actors: F64,
+    people: F64,
 ) -> float:
-    x, y, yaw, v, w = state[0], state[1], state[2], state[3], state[4]
-    a = 0.0
+    x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     before = np.empty(len(wheels), np.int64)
     before2 = np.empty(len(wheels), np.int64)
     _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, before)
@@ -139,22 +155,50 @@ def _one(
         stick_x, stick_y = (command[0], command[1]) if held else (0.0, 0.0)
         if i < waits:
             stick_x, stick_y = waiting[i, 0], waiting[i, 1]
-        v_before = v
-        v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
-        yaw_before = yaw
-        yaw += w * STEP_S
-        way = 0.5 * (v_before + v) * STEP_S
-        x += way * math.cos(0.5 * (yaw_before + yaw))
-        y += way * math.sin(0.5 * (yaw_before + yaw))
+        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
         later_s = (i + 1) * STEP_S
         _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, now)
-        if _falls(wheels, now, before, before2, v * w) or _touches(
-            x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors
+        if (
+            _falls(wheels, now, before, before2, v * w)
+            or _touches(x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors)
+            or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
         before2[:] = before
         before[:] = now
     return np.inf
+
+
+@exact_kernel
+def _let_go(state: F64, waiting: F64, command: F64, limits: F64, hull: F64, people: F64, tick_s: float) -> float:
+    """Seconds until the chair runs into somebody, whatever they do, when a command lasts one tick; or infinity."""
+    x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
+    waits = len(waiting)
+    held = waits + math.ceil(tick_s / STEP_S - 1e-6)
+    for i in range(waits + int(LONGEST_S / STEP_S)):
+        if i >= held and v == 0.0 and abs(w) < 1e-3:
+            break
+        stick_x, stick_y = (command[0], command[1]) if i < held else (0.0, 0.0)
+        if i < waits:
+            stick_x, stick_y = waiting[i, 0], waiting[i, 1]
+        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
+        if runs_into_any_way(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
+            return (i + 1) * STEP_S
+    return np.inf
+
+
+@exact_kernel
+def _moved(
+    x: float, y: float, yaw: float, v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64
+) -> tuple[float, float, float, float, float, float]:
+    """Pose, speeds and acceleration a step later."""
+    v_before, yaw_before = v, yaw
+    v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
+    yaw += w * STEP_S
+    way = 0.5 * (v_before + v) * STEP_S
+    x += way * math.cos(0.5 * (yaw_before + yaw))
+    y += way * math.sin(0.5 * (yaw_before + yaw))
+    return x, y, yaw, v, w, a
 
 
 @exact_kernel

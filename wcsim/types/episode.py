@@ -85,6 +85,8 @@ class Drawn:
     camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
     action_delay_ticks: int | None = None
     plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
+    attention: tuple[tuple[str, float], ...] = ()  # share of those who look for this chair, by class or "all", sorted
+    reaction_s: tuple[tuple[str, float], ...] = ()  # until who looks brakes for this chair, as above
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

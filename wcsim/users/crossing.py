@@ -22,6 +22,10 @@ _ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
 _NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
 RING = tuple((math.cos(0.25 * math.pi * k), math.sin(0.25 * math.pi * k)) for k in range(8))
 CARRIAGEWAY = (ClassId.ROAD, ClassId.CROSSWALK)
+_SHORT_GREEN_S = 5.0  # a green for people on foot may end so soon, and many do
+_SPARE_S, _ONWARD_MPS = 0.5, 0.7  # who, driving so fast, may not get to the kerb that much earlier does not go for it
+EDGE_M, _EDGE_STEP_M = 1.2, 0.1  # so far before the crossing's own beginning a kerb that runs aslant may lie
+_LOOK_M = 2.5  # of the footplate before the kerb: who obeys a light does not look elsewhere from there on
 _HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
 
 
@@ -54,10 +58,14 @@ class Kerbs:
         self._half_length_m = half_length_m
         self._waits_m = half_length_m + _KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
+        self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
         self._law_share = law_share
         self._rng = rng
         self._obeys: dict[Crossing, bool] = {}
         self._red_since_s: dict[Crossing, float] = {}
+        self._red_last_s: dict[Crossing, float] = {}
+        self._green_since_s: dict[Crossing, float] = {}
+        self._hesitates: set[Crossing] = set()
         self._begun: set[Crossing] = set()
 
     @property
@@ -88,9 +96,31 @@ class Kerbs:
                 continue
             if self._closed(item, to_go_m, time_s, signals, vehicles):
                 return stop_m
+            if self._may_end(item, self._kerb_m[item] - self._half_length_m - arc_m, time_s):
+                return self._kerb_m[item] - self._waits_m  # the next green is met nearer to the kerb than this one
             if to_go_m < -_KERB_GAP_M:
                 self._begun.add(item)
         return None
+
+    def heeds_light(self, arc_m: float) -> bool:
+        """Whether a light that the user obeys is so near that a red one must be answered at once."""
+        before_m = arc_m + self._half_length_m
+        return any(
+            item.tls_id
+            and item not in self._begun
+            and -_KERB_GAP_M < self._kerb_m[item] - before_m < _LOOK_M
+            and self._keeps_law(item)
+            for item, _ in self._items
+        )
+
+    def _may_end(self, item: Crossing, to_kerb_m: float, time_s: float) -> bool:
+        """Whether a green that came after a red one may be over before the footplate is at the kerb."""
+        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else _KERB_GAP_M):
+            return False
+        longest_s, shortest_s = time_s - self._red_last_s[item], time_s - self._green_since_s[item]
+        if longest_s + to_kerb_m / _ONWARD_MPS > _SHORT_GREEN_S - _SPARE_S:
+            self._hesitates.add(item)  # who has slowed down for it cannot make it any more
+        return item in self._hesitates and shortest_s < _SHORT_GREEN_S + _SPARE_S
 
     def _keeps_law(self, item: Crossing) -> bool:
         if item not in self._obeys:
@@ -107,10 +137,16 @@ class Kerbs:
     ) -> bool:
         near = to_go_m < _TRAFFIC_SEEN_M
         if is_red(item, signals):
+            self._red_last_s[item] = time_s
+            self._green_since_s.pop(item, None)
+            self._hesitates.discard(item)
             since_s = self._red_since_s.setdefault(item, time_s) if near else time_s
             if time_s - since_s < RED_BELIEVED_S:
                 return True
-        watched = near and (item in self._red_since_s or not has_light(item, signals))
+        elif item in self._red_last_s:
+            self._green_since_s.setdefault(item, time_s)
+            self._red_since_s.pop(item, None)  # it works: the next red is not the one that was waited for
+        watched = near and (item in self._red_last_s or not has_light(item, signals))
         return watched and vehicle_comes(item, vehicles)
 
 
@@ -149,6 +185,14 @@ def kerb_m(ground: Ground, path: Path, start_m: float) -> float:
         on_pavement = ground.class_here(x, y) not in CARRIAGEWAY
         if on_pavement and any(ground.class_here(*at) in CARRIAGEWAY for at in around):
             return start_m - step * _ROAD_STEP_M
+    return start_m
+
+
+def edge_m(ground: Ground, path: Path, start_m: float) -> float:
+    """Arc where a route to a crossing gets onto the road: at its start, or before it where the kerb runs aslant."""
+    for step in range(round(EDGE_M / _EDGE_STEP_M), 0, -1):
+        if ground.class_here(*path.at(start_m - step * _EDGE_STEP_M)) in CARRIAGEWAY:
+            return start_m - step * _EDGE_STEP_M
     return start_m
 
 

@@ -54,11 +54,11 @@ class Perception:
         self._away_s = 0.0
         self._leaves = False
 
-    def attend(self, dt_s: float, calm: bool = True) -> bool:
+    def attend(self, dt_s: float, calm: bool = True, heeds: bool = False) -> bool:
         """Advance the two-state Markov chain of attention; whether the user looks at the street.
 
         A look elsewhere waits until the driving is `calm` (nobody looks away in the middle of a turn) and is at most
-        twice as long as its mean.
+        twice as long as its mean. Who `heeds` something ahead, a light, looks at the street.
         """
         p = self._profile
         if p.away_share <= 0.0 or dt_s <= 0.0:
@@ -67,11 +67,11 @@ class Perception:
         changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
         if self.attentive:
             self._leaves = self._leaves or changes
-            if self._leaves and calm:
+            if self._leaves and calm and not heeds:
                 self.attentive, self._leaves, self._away_s = False, False, 0.0
         else:
             self._away_s += dt_s
-            self.attentive = changes or self._away_s >= _LONGEST_AWAY * p.away_s - 1e-9
+            self.attentive = changes or heeds or self._away_s >= _LONGEST_AWAY * p.away_s - 1e-9
         return self.attentive
 
     def look(self, view: UserView) -> Seen:

@@ -177,7 +177,9 @@ class SimulatedUser:
             return
         body = self._body(view, self._path)
         self._witness = None
-        if self._perception.attend(dt_s, abs(self._intent.x) < _CALM_STICK):
+        # A stop that was begun is carried on without a look; who drives on towards a light keeps it in sight.
+        heeds = self._stop_m is None and self._kerbs.heeds_light(self._arc_m)
+        if self._perception.attend(dt_s, abs(self._intent.x) < _CALM_STICK, heeds):
             plan = self._plan(view, body, self._path)
             self._patience = plan.patience
             self._intent = self._corrected(plan.wish, view.time_s)

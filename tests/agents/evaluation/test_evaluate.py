@@ -119,7 +119,7 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
 def shown(result, width=120):
     console = Console(width=width, file=io.StringIO())
-    console.print(*result.tables())
+    console.print(*result.tables(width))
     return console.file.getvalue()
 
 
@@ -147,6 +147,28 @@ def test_the_tables_show_what_was_counted_and_drops_when_there_are_some():
     fell = replace(result, rows=(row, replace(row, crash_reasons={"drop": 3, "tilt": 2})))
     assert "drops" not in text and "drops" in shown(fell)
     assert [row[-1] for row in cells(shown(fell))[2:]] == ["0", "3"]
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_no_name_and_no_number_is_broken_however_long(width):
+    row = evaluate(FOLLOW, Script(), episodes=2, max_steps=9, seed=0, tick_s=10.0)
+    row = replace(row, crashes=123, km=123.45, crashes_per_km=12.34, routes_completed=123, routes_given_up=123)
+    row = replace(row, crossings=1234, standing_on_carriageway_s=1234.5, kpi2_mean_steps=10000.0, freezes=123)
+    far = "/somewhere/experiments/2026-11/assistive-networks/runs"
+    names = ["runs/demo", "runs/demo:phase1", "oracle-visible", f"{far}/a:phase1", f"{far}/b/two", "c/two"]
+    names += [f"{far}/{'d' * 60}"]
+    rows = tuple(replace(row, policy=name, crash_reasons={"drop": 3}) for name in names)
+    text = shown(TestResult(town="a", seed=0, profile="b", rows=rows), width)
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert max(map(len, lines)) <= width and "…" not in text
+    counts = [line.partition(" 0.250")[0].rstrip() for line in lines if " 0.250" in line]
+    assert len(set(counts)) == len(names)
+    joined = "".join(lines)
+    for label, name in zip(counts, names, strict=True):
+        assert label == name or f"{label}: {name}" in joined
+        assert sum(line.startswith(f"{label} ") and "1234.5" in line for line in lines) == 1
+    assert counts[2:] == ["oracle-visible", "a:phase1", "policy 5", "c/two", "policy 7"]
+    assert counts[:2] == ["runs/demo", "demo:phase1" if width == 80 else "runs/demo:phase1"]
 
 
 def test_nonsense_is_refused():

@@ -17,13 +17,12 @@ from tests.support.worlds import quick_config
 from wcsim.server.host.loop import Hosted, ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.launch.lifeline import Lifelines
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import REMEMBERED
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldOrder, WorldSpec
 from wcsim.server.transport.rate_limit import PeerLimits
 from wcsim.server.transport.shared_images import RingSink, pictures_of
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard

@@ -4,11 +4,15 @@ import dataclasses
 
 import pytest
 
+from wcsim.bench.chair import kerbs
 from wcsim.bench.chair.compare import changes
 from wcsim.bench.chair.row import Row, Setup, Trial, measured
+from wcsim.bench.chair.rows.kerb import RUN_UP_M
 from wcsim.bench.chair.rows.table import table, trials
 from wcsim.config import ChairConfig
+from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import ConfigError, PhysicsError
+from wcsim.physics.wheelchair.plant import plant_spec
 
 PLANTS = ("rwd", "mwd")
 QUICK = ("mass", "inertia", "turning", "stopping_6", "climb_10", "kerb_40mm_standstill", "kerb_120mm_run_up")
@@ -28,6 +32,16 @@ def test_the_table_asks_what_it_must(plant):
     assert {"tip_rear_com_50cm", "tip_lateral_com_60cm", "falls_off_30cm_at_25deg", "cross_slope_10deg"} <= names
     assert ("tip_rear_no_antitips_com_50cm" in names) == (plant == "rwd")
     assert ("kerb_50mm_standstill" in names) == (plant == "rwd")
+    assert "kerb_50mm_run_up" in names
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowered(plant):
+    setup = Setup(chair=ChairConfig(plant=plant), hz=240)
+    declared = plant_spec(setup.chair).climbs
+    for rises_m, run_up_m in ((declared.standstill_m, 0.0), (declared.run_up_m, RUN_UP_M)):
+        assert kerbs.climbs(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
+    assert KERB_STEP_M in declared.run_up_m, "the street counts on it"
 
 
 def test_a_tip_angle_is_found_where_geometry_says():

@@ -11,9 +11,8 @@ import pytest
 from tests.support.worlds import follow, quick_config
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, ProtocolError
+from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.physics.bullet import pybullet
-from wcsim.physics.renderer.base import new_images
-from wcsim.physics.sensors.camera import SeatBuffers
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
 

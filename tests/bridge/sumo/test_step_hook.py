@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import quick_config
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import HookError
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.child_world import ProcessLink
+from wcsim.server.specs import WorldOrder
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 

@@ -12,8 +12,9 @@ from tests.physics.renderer.render_oracle import actor
 from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
+from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer import kernels
-from wcsim.physics.renderer.base import Pinhole, new_images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.models.paint import Paint

@@ -12,7 +12,8 @@ from tests.physics.renderer.render_oracle import CAMERA, SIZES, actor, crowd
 from tests.support.samples import strip_street
 from wcsim.bench.camera.embree import RayOracle, depth_agrees
 from wcsim.errors import ConfigError
-from wcsim.physics.renderer.base import Images, Pinhole, new_images
+from wcsim.physics.buffers import Images, new_images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer

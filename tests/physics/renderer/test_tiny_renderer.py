@@ -12,7 +12,7 @@ from wcsim.bench.camera import compare
 from wcsim.bench.camera.compare import compare_renderers, pooled
 from wcsim.bench.camera.embree import depth_agrees
 from wcsim.errors import ConfigError
-from wcsim.physics.renderer.base import new_images
+from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer

@@ -12,7 +12,7 @@ from tests.physics.renderer.render_oracle import CAMERA, actor, crowd
 from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
-from wcsim.physics.renderer.base import Images, new_images
+from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, instances_of
 from wcsim.physics.renderer.raster import RasterRenderer

@@ -9,12 +9,11 @@ from tests.physics.renderer.render_oracle import actor
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
-from wcsim.physics.renderer.base import new_images
+from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.physics.renderer.instances import ChairPose, instances_of, rotation_quaternion
 from wcsim.physics.sensors.camera import (
     CameraRig,
     FreeCamera,
-    SeatBuffers,
     camera_matrix,
     focal_px,
     look_at,

@@ -10,7 +10,7 @@ from tests.physics.sensors.test_camera import plant
 from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
-from wcsim.physics.renderer.base import Images
+from wcsim.physics.buffers import Images
 from wcsim.physics.sensors.camera import CameraRig, pinhole
 from wcsim.physics.sensors.camera_noise import camera_noise
 from wcsim.physics.sensors.pixel_noise import child, normals

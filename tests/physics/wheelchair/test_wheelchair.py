@@ -69,6 +69,19 @@ def test_turns_at_the_rate_asked_for(x, y, plant):
     assert np.mean(ride.speed[START_TICKS:]) == pytest.approx(speed, rel=0.03, abs=0.02)
 
 
+def test_its_drive_tells_what_it_asks_for():
+    with rig() as r:
+        r.place(-6.0)
+        assert r.chair.drive_accel_mps2() == 0.0
+        r.drive(FORWARD, 5)
+        assert r.chair.drive_accel_mps2() == pytest.approx(ChairConfig().accel_mps2, abs=0.01)
+        r.drive(FORWARD, 60)
+        assert abs(r.chair.drive_accel_mps2()) < 0.05
+        r.drive(NEUTRAL, 5)
+        assert r.chair.drive_accel_mps2() == pytest.approx(-ChairConfig().decel_mps2, abs=0.01)
+        assert r.place(0.0).chair.drive_accel_mps2() == 0.0
+
+
 def test_reverses_straight_at_its_share_of_the_speed():
     with rig() as r:
         ride = r.drive(Joystick(0.0, -1.0), 90)

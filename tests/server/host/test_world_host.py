@@ -7,12 +7,12 @@ import numpy as np
 from tests.support.worlds import quick_config
 from wcsim.server.host.world_host import WorldHost, sealed
 from wcsim.server.journal.records import Admitted
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Received, Rules
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
 from wcsim.types import Command, Joystick, SeatSpec
 

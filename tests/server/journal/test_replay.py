@@ -218,3 +218,19 @@ def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
     told = against(changed(actor_ids=ids, bodies=(replace(body, id="v:x"), *others)))
     assert told == f"epoch 0, tick 41: actors {sorted([body.id, 'v:x'])} are in one trace only"
     assert against(changed(epoch=1)) == "epoch 0, tick 41: the other one has epoch 1, tick 41"
+
+
+def test_habits_that_were_drawn_for_episodes_are_drawn_again(corner, tmp_path):
+    words = ("vary.attention={all=[0.0,1.0]}", "vary.reaction={all=[0.2,3.0]}")
+    with JournaledWorld(corner, tmp_path, *words) as it:
+        for number in (0, 1):
+            it.admit(number)
+        it.tick(30)
+        it.respawn(0)
+        it.tick(30)
+        drawn = [client.drawn for client in it.now.clients]
+    world, records = rebuild_world(tmp_path / "journal")
+    with world:
+        assert [client.drawn for client in world.snapshot.clients] == drawn
+        assert world.snapshot.state_hash == records[-1].state_hash
+    assert len({one.reaction_s for one in drawn}) == len({one.attention for one in drawn}) == 2

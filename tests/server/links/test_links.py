@@ -23,13 +23,13 @@ from wcsim.errors import (
     VersionMismatchError,
     WorldFullError,
 )
-from wcsim.server.links.base import SeatLink, WorldOrder
+from wcsim.server.links.base import SeatLink
 from wcsim.server.links.child_world import ProcessLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec
+from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import SeatSpec
 

@@ -93,6 +93,7 @@ def ended(corner):
         for _ in range(3):
             client = follow(world).clients[0]
     drawn = Drawn(light=0.5, camera_shift_m=((0.0, 1.0, 2.0),), action_delay_ticks=2, plant=(("a.b", 1.5),))
+    drawn = replace(drawn, attention=(("all", 0.5), ("car", 0.25)), reaction_s=(("bus", 1.5),))
     touch = Contact(kind="car", part="body", impulse_Ns=3.5, cause="other", actor_id="x")
     assert client.first is not None
     return replace(client, drawn=drawn, contacts=(touch,))

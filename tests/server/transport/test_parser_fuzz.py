@@ -19,11 +19,11 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server.journal.ledger import ledger_facts, read_ledger
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.rate_limit import BURST, MESSAGES_PER_S
 from wcsim.types import SeatSpec
 

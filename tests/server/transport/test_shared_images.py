@@ -15,9 +15,9 @@ from wcsim.agents.clients.client import exit_of
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server.launch.states import ClientExit
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
+from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
 from wcsim.server.transport.shm_folder import LOCK, RingFolder, remove_stale_rings
 from wcsim.types import Command, Joystick, SeatSpec

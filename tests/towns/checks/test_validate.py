@@ -9,9 +9,9 @@ import pytest
 
 from tests.towns.made import hostile
 from wcsim.errors import SumoError, TownError
+from wcsim.towns.build_street import build_street
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.street import build_street
 from wcsim.towns.sumo.tools import Limits, run_tool
 
 LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="9" shape="0,0 9,0"/></edge>'

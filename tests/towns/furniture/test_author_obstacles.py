@@ -11,7 +11,8 @@ from shapely import Polygon, box
 
 from tests.towns.furniture.standing_samples import authored
 from wcsim.errors import TownError
-from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.build_street import build_street
+from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import buildings_of
 from wcsim.towns.furniture.everything import fittings_of
@@ -19,7 +20,6 @@ from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import FreeGround, StandingObject
 from wcsim.towns.importing.folder_texts import sumocfg_text
 from wcsim.towns.scenario.town import Town, open_town
-from wcsim.towns.street import build_street
 from wcsim.towns.sumo.additional import AUTHOR_KINDS, Item, read_items
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.types import ClassId

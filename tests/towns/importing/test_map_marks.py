@@ -10,13 +10,13 @@ import shapely
 from tests.cli.towns import tiny_osm
 from tests.towns.furniture.standing_samples import item
 from tests.towns.made.nets import street, write_net
-from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.build_street import build_street
+from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.ground.crossing_paint import CrossingMark, unmarked_crossings, unpainted
 from wcsim.towns.ground.landcover import covered
 from wcsim.towns.ground.surfaces import lane_area, surfaces_of
 from wcsim.towns.importing import jam_trial
 from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
-from wcsim.towns.street import build_street
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool

@@ -19,8 +19,7 @@ from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core.reading import MAX_INTEGER, shown_value
 from wcsim.errors import ConfigError
-from wcsim.server.links.base import WorldOrder
-from wcsim.server.specs import seat_spec
+from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.users.recorded import find_user

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,10 @@ Progress = Callable[[str], None]
 _CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 """What makes the same street look different to a network."""
 
+_SHORTEST_NAME, _NUMBERS_WIDTH = 14, 66  # characters that a policy's name has at least, and of the longest numbers
+_LEGEND_WIDTH = 70  # less than any of the tables has
+_WIDE, _GAPS = 100, 11  # from so many characters on there is a second space between columns
+
 Columns = tuple[tuple[str, str, str], ...]
 _FOLLOWING: Columns = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
@@ -41,7 +46,7 @@ _FOLLOWING: Columns = (
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
 )
 _GETTING_THERE: Columns = (
-    ("crashes", "\ncrashes", "{:d}"),
+    ("crashes", "\ncrash", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
     ("crashes_per_km", "crash\n/km", "{:.2f}"),
     ("speed_mps", "\nm/s", "{:.2f}"),
@@ -50,7 +55,7 @@ _GETTING_THERE: Columns = (
     ("crossings", "cross-\nings", "{:d}"),
     ("crossings_per_km", "\n/km", "{:.1f}"),
     ("red_entries", "at\nred", "{:d}"),
-    ("standing_on_carriageway_s", "s stood\non road", "{:.1f}"),
+    ("standing_on_carriageway_s", "s on\nroad", "{:.1f}"),
 )
 _UPPER_BOUND_NOTES = {
     UPPER_BOUND: "oracle sees the truth: an upper bound",
@@ -78,21 +83,28 @@ class TestResult:
             "rows": [row.to_json() for row in self.rows],
         }
 
-    def tables(self) -> tuple[Table, Table]:
-        """The rows for a console, 80 columns wide at most: a long path is folded, a number never is.
+    def tables(self, width: int = 80) -> tuple[Table, Table]:
+        """The rows for a console of `width` characters, at least 80: no number is folded, and no name in a row.
 
-        The first is about following the user, the second about getting there.
+        The first is about following the user, the second about getting there. Who has no room for its name goes by the
+        end of it or by a number, and the line below the first table says whom that is.
         """
         title = f"{self.town}, {self.profile} user, seed {self.seed}"
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
-        there = _table("getting there", _GETTING_THERE, drops)
-        following = _table(f"{title}: following", _FOLLOWING)
+        there = _table("\ngetting there", _GETTING_THERE, width, drops)
+        following = _table(f"{title}: following", _FOLLOWING, width)
+        labels = _labels([row.policy for row in self.rows], width - _NUMBERS_WIDTH - (_GAPS if width >= _WIDE else 0))
+        named = zip(labels, self.rows, strict=True)
+        legend = [_broken(f"{label}: {row.policy}") for label, row in named if label != row.policy]
+        if legend:
+            following.caption, following.caption_justify = Text("\n".join(legend), overflow="fold"), "left"
         bounds = [name for name in UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
         if bounds:
             there.caption, there.caption_justify = "\n".join(_UPPER_BOUND_NOTES[name] for name in bounds), "left"
-        for row in self.rows:
-            following.add_row(*_cells(row, _FOLLOWING))
-            there.add_row(*_cells(row, _GETTING_THERE), *(str(row.crash_reasons.get(DROP, 0)) for _ in drops))
+        for label, row in zip(labels, self.rows, strict=True):
+            following.add_row(Text(label), *_cells(row, _FOLLOWING))
+            fallen = [str(row.crash_reasons.get(DROP, 0)) for _ in drops]
+            there.add_row(Text(label), *_cells(row, _GETTING_THERE), *fallen)
         return following, there
 
 
@@ -160,9 +172,31 @@ def window_for(policies: Sequence[Policy]) -> int:
     return max((policy.file.window for policy in policies if isinstance(policy, NetPolicy)), default=1)
 
 
-def _table(title: str, columns: Columns, more: Sequence[str] = ()) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("\npolicy", overflow="fold", min_width=8)
+def _labels(names: Sequence[str], longest: int) -> list[str]:
+    """What each policy is called in a row: its name, the end of its path, or its number."""
+    longest = max(longest, _SHORTEST_NAME)
+    ends = [name.rstrip("/").rpartition("/")[2] for name in names]
+    found = []
+    for number, (name, end) in enumerate(zip(names, ends, strict=True), 1):
+        alone = end not in names and ends.count(end) == 1 and len(end) <= longest
+        found.append(name if len(name) <= longest else end if alone else f"policy {number}")
+    return found
+
+
+def _broken(line: str) -> str:
+    """A line that is broken behind a / where it is too long for a table."""
+    lines = [""]
+    for part in re.findall(r"[^/]*/|[^/]+", line):
+        if lines[-1] and len(lines[-1] + part) > _LEGEND_WIDTH:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
+
+
+def _table(title: str, columns: Columns, width: int, more: Sequence[str] = ()) -> Table:
+    gap = (0, 1 if width >= _WIDE else 0, 0, 0)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=gap, pad_edge=False, show_edge=False)
+    table.add_column("\npolicy", no_wrap=True)
     for heading in (*(heading for _, heading, _ in columns), *(f"\n{heading}" for heading in more)):
         table.add_column(heading, justify="right", no_wrap=True)
     return table
@@ -170,4 +204,4 @@ def _table(title: str, columns: Columns, more: Sequence[str] = ()) -> Table:
 
 def _cells(row: EvalRow, columns: Columns) -> list[Text]:
     values = [(getattr(row, key), text) for key, _, text in columns]
-    return [Text(row.policy), *(Text("-" if value is None else text.format(value)) for value, text in values)]
+    return [Text("-" if value is None else text.format(value)) for value, text in values]

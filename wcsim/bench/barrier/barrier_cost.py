@@ -24,11 +24,10 @@ import numpy as np
 from wcsim.bench.barrier.parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.config import RunConfig
 from wcsim.errors import LinkTimeoutError
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import make_keys
 from wcsim.server.transport.shm_folder import RingFolder
 from wcsim.types import SeatSpec

@@ -17,10 +17,10 @@ import msgspec
 import zmq
 
 from wcsim.server.launch.parent_death import die_with_parent
-from wcsim.server.links.base import SeatLink, WorldOrder
+from wcsim.server.links.base import SeatLink
 from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.links.socket import open_seat
-from wcsim.server.specs import SeatRequest
+from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import KnownKeys, authenticator, client_keys, server_keys, server_public
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, SensorFrame, Snapshot
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from wcsim.bench.camera.embree import RayOracle, depth_agrees, has_embree
 from wcsim.errors import ConfigError
-from wcsim.physics.renderer.base import Images, Pinhole, new_images
+from wcsim.physics.buffers import Images, new_images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.raster import RasterRenderer, warm_up

@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.reaction.commands import ActorCommand, Blocked, ChairInStreet, is_person
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
@@ -45,7 +45,7 @@ class ReactionStage:
 
     def attend(self, share: float, seed: int) -> None:
         """Begin anew with another share of attentive people; nobody must be under orders."""
-        habits = AttentionModel(self._config.model_copy(update={"attention_share": share}), seed)
+        habits = street_habits(self._config.model_copy(update={"attention_share": share}), seed)
         self._swing = SwingOut(self._ground, self._config.tick_s)
         self._street = StreetReaction(self._config, habits, self._swing)
         self._deflection = PedestrianAvoidance(self._ground, self._config.tick_s, habits.people)

@@ -14,7 +14,8 @@ import libsumo
 import numpy as np
 
 from wcsim.bench.tick.naive import NaiveLoop
-from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.towns.scenario.overrides import forced, settings_of

@@ -1,7 +1,8 @@
 """Users at crossings with a light: who of them drives onto the road while it is red.
 
 One chair comes to each crossing from the pavement, from both sides, and gets what its own user asks for, as with the
-baseline `follow`. An approach ends when the footplate is over the kerb line by 0.3 m; the colour then counts.
+baseline `follow`. An approach ends when the footplate is over the kerb line by 0.3 m; the colour then counts. Whose
+light turned red within a second before that, with the footplate beyond the line already, is counted apart.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ from wcsim.users.crossing import CARRIAGEWAY, RED_BELIEVED_S, Crossing, crossing
 from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
 
-Colour = Literal["green", "red", "none"]
+Colour = Literal["green", "turned", "red", "none"]
 _CHAIRS = 6  # at work at the same time
 ENDLESS = 1_000_000_000
 RUN_UP_M, _LEAST_RUN_UP_M = 12.0, 6.0  # of pavement before the kerb
 BEYOND_M = 6.0
 NEAR_M = 30.0  # a pavement to start from or to go to begins so near to the crossing
 ROOM_M = 4.0  # between a start and anybody else
+APART_M = 30.0  # between the starts of two chairs, which else would wait at one kerb, one behind the other
 OVER_M = 0.3  # less than this of the footplate over the kerb line is no entry
+_ANSWER_S = 1.0  # who has passed the line at green and goes on at a red older than this could have stopped
 ASIDE_M = 3.0  # who leaves the pavement farther from the crossing than this does not use it
 LONGEST_S = 240.0
 
@@ -48,7 +51,10 @@ class CrossingPlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossingApproach:
-    """How one user came onto a crossing: the light at that moment, "none" when it never did."""
+    """How one user came onto a crossing: the light at that moment, "none" when it never did.
+
+    "turned" is a light that turned red between the footplate's passing of the kerb line and its being 0.3 m beyond.
+    """
 
     town: str
     colour: Colour
@@ -109,15 +115,31 @@ class _Watch:
 
     def __init__(self, seat: Ego, place: CrossingPlace, law_share: float) -> None:
         self.seat, self.place, self.ticks = seat, place, 0
+        self._behind, self._passed_red, self._red_ticks = True, False, 0
         if isinstance(seat.user, RecordedUser):
             raise TypeError("a recorded joystick keeps to no law")  # no bench asks for one
         seat.user.profile = replace(seat.user.profile, law_share=law_share)
         seat.user.follow(seat.route)
 
-    def entered(self, events: Events, ground: Ground) -> bool:
-        """Whether the footplate is on the crossing: beyond its beginning and over the kerb, which may run aslant."""
-        if events.crashed:  # the chair stands at its start again
-            return False
+    def entered(self, ground: Ground, signals: Sequence[SignalState], tick_s: float) -> Colour:
+        """At what light the footplate came onto the crossing, "none" when it is not there.
+
+        It is there beyond the crossing's beginning and over the kerb, which may run aslant. Needs every tick.
+        """
+        over_kerb, over_m = self._footplate(ground)
+        red = is_red(self.place.crossing, signals)
+        self._red_ticks = self._red_ticks + 1 if red else 0
+        if over_kerb and self._behind:
+            self._passed_red = red
+        self._behind = not over_kerb
+        if not over_kerb or over_m <= OVER_M:
+            return "none"
+        if not red:
+            return "green"
+        return "red" if self._passed_red or self._red_ticks * tick_s > _ANSWER_S else "turned"
+
+    def _footplate(self, ground: Ground) -> tuple[bool, float]:
+        """Whether it is over the kerb at the crossing, and how far beyond the crossing's beginning."""
         plant, outline = self.seat.chair.state(), self.seat.chair.outline
         ahead_m = outline.middle_x_m + 0.5 * outline.length_m
         x = float(plant.p_WB_m[0]) + ahead_m * math.cos(plant.yaw_rad)
@@ -126,8 +148,8 @@ class _Watch:
         length_m = math.dist((x0, y0), (x1, y1))
         along_m = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length_m
         aside_m = abs((y - y0) * (x1 - x0) - (x - x0) * (y1 - y0)) / length_m
-        there = OVER_M < along_m < length_m and aside_m < ASIDE_M
-        return there and ground.class_here(x, y) in CARRIAGEWAY
+        there = along_m < length_m and aside_m < ASIDE_M
+        return there and ground.class_here(x, y) in CARRIAGEWAY, along_m
 
 
 def approach_crossings(
@@ -155,13 +177,14 @@ def approach_crossings(
         TownError: The town has no crossing with a light and a pavement before it.
     """
     done: list[CrossingApproach] = []
+    tick_s = config.world.tick_s
     with World(town, config, (None,) * _CHAIRS, seed) as world:
         outline = plant_spec(config.chair).outline
         todo = _ordered(_signalled(world.street, outline), count, seed, town)
         watches: dict[int, _Watch] = {}
         while todo or watches:
             for seat in sorted(set(range(_CHAIRS)) - set(watches)):
-                place = _next(todo, world)
+                place = _next(todo, world, [watch.place for watch in watches.values()])
                 if place is not None:
                     todo.remove(place)
                     world.admit(seat, SeatSpec(profile=name, max_steps=ENDLESS, start=place.start))
@@ -171,15 +194,15 @@ def approach_crossings(
             for client in snapshot.clients:
                 watch = watches[client.seat]
                 watch.ticks += 1
-                seconds = watch.ticks * config.world.tick_s
-                entered = watch.entered(client.events, world.street.grid)
-                if not entered and not _is_over(client.events, seconds):
+                seconds, events = watch.ticks * tick_s, client.events
+                # After a crash the chair stands at its start again.
+                colour = "none" if events.crashed else watch.entered(world.street.grid, snapshot.signals, tick_s)
+                if colour == "none" and not _is_over(events, seconds):
                     continue
-                colour = _colour(watch.place.crossing, snapshot.signals) if entered else "none"
                 at = watch.place.crossing.start_W_m
                 done.append(CrossingApproach(town=town.name, colour=colour, seconds=seconds, at_W_m=at))
                 told = f"{town.name}: {colour} after {seconds:.0f} s at ({at[0]:.1f}, {at[1]:.1f})"
-                progress(f"{told} {_ending(client.events)}".rstrip())
+                progress(f"{told} {_ending(events)}".rstrip())
                 world.dismiss(client.seat)
                 del watches[client.seat]
     return done
@@ -201,6 +224,7 @@ def colours(found: Sequence[CrossingApproach]) -> dict[str, int]:
     return {
         "approaches": len(found),
         "at green": sum(item.colour == "green" for item in found),
+        "turned red on the kerb line": sum(item.colour == "turned" for item in found),
         "at red": len(red) - long,
         "after two minutes of red": long,
         "never": sum(item.colour == "none" for item in found),
@@ -215,15 +239,12 @@ def _ordered(places: Sequence[CrossingPlace], count: int, seed: int, town: Town)
     return [places[order[i % len(order)]] for i in range(count)]
 
 
-def _next(todo: Sequence[CrossingPlace], world: World) -> CrossingPlace | None:
-    """The first place at whose start nobody is now."""
+def _next(todo: Sequence[CrossingPlace], world: World, at_work: Sequence[CrossingPlace]) -> CrossingPlace | None:
+    """The first place at whose start nobody is now, and to whose kerb no other chair is on its way."""
     taken = [actor.p_W_m[:2] for actor in world.snapshot.actors]
     taken += [seat.chair.state().p_WB_m[:2] for seat in world.seats]
     for place in todo:
-        if all(math.dist(place.start.p_W_m, at) > ROOM_M for at in taken):
+        apart = all(math.dist(place.start.p_W_m, other.start.p_W_m) > APART_M for other in at_work)
+        if apart and all(math.dist(place.start.p_W_m, at) > ROOM_M for at in taken):
             return place
     return None
-
-
-def _colour(crossing: Crossing, signals: Sequence[SignalState]) -> Colour:
-    return "red" if is_red(crossing, signals) else "green"

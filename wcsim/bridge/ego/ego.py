@@ -14,12 +14,14 @@ from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.ego.visible_actors import ShownActors
+from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
+from wcsim.physics.buffers import SeatBuffers
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
-from wcsim.physics.sensors.camera import CameraRig, SeatBuffers
+from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
@@ -87,6 +89,9 @@ class Ego:
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Randomization(config, index)
         self.fitting: DrawnChair | None = None
+        self.habits: AttentionModel | None = (
+            None  # of the others towards this chair in this episode, when they were drawn
+        )
         self._seed = 0
         self._episode = -1
         self._spawned = False
@@ -114,9 +119,10 @@ class Ego:
         self._imu_key = seeding.key(seed, "imu", self.index)
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
 
-    def spawn(self, taken: TakenNear) -> None:
-        """Begin the next episode: a start clear of everything, a user and a route of its own."""
+    def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
+        """Begin the next episode: a clear start, a user and a route of its own; `habits` of the street."""
         self._vary()
+        self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
         self._episode += 1
@@ -216,7 +222,7 @@ class Ego:
             return None
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
-        seen = self._oracle.assess(plant, stick, others, waiting, known)
+        seen = self._oracle.assess(plant, stick, others, waiting, known, self.chair.drive_accel_mps2())
         return Truth(
             intent=self.user.intent,
             danger=seen.danger,

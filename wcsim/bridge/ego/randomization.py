@@ -5,7 +5,7 @@ So a seat's draws do not change when another range is added, and every seat has 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -85,6 +85,12 @@ def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, att
         rng = seeding.generator(seed, "vary", seat, episode, name, attempt)
         return [float(value) for value in rng.uniform(*span, count)]
 
+    def by_class(name: str, spans: Iterable[tuple[str, tuple[float, float]]]) -> tuple[tuple[str, float], ...]:
+        return tuple(
+            (key, float(seeding.generator(seed, "vary", seat, episode, name, key).uniform(*span)))
+            for key, span in sorted(spans)
+        )
+
     shifts = numbers("camera_shift_m", vary.camera_shift_m, 3 * cameras)
     turns = numbers("camera_turn_deg", vary.camera_turn_deg, 2 * cameras)
     ticks = vary.action_delay_ticks
@@ -97,6 +103,8 @@ def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, att
         camera_turn_rad=tuple((frames.rad(a), frames.rad(b)) for a, b in zip(turns[::2], turns[1::2], strict=True)),
         action_delay_ticks=None if ticks is None else int(rng.integers(ticks[0], ticks[1] + 1)),
         plant=tuple((name, numbers(name, span)[0]) for name, span in sorted(vary.plant.items())),
+        attention=by_class("attention", vary.attention.items()),
+        reaction_s=by_class("reaction", vary.reaction.items()),
     )
 
 

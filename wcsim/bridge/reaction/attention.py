@@ -1,35 +1,69 @@
-"""How the others watch out: who looks for wheelchairs, and how long it takes those who do, by class and by world."""
+"""How the others watch out: who looks for wheelchairs, and how long it takes those who do, by class.
+
+A world has habits of its own; where `[vary]` has ranges for them, they are others towards each chair in each episode.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TypeVar
+from collections.abc import Iterable
 
-from wcsim.bridge.reaction.commands import Attention
 from wcsim.config import STREETS, WorldConfig
-from wcsim.config.randomization import EVERYBODY, VaryConfig
+from wcsim.config.randomization import EVERYBODY
 from wcsim.core import seeding
-from wcsim.types import ActorKind, ActorState
+from wcsim.types import ActorKind, ActorState, Drawn
 
-Name = TypeVar("Name", bound=str)
-Value = TypeVar("Value")
+MOST_KNOWN = 10_000
+
+
+class Attention:
+    """Who looks out for wheelchairs: a property of the actor and of the seed."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        self._share = share
+        self._seed = seed
+        self._chances: dict[str, float] = {}
+
+    def at(self, share: float) -> Attention:
+        """The same actors at another share: who looks at one looks at every larger one."""
+        other = Attention(share, self._seed)
+        other._chances = self._chances
+        return other
+
+    def looks(self, actor_id: str) -> bool:
+        """Whether this actor notices wheelchairs at all."""
+        return self._share >= 1.0 or self._chance(actor_id) < self._share
+
+    def _chance(self, actor_id: str) -> float:
+        known = self._chances.get(actor_id)
+        if known is None:
+            if len(self._chances) > MOST_KNOWN:  # of those who have left long ago; the draw can be made again
+                self._chances.clear()
+            known = self._chances[actor_id] = float(seeding.generator(self._seed, "attention", actor_id).random())
+        return known
 
 
 class AttentionModel:
-    """The share of those who look and their reaction time, for one world from its beginning to its end."""
+    """The share of those who look and their reaction time, by class."""
 
-    def __init__(self, config: WorldConfig, seed: int, vary: VaryConfig = VaryConfig()) -> None:  # noqa: B008 - frozen
-        """Draw what `vary` has ranges for.
+    def __init__(self, config: WorldConfig, everybody: Attention, drawn: Drawn = Drawn()) -> None:  # noqa: B008 - frozen
+        """Those of a street, or those towards a chair for which others were drawn.
 
         Args:
             config: Shares and times; an entry by class goes before those for everybody.
-            seed: Of the street. The same one gives the same draws, and one more range changes none of the others.
-            vary: Ranges; one by class goes before all, one for everybody before `config`'s numbers for everybody.
+            everybody: The street's; its share does not matter.
+            drawn: Of an episode; a number by class goes before all, one for everybody before `config`'s for everybody.
         """
-        usual = STREETS[config.street] or (config.attention_share, config.reaction_s)
-        shares = _by_class(_plain(config.attention), _plain(vary.attention), usual[0], seed, "attention")
-        self._reaction_s = _by_class(_plain(config.reaction), _plain(vary.reaction), usual[1], seed, "reaction")
-        self._attention = {kind: Attention(share, seed) for kind, share in shares.items()}
+        self._config, self._everybody = config, everybody
+        share, usual_s = STREETS[config.street] or (config.attention_share, config.reaction_s)
+        shares = _by_class(config.attention.items(), drawn.attention, share)
+        self._attention = {kind: everybody.at(value) for kind, value in shares.items()}
+        self._reaction_s = _by_class(config.reaction.items(), drawn.reaction_s, usual_s)
+
+    def towards(self, drawn: Drawn) -> AttentionModel | None:
+        """Those of the same street towards a chair in an episode; None when nothing was drawn for them."""
+        if not (drawn.attention or drawn.reaction_s):
+            return None
+        return AttentionModel(self._config, self._everybody, drawn)
 
     @property
     def people(self) -> Attention:
@@ -45,21 +79,15 @@ class AttentionModel:
         return self._reaction_s[actor.kind]
 
 
-def _plain(by_class: Mapping[Name, Value]) -> dict[str, Value]:
-    return {str(name): value for name, value in by_class.items()}
+def street_habits(config: WorldConfig, seed: int) -> AttentionModel:
+    """The habits of a street. The same seed gives the same actors who look."""
+    return AttentionModel(config, Attention(1.0, seed))
 
 
 def _by_class(
-    given: Mapping[str, float], ranges: Mapping[str, tuple[float, float]], usual: float, seed: int, name: str
+    given: Iterable[tuple[str, float]], drawn: Iterable[tuple[str, float]], usual: float
 ) -> dict[ActorKind, float]:
     """The number of every kind of actor."""
-
-    def drawn(key: str) -> float:
-        return float(seeding.generator(seed, "vary", name, key).uniform(*ranges[key]))
-
-    rest = drawn(EVERYBODY) if EVERYBODY in ranges else usual
-    found = {}
-    for kind in ActorKind:
-        key = kind.value
-        found[kind] = drawn(key) if key in ranges else given.get(key, rest)
-    return found
+    set_to, drawn_as = dict(given), dict(drawn)
+    rest = drawn_as.get(EVERYBODY, usual)
+    return {kind: drawn_as.get(kind.value, set_to.get(kind.value, rest)) for kind in ActorKind}

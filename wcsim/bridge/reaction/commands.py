@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.core import seeding
+from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.types import F64, ActorState, ClassId, Ground
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 LET_GO = -1.0
-
-MOST_KNOWN = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +26,7 @@ class ChairInStreet:
     half_m: tuple[float, float]  # half the length and width of its footprint
     yaw_rad: float = 0.0
     z_m: float = 0.0
+    habits: AttentionModel | None = None  # of the others towards it in this episode; None: as towards everybody
 
     def row(self) -> F64:
         """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
@@ -56,8 +55,8 @@ class Blocked:
     could_pass: bool  # there is room beside the chair, or another lane
 
 
-def in_street(chair: ActorState, ground: Ground) -> ChairInStreet:
-    """A wheelchair as the street sees it."""
+def in_street(chair: ActorState, ground: Ground, habits: AttentionModel | None = None) -> ChairInStreet:
+    """A wheelchair as the street sees it, with the habits of the others towards it."""
     x, y, z = chair.p_W_m.tolist()
     return ChairInStreet(
         p_W_m=chair.p_W_m[:2],
@@ -66,6 +65,7 @@ def in_street(chair: ActorState, ground: Ground) -> ChairInStreet:
         yaw_rad=chair.yaw_rad,
         z_m=z,
         half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
+        habits=habits,
     )
 
 
@@ -79,24 +79,3 @@ def on_level(actors: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) ->
 def is_person(actor: ActorState) -> bool:
     """Whether SUMO moves this actor as a person, whatever its class."""
     return actor.id.startswith("p:")
-
-
-class Attention:
-    """Who looks out for wheelchairs: a property of the actor and of the seed."""
-
-    def __init__(self, share: float, seed: int) -> None:
-        self._share = share
-        self._seed = seed
-        self._known: dict[str, bool] = {}
-
-    def looks(self, actor_id: str) -> bool:
-        """Whether this actor notices wheelchairs at all."""
-        if self._share >= 1.0:
-            return True
-        known = self._known.get(actor_id)
-        if known is None:
-            if len(self._known) > MOST_KNOWN:  # of those who have left long ago; the draw can be made again
-                self._known.clear()
-            draw = seeding.generator(self._seed, "attention", actor_id).random()
-            known = self._known[actor_id] = bool(draw < self._share)
-        return known

@@ -2,14 +2,15 @@
 
 SUMO never learns of the chairs; what they do to the traffic goes through its own speed, lane and sublane commands,
 because placing a proxy with `moveToXY` kills libsumo on real nets. Drivers see a chair one tick late. Who does not
-look (1 - attention share) is drawn once per actor from the seed, so it does not depend on the order of things.
+look (1 - attention share) is drawn once per actor from the seed, so it does not depend on the order of things; share
+and reaction time are those towards each chair.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet, is_person
@@ -50,7 +51,9 @@ class _Watch:
 
     tube: Tube
     brakes: Brakes
-    seen_for_s: float = 0.0
+    seen_s: dict[AttentionModel, float] = field(
+        default_factory=dict
+    )  # since chairs are near, by its habits towards them
     waits_s: float = 0.0
     stands_s: float = 0.0
     could_pass: bool = False
@@ -162,9 +165,8 @@ class StreetReaction:
         orders: list[ActorCommand],
     ) -> _Watch | None:
         """Look at one vehicle's way and order what is needed; None when no chair is near it."""
-        if not self._habits.looks(actor):
-            return None
-        place = roads.on_lane(actor.id)
+        near = [i for i in near if self._towards(chairs[i]).looks(actor)]
+        place = roads.on_lane(actor.id) if near else None
         if place is None:
             return None
         old = self._watched.get(actor.id)
@@ -173,22 +175,29 @@ class StreetReaction:
             tube = self._swing.line(actor, tube)
         watch = old or _Watch(tube=tube, brakes=roads.brakes(actor.id))
         watch.tube = tube
-        plan = _Plan()
-        for i in near:
-            self._consider(actor, place, watch, chairs[i], rows[i], roads, plan)
-        if not plan.near:
-            return None
         fresh = actor.id in self._come
-        reaction_s = self._habits.reaction_s(actor)
-        watch.seen_for_s += reaction_s if fresh else self._config.tick_s
-        if watch.seen_for_s >= reaction_s:
-            order = self._order(actor, watch, plan, roads, fresh)
-            if order is not None:
-                orders.append(order)
-            elif watch.held:
-                orders.append(ActorCommand(actor_id=actor.id, speed_mps=LET_GO))
-            watch.held = order is not None
+        plan, too_soon = _Plan(), _Plan()
+        seen_s: dict[AttentionModel, float] = {}
+        for i in near:
+            habits = self._towards(chairs[i])
+            reaction_s = habits.reaction_s(actor)
+            for_s = watch.seen_s.get(habits, 0.0) + (reaction_s if fresh else self._config.tick_s)
+            heeded = plan if for_s >= reaction_s else too_soon
+            if self._consider(actor, place, watch, chairs[i], rows[i], roads, heeded):
+                seen_s[habits] = for_s
+        if not seen_s:
+            return None
+        watch.seen_s = seen_s
+        order = self._order(actor, watch, plan, roads, fresh) if plan.near else None
+        if order is not None:
+            orders.append(order)
+        elif watch.held:
+            orders.append(ActorCommand(actor_id=actor.id, speed_mps=LET_GO))
+        watch.held = order is not None
         return watch
+
+    def _towards(self, chair: ChairInStreet) -> AttentionModel:
+        return chair.habits or self._habits
 
     def _consider(
         self,
@@ -199,8 +208,8 @@ class StreetReaction:
         row: F64,
         roads: Roads,
         plan: _Plan,
-    ) -> None:
-        """Add what one chair asks of a vehicle to its plan."""
+    ) -> bool:
+        """Add what one chair asks of a vehicle to its plan; whether it is near the vehicle's way."""
         speed_mps = math.hypot(*actor.v_W_mps[:2].tolist())
         look = ConflictCheck(
             actor=actor, tube=watch.tube, front_m=watch.tube.front_m(place), speed_mps=speed_mps, row=row
@@ -209,7 +218,7 @@ class StreetReaction:
         gaps_m = ON_ROAD_M if in_the_way else ON_PAVEMENT_M
         touch = look.touch(place.left_m, gaps_m)
         if touch.at[-1] < 0:
-            return
+            return False
         plan.near = True
         brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
         if in_the_way and look.distance_m(touch.at[-1]) < _keeps_lane_m(speed_mps, actor.size_lwh_m[0]):
@@ -242,6 +251,7 @@ class StreetReaction:
                 limit_mps = max(limit_mps, _squeeze_mps(look, touch, brake_mps2, self._config.tick_s))
                 plan.aside_m, plan.lane_index = 0.0, None
         plan.limit_mps = min(plan.limit_mps, limit_mps)
+        return True
 
     def _pass(
         self,

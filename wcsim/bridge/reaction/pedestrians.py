@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Attention, Blocked, ChairInStreet
+from wcsim.bridge.reaction.attention import Attention
+from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet
 from wcsim.bridge.reaction.crowd import (
     CHAIR,
     PEOPLE_AHEAD_M,
@@ -42,6 +44,13 @@ STOP_SHORT_M = 0.45
 PATIENCE_S = 3.0
 BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
 FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
+
+
+class _Chair(NamedTuple):
+    """A wheelchair's footprint, and who of the people on foot looks for it."""
+
+    box: Box
+    people: Attention
 
 
 class PedestrianAvoidance:
@@ -81,7 +90,7 @@ class PedestrianAvoidance:
             return ()
         for walker in crowd:
             walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
-        boxes = [_chair_box(chair, self._tick_s) for chair in chairs]
+        boxes = self._boxes(chairs, self._tick_s)
         vehicles = vehicles_near(actors, crowd) if self._offsets else []
         still = {
             walker.id
@@ -104,7 +113,7 @@ class PedestrianAvoidance:
     def update(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
         """Move every offset by one tick; `actors` as SUMO has them, without offsets."""
         crowd = crowd_of(actors, chairs, self._offsets, shifted=False)
-        boxes = [_chair_box(chair, 0.0) for chair in chairs] if crowd else []
+        boxes = self._boxes(chairs, 0.0) if crowd else []
         vehicles = vehicles_near(actors, crowd) if crowd else []
         self._stuck.intersection_update([walker.id for walker in crowd])
         bare = {walker.id: (walker.x, walker.y) for walker in crowd}
@@ -120,7 +129,7 @@ class PedestrianAvoidance:
         self._seen = {actor.id for actor in actors}
 
     def _stay_clear(
-        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> None:
         """SUMO lets people jump a little at the ends of lanes; a body does not jump into a chair or another body."""
         before = self._places.get(walker.id)
@@ -137,7 +146,7 @@ class PedestrianAvoidance:
             walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
 
     def _begin_beside(
-        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> None:
         """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
         for left_m in BEGIN_BESIDE_M:
@@ -151,11 +160,11 @@ class PedestrianAvoidance:
         self,
         walker: Walker,
         at: tuple[float, float],
-        chairs: Sequence[Box],
+        chairs: Sequence[_Chair],
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> bool:
-        if self._attention.looks(walker.id) and any(gap_to_box(*at, *box) < walker.radius_m for box in chairs):
+        if any(gap_to_box(*at, *box) < walker.radius_m for box in _heeded(chairs, walker)):
             return True
         if walker.aside and any(
             gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
@@ -168,7 +177,7 @@ class PedestrianAvoidance:
         )
 
     def _held_by(
-        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> str | None:
         """What a step ahead would bring this person against: CHAIR, VEHICLE or somebody's id; None if nothing.
 
@@ -177,13 +186,12 @@ class PedestrianAvoidance:
         x, y = walker.at
         reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
         nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
-        if self._attention.looks(walker.id):
-            for box in chairs:
-                gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
-                if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
-                    side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
-                    if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
-                        return CHAIR
+        for box in _heeded(chairs, walker):
+            gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
+            if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
+                side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
+                if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
+                    return CHAIR
         for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
@@ -200,7 +208,7 @@ class PedestrianAvoidance:
         return VEHICLE if hits else None
 
     def _wish(
-        self, walker: Walker, chairs: Sequence[Box], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
+        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> float:
         """How far left of its line this person would like to be now."""
         now_m = walker.left_m
@@ -226,14 +234,12 @@ class PedestrianAvoidance:
         run_over = any(block.beside and block.blocks(now_m) for block in drive)
         return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
 
-    def _blocks(self, walker: Walker, chairs: Sequence[Box], gap_m: float) -> list[Block]:
-        if not self._attention.looks(walker.id):
-            return []
+    def _blocks(self, walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[Block]:
         seen = [
             block_of(
                 walker.x, walker.y, walker.cos, walker.sin, box, walker.radius_m + gap_m, walker.radius_m + BEHIND_M
             )
-            for box in chairs
+            for box in _heeded(chairs, walker)
         ]
         return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
 
@@ -276,7 +282,7 @@ class PedestrianAvoidance:
         self,
         walker: Walker,
         wish_m: float,
-        chairs: Sequence[Box],
+        chairs: Sequence[_Chair],
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> None:
@@ -291,7 +297,7 @@ class PedestrianAvoidance:
         x, y = walker.at
         nx, ny = x + share * wx, y + share * wy
         back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
-        if self._crowded(walker, (x, y), (nx, ny), chairs, crowd, vehicles):
+        if self._crowded(walker, (x, y), (nx, ny), [chair.box for chair in chairs], crowd, vehicles):
             return
         leaves = not self._walkable(walker, nx, ny) and self._walkable(walker, x, y)
         if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
@@ -337,11 +343,22 @@ class PedestrianAvoidance:
         """Whether this person can stand there with both shoulders."""
         return can_stand(self._ground.around(walker.p_W_m), x, y, walker.cos, walker.sin, walker.radius_m)
 
+    def _boxes(self, chairs: Sequence[ChairInStreet], ahead_s: float) -> list[_Chair]:
+        return [
+            _Chair(_chair_box(chair, ahead_s), self._attention if chair.habits is None else chair.habits.people)
+            for chair in chairs
+        ]
+
     def _shift(self, actor: ActorState) -> ActorState:
         ox, oy = self._offsets[actor.id]
         x, y, z = actor.p_W_m.tolist()
         left_m = oy * math.cos(actor.yaw_rad) - ox * math.sin(actor.yaw_rad)
         return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
+
+
+def _heeded(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
+    """The chairs that this person notices."""
+    return [chair.box for chair in chairs if chair.people.looks(walker.id)]
 
 
 def _chair_box(chair: ChairInStreet, ahead_s: float) -> Box:

@@ -1,6 +1,8 @@
-"""`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS`: a scenario's first steps.
+"""`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS WORD`: a scenario's first steps.
 
-In a process that may die of them.
+In a process that may die.
+
+It says WORD when it has run them once; then it begins anew.
 """
 
 from __future__ import annotations
@@ -11,8 +13,6 @@ from pathlib import Path
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.errors import WcsimError
 
-BEGUN_ANEW = "begun anew"
-
 
 def main() -> int:
     """Run the scenario that the command line names."""
@@ -20,7 +20,7 @@ def main() -> int:
     try:
         with SumoSession(options) as session:
             _steps(session, int(sys.argv[3]))
-            sys.stdout.write(f"{BEGUN_ANEW}\n")
+            sys.stdout.write(f"{sys.argv[4]}\n")
             sys.stdout.flush()
             session.rebuild(seed=2)  # a world does so too, and what SUMO keeps of the first time may kill it
             _steps(session, int(sys.argv[3]) // 10)

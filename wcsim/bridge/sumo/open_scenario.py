@@ -8,12 +8,12 @@ import os
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
-from wcsim.bridge.sumo.first_steps import BEGUN_ANEW
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.street_cache import cache_folder, write_whole
 from wcsim.towns.scenario.overrides import Settings
@@ -25,18 +25,10 @@ log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
 _SUMO_FOLDER = "sumo"
 _TRIAL_STEPS = 50
+_BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunPlace:
-    """Where the outputs of a world go, and what else its user asks of SUMO."""
-
-    folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
-    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
-    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
 
 def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitStack) -> Scenario:
@@ -60,7 +52,7 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
 
 def try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
-    key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {BEGUN_ANEW}".encode()).hexdigest()[:32]
+    key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_BEGUN_ANEW}".encode()).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
@@ -74,7 +66,7 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
                 "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
             ) from None
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
-    if run.died and BEGUN_ANEW in run.output:
+    if run.died and _BEGUN_ANEW in run.output:
         raise TownError(
             f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process ({run.reason()}); that is known "
             "of devices that send (btsender): remove them, here and from the routes"
@@ -89,6 +81,7 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
 
 def _trial(sumocfg: Path, step_s: float) -> ToolRun:
     command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(_TRIAL_STEPS)]
+    command.append(_BEGUN_ANEW)
     env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
     return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
 

@@ -20,7 +20,7 @@ from wcsim.cli.town.run import RunOptions
 from wcsim.cli.town.run import run as run_traffic
 from wcsim.cli.town.tour import TourOptions
 from wcsim.cli.town.tour import run as run_tour
-from wcsim.towns.checks.check import check_town
+from wcsim.cli.town.trial import checked
 from wcsim.towns.scenario.town import find_town, list_towns
 
 
@@ -31,7 +31,7 @@ class ListOptions:
 
 @dataclass
 class CheckOptions:
-    """Check a town: can it be walked through, does its traffic find its way, is the ground without holes."""
+    """Check a town: can it be walked through, does its traffic find its way, is the ground whole, does SUMO run it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
     """A town's name or folder."""
@@ -74,7 +74,7 @@ def _list() -> int:
 
 def _check(options: CheckOptions) -> int:
     started_s = time.monotonic()
-    report = check_town(find_town(options.town))
+    report = checked(find_town(options.town))
     code = print_report(report)
     if options.json is not None:
         write_json(options.json, report_json(report, time.monotonic() - started_s))

@@ -17,8 +17,9 @@ from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
 from wcsim.cli.town.report import print_report, report_json
+from wcsim.cli.town.trial import checked
 from wcsim.errors import ConfigError
-from wcsim.towns.checks.check import TownReport, check_town
+from wcsim.towns.checks.check import TownReport
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.importing.elevation import Heights
 from wcsim.towns.importing.importer import ImportOrder, import_town
@@ -105,7 +106,7 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
         print(f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it")
     town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
     try:
-        report = check_town(town)
+        report = checked(town, told=_stage)
     except BaseException:  # what cannot be read is no town
         shutil.rmtree(town.folder, ignore_errors=True)
         raise
@@ -132,7 +133,7 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
         made = import_town(_order(options, osm, box, out), _built_in_silence, _stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
-    report = check_town(made.town, made.walkable_share)
+    report = checked(made.town, made.walkable_share, _stage)
     counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
     more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
     return replace(report, notes=(*made.notes, *report.notes)), more

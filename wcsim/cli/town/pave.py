@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +12,11 @@ from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
 from wcsim.cli.town.report import print_report, report_json
-from wcsim.config import load_run_config
+from wcsim.cli.town.trial import try_town
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.pave.pavements import Paved, pave_town
-from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scenario.town import find_town
 
 TOLD = 5
 
@@ -48,7 +47,7 @@ def run(options: PaveOptions) -> int:
     paved = pave_town(find_town(options.town, outside=options.allow_outside), options.out, options.max_speed)
     town = find_town(str(paved.sumocfg))
     told.print("letting SUMO run its first steps")
-    _try(town)
+    try_town(town)
     told.print("building the street of it, and checking it")
     report = check_town(town)
     _print(paved)
@@ -57,14 +56,6 @@ def run(options: PaveOptions) -> int:
         done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
         write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
     return 0
-
-
-def _try(town: Town) -> None:
-    from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
-    from wcsim.towns.scenario.overrides import settings_of
-
-    with ExitStack() as held:
-        open_scenario(town, settings_of(load_run_config("quick"), 1), RunPlace(), held)
 
 
 def _print(paved: Paved) -> None:

@@ -60,7 +60,7 @@ def run(words: list[str]) -> int:
     console.print(f"[bold]2/3[/] testing in {', '.join(tested)}, which the network has never seen")
     results = test.test_policies(replace(trial, policies=(str(folder), f"{folder}:phase1")))
     for result in results:
-        console.print(*result.tables())
+        console.print(*result.tables(console.width))
     write_json(folder / "test.json", test.as_json(results))
     console.print(f"[bold]3/3[/] a picture from {stage_town.name}")
     picture = folder / f"{stage_town.name}.png"

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.errors import ConfigError
+from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.instances import Instances
-from wcsim.types import F32, F64, I32, U8
+from wcsim.types import F64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,16 +23,6 @@ class Pinhole:
     focal_px: float
     near_m: float
     range_m: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Images:
-    """The buffers a renderer writes in place, C-contiguous and writable."""
-
-    depth_m: F32  # (H, W) distance along the optical axis, range_m where nothing is hit
-    class_id: U8  # (H, W) ClassId, SKY where nothing is hit
-    rgb: U8 | None = None  # (H, W, 3), drawn only when there is one
-    instance: I32 | None = None  # (H, W) row of the instance, -1 for street and sky; drawn only when there is one
 
 
 class Renderer(Protocol):
@@ -49,16 +40,6 @@ class Renderer(Protocol):
         Raises:
             ConfigError: when a buffer has another size or type, or cannot be written.
         """
-
-
-def new_images(width_px: int, height_px: int, rgb: bool, instance: bool = False) -> Images:
-    """Fresh buffers for a camera of this size."""
-    return Images(
-        depth_m=np.zeros((height_px, width_px), np.float32),
-        class_id=np.zeros((height_px, width_px), np.uint8),
-        rgb=np.zeros((height_px, width_px, 3), np.uint8) if rgb else None,
-        instance=np.full((height_px, width_px), -1, np.int32) if instance else None,
-    )
 
 
 def check_images(camera: Pinhole, out: Images) -> None:

@@ -1,8 +1,5 @@
 """The rasteriser's compiled code: cull, transform, clip at the near plane, fill spans of 1/z, class and face.
 
-All that `draw` calls is in this file because numba, when it decides whether its machine code on disk is still good,
-looks only at the time stamp of the file of the kernel that is called.
-
 Camera frame: x right, y down, z forward. While a picture is drawn the depth buffer holds 1/z (0 = nothing); the word
 buffer, there for some pictures only, holds a face's number in the street, or with bit 31 set a plain colour or, in a
 picture of instances, an actor's row.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer import kernels, shading
-from wcsim.physics.renderer.base import Images, Pinhole, check_images, new_images
+from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB, paint_table

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.errors import PhysicsError
+from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import pybullet
-from wcsim.physics.renderer.base import Images, Pinhole, check_images
+from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, rotation_quaternion
 from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table, paint_table

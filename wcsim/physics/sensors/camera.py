@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 
 from wcsim.config import CameraConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
-from wcsim.physics.renderer.base import Images, Pinhole, Renderer, new_images
+from wcsim.physics.buffers import Images, SeatBuffers, new_images
+from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import (
     ChairPose,
@@ -46,24 +46,6 @@ BUFFERS = 3  # a camera's images in turn, see CameraRig
 
 # Axes of a camera that looks along x of its mount: x right, y down, z forward, each in the mount's frame.
 _R_CM = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SeatBuffers:
-    """Where the images of one seat go, one entry a camera in the rig's order."""
-
-    images: tuple[Images, ...]
-
-
-class ImageSink(Protocol):
-    """Where the images of all seats go, such as memory that other processes see."""
-
-    def buffers(self, seat: int, first: bool) -> SeatBuffers:
-        """The buffers for the next images of a seat.
-
-        With `first` they are for the first frame of an episode, which may be taken in the same tick as the last frame
-        of the one before, and must leave that one as it is.
-        """
 
 
 @dataclass(slots=True)

@@ -8,7 +8,8 @@ import numpy as np
 
 from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames
-from wcsim.physics.renderer.base import Images, Pinhole
+from wcsim.physics.buffers import Images
+from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.sensors.pixel_noise import (
     ClassNoise,
     DepthNoise,

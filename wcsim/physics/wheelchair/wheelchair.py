@@ -238,6 +238,10 @@ class Wheelchair:
             yaw_rad=yaw,
         )
 
+    def drive_accel_mps2(self) -> float:
+        """The acceleration ahead that the drive asks for at the moment; its jerk limits how fast it changes."""
+        return float(self._memory[drive_controller.A_REF_MPS2])
+
     def imu(self) -> ImuFrame:
         """What the IMU said of the last closed tick."""
         return self._imu_frame

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.errors import ConfigError, ReplayMismatchError
+from wcsim.server.host.made_world import epoch_seed, made_world
 from wcsim.server.host.world_host import SeatWorld
 from wcsim.server.journal.journal import JOURNAL, JournalWriter, iter_journal, read_header
 from wcsim.server.journal.records import (
@@ -25,12 +26,10 @@ from wcsim.server.journal.records import (
 from wcsim.server.journal.replay import rebuild_world
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.links.base import WorldOrder
-from wcsim.server.links.local import epoch_seed, made_world
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldOrder, WorldSpec
 from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.types import SeatSpec
 

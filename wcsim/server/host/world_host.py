@@ -16,7 +16,8 @@ from typing import Protocol
 import msgspec
 
 from wcsim.errors import PhysicsError, WcsimError
-from wcsim.physics.sensors.camera import ImageSink, copied
+from wcsim.physics.buffers import ImageSink
+from wcsim.physics.sensors.camera import copied
 from wcsim.server.journal.records import Admitted, Dismissed, EpochBegun, JournalRecord, Respawned, Ticked
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (

@@ -10,35 +10,14 @@ import secrets
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from wcsim.bridge.sumo.open_scenario import RunPlace
-from wcsim.config import RunConfig
 from wcsim.errors import LinkClosedError, ProtocolError, WcsimError
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
-from wcsim.types import ClientSnapshot, Joystick, SeatSpec
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldOrder:
-    """Everything that a world is made from."""
-
-    town: str
-    config: RunConfig
-    seed: int
-    seat: SeatSpec = SeatSpec()  # noqa: RUF009 - frozen; of a sole client
-    seats: int = 1
-    run: str = ""  # the run folder, where the outputs of the town's own scenario go
-    hook: str = ""  # the user's own step hook, module:Class
-
-    @property
-    def place(self) -> RunPlace:
-        """The same for a world."""
-        return RunPlace(folder=Path(self.run) if self.run else None, hook=self.hook)
+from wcsim.types import ClientSnapshot, Joystick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

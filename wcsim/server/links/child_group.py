@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.child_world import ChildSeat, WorldChild
 from wcsim.server.links.group import SeatGroup
+from wcsim.server.specs import WorldOrder
 
 
 class ProcessGroup(SeatGroup):

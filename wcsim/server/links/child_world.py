@@ -14,12 +14,11 @@ from pathlib import Path
 import msgspec
 
 from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
-from wcsim.server.links.base import WorldOrder
 from wcsim.server.links.local import local_rules
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.shm_folder import RingFolder
 from wcsim.types import SeatSpec
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
-from wcsim.physics.renderer.base import new_images
-from wcsim.physics.sensors.camera import ImageSink, SeatBuffers
-from wcsim.server.links.base import WorldOrder
+from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images
+from wcsim.server.specs import WorldOrder
 from wcsim.types import (
     CameraFrame,
     ClientSnapshot,

@@ -9,8 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.server.links.base import SeatLink, WorldOrder
-from wcsim.server.links.local import LocalServer, made_world
+from wcsim.server.host.made_world import made_world
+from wcsim.server.links.base import SeatLink
+from wcsim.server.links.local import LocalServer
+from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot
 
 Frames = tuple[ClientSnapshot, ...]

@@ -9,17 +9,16 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from wcsim.bridge.world import World
-from wcsim.core import seeding
 from wcsim.errors import ProtocolError, TickTimeoutError
+from wcsim.server.host.made_world import made_world
 from wcsim.server.host.world_host import SeatWorld, WorldHost
-from wcsim.server.links.base import SeatLink, WorldOrder, new_session
+from wcsim.server.links.base import SeatLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received, Rules
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.towns.scenario.town import find_town
+from wcsim.server.specs import WorldOrder
 from wcsim.types import SeatSpec
 
 _NEVER_S = 1e12
@@ -140,14 +139,3 @@ class LocalLink(LocalSeat):
 
     def _end(self) -> None:
         self._own.close()
-
-
-def made_world(order: WorldOrder, epoch: int = 0) -> World:
-    """A world with free seats; each epoch has a seed of its own."""
-    town, seed = find_town(order.town), epoch_seed(order.seed, epoch)
-    return World(town, order.config, (None,) * order.seats, seed, order.place, epoch=epoch)
-
-
-def epoch_seed(seed: int, epoch: int) -> int:
-    """The seed of an epoch: the run's own for the first one."""
-    return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.errors import ProtocolError
-from wcsim.physics.renderer.base import Images
+from wcsim.physics.buffers import Images
 from wcsim.server.protocol.parts import (
     ROW,
     PackedClient,
@@ -301,6 +301,8 @@ def _packed_drawn(drawn: Drawn) -> PackedDrawn:
         drawn.camera_turn_rad,
         drawn.action_delay_ticks,
         drawn.plant,
+        drawn.attention,
+        drawn.reaction_s,
     )
 
 
@@ -313,4 +315,6 @@ def _drawn(drawn: PackedDrawn) -> Drawn:
         camera_turn_rad=drawn.camera_turn_rad,
         action_delay_ticks=drawn.action_delay_ticks,
         plant=drawn.plant,
+        attention=drawn.attention,
+        reaction_s=drawn.reaction_s,
     )

@@ -1,9 +1,8 @@
-"""What travels between clients and a server: typed msgpack messages, no pickle.
-
-Every field bounded (`server/protocol/bounds.py`).
+"""What travels between clients and a server: typed msgpack messages, never pickle, every field bounded.
 
 Every request carries the session of its client, and what it is about: epoch, tick and life (the number of respawns at
-that tick). Nothing is "the next", so a request that comes twice, or late, does nothing twice.
+that tick). The bounds are those of `server/protocol/bounds.py`. Nothing is "the next", so a request that comes twice,
+or late, does nothing twice.
 """
 
 from __future__ import annotations

@@ -108,6 +108,8 @@ class PackedDrawn(_Part, frozen=True):
     camera_turn_rad: Annotated[tuple[tuple[b.Radians, b.Radians], ...], msgspec.Meta(max_length=b.MOST_CAMERAS)]
     action_delay_ticks: b.Delay | None
     plant: Annotated[tuple[tuple[b.Key, b.Number], ...], msgspec.Meta(max_length=1024)]
+    attention: Annotated[tuple[tuple[b.Key, b.Number], ...], msgspec.Meta(max_length=16)]
+    reaction_s: Annotated[tuple[tuple[b.Key, b.Number], ...], msgspec.Meta(max_length=16)]
 
 
 class PackedClient(_Part, frozen=True):

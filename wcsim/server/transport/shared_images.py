@@ -19,8 +19,7 @@ import numpy as np
 from wcsim.config import CameraConfig
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
-from wcsim.physics.renderer.base import Images
-from wcsim.physics.sensors.camera import SeatBuffers
+from wcsim.physics.buffers import Images, SeatBuffers
 from wcsim.types.arrays import U8
 
 _SLOTS = 2

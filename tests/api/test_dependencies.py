@@ -1,0 +1,62 @@
+"""What pyproject.toml asks for is what the code imports: nothing more, and nothing that is there by chance."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+OWN = {"wcsim", "tests", "tools", "examples"}
+STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}
+"""Tools of developers that commands start and nothing imports."""
+
+
+def named(rows: list[str]) -> set[str]:
+    """Distributions of a list of requirements."""
+    return {re.split(r"[<>=!~\[; ]", row)[0].lower().replace("_", "-") for row in rows}
+
+
+def top_names(text: str) -> set[str]:
+    """Top-level modules that a file imports, anywhere in it, or looks up by name."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module or "")
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
+            found |= {str(word.value) for word in node.args if isinstance(word, ast.Constant)}
+    return {name.partition(".")[0] for name in found if name}
+
+
+def imported(folder: str) -> set[str]:
+    """Distributions of what the files of a folder import."""
+    names = {name for path in (ROOT / folder).rglob("*.py") for name in top_names(path.read_text(encoding="utf-8"))}
+    homes = packages_distributions()
+    names = {name for name in names - set(sys.stdlib_module_names) - OWN if name in homes}
+    return {homes[name][0].lower().replace("_", "-") for name in names}
+
+
+def test_declared_is_imported() -> None:
+    declared, dev = named(PROJECT["project"]["dependencies"]), named(PROJECT["dependency-groups"]["dev"])
+    product = imported("wcsim")
+    assert product - declared == {"embreex"} & dev  # a bench measures against it where it is there
+    assert declared - product == set()
+    proof = imported("tests") | imported("tools") | imported("examples")
+    assert proof - declared - dev == set()
+    assert dev - proof - product == STARTED - proof
+
+
+def test_constraints_pin_all_that_is_declared() -> None:
+    pinned = named((ROOT / "constraints.txt").read_text(encoding="utf-8").split())
+    assert named(PROJECT["project"]["dependencies"]) | named(PROJECT["dependency-groups"]["dev"]) <= pinned
+
+
+def test_late_imports_and_names_in_strings_are_found() -> None:
+    text = "def f():\n    import late.deep\n    importlib.util.find_spec('sumo')\n"
+    assert top_names(text) == {"late", "sumo"}

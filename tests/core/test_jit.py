@@ -1,0 +1,178 @@
+"""Machine code on disk: made anew when anything that is frozen into it changes, and not for ever more."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import shutil
+import subprocess
+import sys
+from enum import IntEnum
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+from numba.extending import is_jitted
+
+import wcsim
+from wcsim.bridge.reaction import overlap
+from wcsim.core import boxes, jit, joystick
+from wcsim.core.jit import exact_kernel, frozen_digest
+from wcsim.physics.wheelchair import drive_controller
+
+ROOT = Path(wcsim.__file__).parent
+CODE = f"""
+import json
+import numpy as np
+from {drive_controller.__name__} import target
+from {overlap.__name__} import _touches
+here, chair = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([0.0, 0.0, 1.0, 0.0, 0.5, 0.5])
+turn = target(1.0, 0.0, 1.0, np.linspace(0.5, 2.0, 40))[1]
+apart = _touches(here, 0, 0.0, 0.0, 0.5, 0.5, chair, 9.0, 0.0)
+found = [sum(kernel.stats.cache_hits.values()) for kernel in (target, _touches)]
+print(json.dumps([turn, apart, found]))
+"""
+"""Two kernels that call one of another file; the first one's callee freezes a constant of that file."""
+
+
+def kernels(module: ModuleType) -> list[object]:
+    """The kernels that a module defines."""
+    return [value for value in vars(module).values() if is_jitted(value) and value.__module__ == module.__name__]
+
+
+def copy_of(module: ModuleType, root: Path) -> Path:
+    return root / Path(str(module.__file__)).relative_to(ROOT.parent)
+
+
+def change(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) == 1, old
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Path) -> None:
+    shutil.copytree(ROOT, tmp_path / "wcsim", ignore=shutil.ignore_patterns("__pycache__"))
+
+    def answers() -> list[object]:
+        words = [sys.executable, "-c", CODE]
+        run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True, env={"PYTHONPATH": ""})
+        return json.loads(run.stdout)
+
+    turn, apart, found = answers()
+    assert (apart, found) == (False, [0, 0])
+    constant = f"YAW_SLOWDOWN_S_PER_M: Final = {joystick.YAW_SLOWDOWN_S_PER_M}"
+    law, overlap_code = copy_of(joystick, tmp_path), copy_of(boxes, tmp_path)
+    change(law, constant, f"# slower\n{constant}")
+    assert answers() == [turn, apart, [1, 1]]  # a comment, and lines that move, cost nothing
+    change(law, constant, "YAW_SLOWDOWN_S_PER_M: Final = 3.0")
+    change(overlap_code, "return False", "return True")
+    turned, touched, found = answers()
+    assert turned / turn == pytest.approx((1.0 + joystick.YAW_SLOWDOWN_S_PER_M) / 4.0)
+    assert (touched, found) == (True, [0, 0])
+
+
+def test_every_kernel_says_what_is_frozen_into_it() -> None:
+    """Whatever a kernel names can be told, so none is compiled from an old copy; 73 kernels and more."""
+    homes = [path for path in ROOT.rglob("*.py") if "from wcsim.core.jit import" in path.read_text(encoding="utf-8")]
+    digests = []
+    for path in homes:
+        name = ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
+        found = kernels(importlib.import_module(name))
+        assert found, name
+        digests += [frozen_digest(kernel) for kernel in found]
+    assert len(set(digests)) == len(digests) > 70
+
+
+FACTOR = 2.0
+TABLE = np.arange(3.0)
+
+
+class Kind(IntEnum):
+    LOW = 1
+
+
+class Pair(NamedTuple):
+    left: float
+    right: float
+
+
+PAIR = Pair(1.0, 2.0)
+
+
+@exact_kernel
+def inner(x: float) -> float:
+    return x * FACTOR + math.sqrt(4.0)
+
+
+@exact_kernel
+def outer(pair: Pair) -> float:
+    """A callee, a number, an array, an enumeration, a tuple, a constant of a module, an argument with names."""
+    return inner(pair.left) + TABLE[1] + Kind.LOW + PAIR.right + joystick.STILL_MPS
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "value"),
+    [
+        (None, "FACTOR", 3.0),
+        (None, "TABLE", np.arange(1.0, 4.0)),
+        (None, "TABLE", np.arange(3)),
+        (None, "Kind", IntEnum("Kind", {"LOW": 2})),
+        (None, "PAIR", Pair(1.0, 3.0)),
+        (None, "Pair", NamedTuple("Pair", [("right", float), ("left", float)])),
+        (joystick, "STILL_MPS", 1.0),
+        (None, "inner", jit.kernel(inner.py_func)),
+    ],
+)
+def test_each_kind_of_frozen_thing_counts(
+    where: ModuleType | None, name: str, value: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = frozen_digest(outer)
+    monkeypatch.setattr(where or sys.modules[__name__], name, value)
+    assert frozen_digest(outer) != before
+    monkeypatch.undo()
+    assert frozen_digest(outer) == before
+
+
+def test_what_can_be_no_constant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "TABLE", Path(), raising=True)
+    assert "pathlib.Path" not in frozen_digest(outer)  # of a library: its name counts
+    monkeypatch.setattr(sys.modules[__name__], "TABLE", type("Own", (), {"__module__": __name__})())
+    with pytest.raises(TypeError, match=r"a kernel names .*Own.*expected a kernel, a number"):
+        frozen_digest(outer)
+
+
+def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for factor in range(6):
+        monkeypatch.setattr(sys.modules[__name__], "FACTOR", float(factor))
+        copy = exact_kernel(inner.py_func)
+        copy._cache._cache_path = str(tmp_path)
+        monkeypatch.setattr(copy._cache._impl.locator, "_cache_path", str(tmp_path))
+        assert copy(1.0) == factor + 2.0
+    indices, codes = sorted(tmp_path.glob("*.nbi")), sorted(tmp_path.glob("*.nbc"))
+    assert len(indices) == len(codes) == jit.KEPT and len(list(tmp_path.iterdir())) == 2 * jit.KEPT
+    assert {path.name.split(".1.")[0] for path in codes} == {path.stem for path in indices}
+
+
+def test_where_nothing_can_be_kept_kernels_still_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
+    assert exact_kernel(inner.py_func)(1.0) == 4.0
+
+
+def test_a_package_that_cannot_be_written_has_its_copies_in_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(_: object) -> None:
+        raise PermissionError("read-only")
+
+    monkeypatch.setattr(numba.core.caching.InTreeCacheLocator, "ensure_cache_path", refused)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    hits = []
+    for _ in range(2):
+        copy = exact_kernel(inner.py_func)
+        assert copy(1.0) == 4.0
+        hits.append(sum(copy.stats.cache_hits.values()))
+    assert hits == [0, 1] and len(list(tmp_path.rglob("*.nbi"))) == 1

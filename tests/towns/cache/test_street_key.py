@@ -1,0 +1,79 @@
+"""A built street is kept until something changes of which it is made; no edit elsewhere costs anybody a minute."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import wcsim
+from wcsim.core import jit, seeding, sources
+from wcsim.towns import build_street, street
+from wcsim.towns.ground import raster, tiles
+from wcsim.towns.importing import demand, importer
+from wcsim.towns.osm import download
+from wcsim.towns.scenario import stage
+from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo import net
+from wcsim.types import arrays, episode
+from wcsim.types import street as street_types
+
+ROOT = Path(wcsim.__file__).parent
+
+
+@pytest.fixture
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The package's text in a folder of its own, which is what counts as long as this test runs."""
+    shutil.copytree(ROOT, tmp_path / "wcsim", ignore=lambda _, names: [n for n in names if n == "__pycache__"])
+    monkeypatch.setattr(sources, "_ROOT", tmp_path)
+    sources._parsed.cache_clear()
+    yield tmp_path
+    sources._parsed.cache_clear()
+
+
+def edit(copy: Path, module: ModuleType, more: str = "# a comment\n") -> None:
+    path = copy / Path(str(module.__file__)).relative_to(ROOT.parent)
+    path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
+    sources._parsed.cache_clear()
+
+
+def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> None:
+    keys = [street.street_key(corner_town)]
+    for module in (build_street, net, raster, tiles, street_types, arrays, seeding, jit):
+        edit(copy, module)
+        keys.append(street.street_key(corner_town))
+    assert len(set(keys)) == len(keys)
+
+
+def test_what_only_stands_beside_it_does_not(copy: Path, corner_town: Town) -> None:
+    key = street.street_key(corner_town)
+    for module in (download, importer, demand, stage, episode, street, sys.modules["wcsim.config"], wcsim):
+        edit(copy, module)
+    assert street.street_key(corner_town) == key
+
+
+def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_town: Town) -> None:
+    below = copy / "wcsim" / "towns" / "deep" / "er.py"
+    below.parent.mkdir()
+    below.with_name("__init__.py").write_text('"""Gathers names."""\n\nfrom wcsim.towns.deep.er import EDGE as EDGE\n')
+    below.write_text("EDGE = 1\n")
+    before = street.street_key(corner_town)
+    edit(copy, net, "\nfrom wcsim.towns.deep import EDGE\n")
+    imported = street.street_key(corner_town)
+    below.write_text("EDGE = 2\n")
+    sources._parsed.cache_clear()
+    assert len({before, imported, street.street_key(corner_town)}) == 3
+
+
+def test_the_versions_of_all_its_libraries_count(corner_town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
+    used = sources.libraries_of(sources.sources_of(build_street.__name__)) - sys.stdlib_module_names
+    assert used == {library.__name__ for library in street.LIBRARIES}
+    key = street.street_key(corner_town)
+    for library in street.LIBRARIES:
+        with monkeypatch.context() as patch:
+            patch.setattr(library, "__version__", "0.0")
+            assert street.street_key(corner_town) != key

@@ -1,0 +1,84 @@
+"""Which files of the package a module is made of: what it imports, and what that imports, found without running it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+_NAME = __name__.partition(".")[0]
+_ROOT = Path(__file__).parents[__name__.count(".")]
+_FOR_TYPES_ALONE = re.compile(r"^if TYPE_CHECKING:[^\n]*\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
+_FROM = re.compile(r"^[ \t]*from ([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_PLAIN = re.compile(r"^[ \t]*import ([\w., ]+)", re.MULTILINE)
+_COMMENT = re.compile(r"#[^\n]*")
+
+Imported = tuple[str, str, str]  # module, a name of it ("" for the module itself), what it is called here
+
+
+def sources_of(module: str) -> tuple[Path, ...]:
+    """The files of the package that a module needs, its own among them, sorted.
+
+    What is imported for type checkers alone does not count; what is imported late, in a function, does. A name that
+    a module only passes on counts for the file in which it is made, so a file that gathers names is not in itself
+    a reason.
+    """
+    seen: set[tuple[str, str]] = set()
+    wanted, files = [(module, "")], set()
+    while wanted:
+        at = wanted.pop()
+        if at in seen:
+            continue
+        seen.add(at)
+        home, name = at
+        path = _file_of(home)
+        if path is None:
+            continue
+        inner = f"{home}.{name}"
+        if name and _file_of(inner) is not None:
+            wanted.append((inner, ""))
+            continue
+        passed_on = [(other, what) for other, what, here in _imports(path) if name and here == name]
+        if passed_on:
+            wanted += passed_on
+            continue
+        files.add(path)
+        wanted += [(other, what) for other, what, _ in _imports(path)]
+    return tuple(sorted(files))
+
+
+def libraries_of(files: tuple[Path, ...]) -> frozenset[str]:
+    """Top-level names of all that these files import and that is not the package's own; the standard library too."""
+    return frozenset(name for path in files for name in _parsed(path)[1])
+
+
+def _file_of(module: str) -> Path | None:
+    if module.partition(".")[0] != _NAME:
+        return None
+    stem = _ROOT.joinpath(*module.split("."))
+    return next((path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file()), None)
+
+
+def _imports(path: Path) -> tuple[Imported, ...]:
+    return _parsed(path)[0]
+
+
+@cache
+def _parsed(path: Path) -> tuple[tuple[Imported, ...], frozenset[str]]:
+    """What a file imports of the package, and the top-level names of what else it imports."""
+    text = _FOR_TYPES_ALONE.sub("", path.read_text(encoding="utf-8"))
+    found = tuple(_named(text))
+    own = tuple(item for item in found if item[0].partition(".")[0] == _NAME)
+    return own, frozenset(module.partition(".")[0] for module, _, _ in found) - {_NAME}
+
+
+def _named(text: str) -> Iterator[Imported]:
+    for module, names in _FROM.findall(text):
+        for name in _COMMENT.sub("", names).strip("() \n").split(","):
+            what, _, called = name.strip().partition(" as ")
+            if what:
+                yield module, what, called or what
+    for modules in _PLAIN.findall(text):
+        for name in modules.split(","):
+            yield name.strip().partition(" as ")[0], "", ""

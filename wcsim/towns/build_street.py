@@ -1,0 +1,96 @@
+"""Makes a town's street: mesh, grid and walk graph. All that this file imports, and that imports, makes the street."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.core.constants import KERB_STEP_M
+from wcsim.errors import TownError
+from wcsim.towns.cache.street_arrays import pack_street
+from wcsim.towns.furniture.author_obstacles import author_things
+from wcsim.towns.furniture.buildings import Building, buildings_of
+from wcsim.towns.furniture.everything import fittings_of
+from wcsim.towns.furniture.models import FOOT_M
+from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
+from wcsim.towns.ground.crossing_paint import unmarked_crossings
+from wcsim.towns.ground.kerb_faces import kerb_walls
+from wcsim.towns.ground.kerb_heights import Kerbing, kerbing_of
+from wcsim.towns.ground.landcover import covered
+from wcsim.towns.ground.mesh import build_mesh
+from wcsim.towns.ground.raster import GridMaker
+from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.ground.solid_shapes import Solid, prism
+from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
+from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.tiles import Packed, pack_tiles
+from wcsim.towns.ground.triangulation import build_ground
+from wcsim.towns.sumo.additional import read_items
+from wcsim.towns.sumo.net import read_net
+from wcsim.towns.walking.graph import build_walk_graph, free_space
+from wcsim.types import F64, ClassId, Relief, WalkGraph
+
+if TYPE_CHECKING:
+    from wcsim.towns.scenario.town import Town
+
+
+def build_street(town: Town) -> Packed:
+    """Make the street of a town from its net and polygons, without any cache; `street_of` opens it."""
+    whole = read_net(town.net, town.file.origin_m)
+    items = read_items(town.additional, town.file.origin_m, whole)
+    relief = relief_of(whole)
+    net = on_land(whole, relief)
+    surfaces = covered(surfaces_of(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
+    if surfaces.low.is_empty and surfaces.pavement.is_empty:
+        raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
+    kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
+    ground = build_ground(surfaces, kerbing, relief)
+    walls = kerb_walls(ground)
+    placed = author_things(items, surfaces.hull)
+    walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
+    buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
+    blocks = shapely.union_all([building.outline for building in buildings])
+    solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
+    walk = build_walk_graph(net, free_space(walkable, _kerb_lines(walls[0]), solids), town.file.chair_ways)
+    place = FreeGround(
+        low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
+    )
+    things = fittings_of(items, net, town.additional, place, placed)
+    pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
+    large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
+    mesh = build_mesh(ground, walls, large, pieces, relief)
+    grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
+    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, net.z_origin_m)
+
+
+def _block(building: Building, ground_m: float, relief: Relief) -> Solid:
+    """A building stands on the lowest land below its walls, or hangs over the highest, and rises from the highest."""
+    land_m = relief.at(shapely.get_coordinates(building.outline))
+    top_m = float(land_m.max()) + ground_m
+    hangs = building.low_m > 0.0
+    low_m = top_m + building.low_m if hangs else FOOT_M + float(land_m.min())
+    return prism(building.outline, low_m, top_m + building.height_m, ClassId.BUILDING, floor=hangs)
+
+
+def _kerb_lines(walls: F64) -> BaseGeometry:
+    """The edges of all kerbs that a wheel should not drop off."""
+    high = walls[walls[:, :, 2].max(axis=1) > KERB_STEP_M]
+    foot = high[:, :2, :2]  # a wall triangle's first two corners span its edge, seen from above
+    return shapely.union_all(shapely.linestrings(foot)) if len(foot) else shapely.MultiLineString()
+
+
+def _lines(walk: WalkGraph) -> BaseGeometry:
+    return shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
+
+
+def _height_at(surfaces: Surfaces, kerbing: Kerbing, relief: Relief) -> HeightAt:
+    """How high the ground is at points (n, 2)."""
+
+    def height_at(xy_m: F64) -> F64:
+        on_road = shapely.contains_xy(surfaces.low, xy_m)
+        return np.where(on_road, 0.0, kerbing.height_m(xy_m)) + relief.at(xy_m)
+
+    return height_at
