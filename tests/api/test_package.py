@@ -7,6 +7,8 @@ import re
 import resource
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import networkx
@@ -159,3 +161,196 @@ def room_of(path: Path) -> str:
     """The folder of a file; a file that lies beside rooms, as `wcsim/bridge/world.py` does, counts as a room itself."""
     beside_rooms = any(child.is_dir() and child.name != "__pycache__" for child in path.parent.iterdir())
     return str((path if beside_rooms and path.name != "__init__.py" else path.parent).relative_to(ROOT))
+
+
+MOST_BRANCHES = 15
+MOST_PARAMETERS = 8
+KERNELS = {"kernel", "exact_kernel"}  # of `wcsim/core/jit.py`: numba takes no dataclasses, and calls cost it inlining
+BUSY_FOR_NOW = (
+    "crowd_of",
+    "StreetReaction._consider",
+    "StreetReaction._pass",
+    "StreetReaction._order",
+    "PedestrianAvoidance._wish",
+)
+WIDE_FOR_NOW = (
+    "StreetParallelEnv.__init__",
+    "StreetVecEnv.__init__",
+    "WheelchairEnv.__init__",
+    "run_test",
+    "train",
+    "FrameReplay.__init__",
+    "make_manifest",
+    "first_touches",
+    "train_in",
+)
+BRANCHES = (
+    ast.If,
+    ast.For,
+    ast.AsyncFor,
+    ast.While,
+    ast.IfExp,
+    ast.ExceptHandler,
+    ast.comprehension,
+    ast.Assert,
+    ast.match_case,
+)
+
+
+def branches(function: ast.AST) -> int:
+    """Cyclomatic complexity; what is defined inside counts for the function that holds it."""
+    nodes = list(ast.walk(function))
+    also = sum(len(node.values) - 1 for node in nodes if isinstance(node, ast.BoolOp))
+    return 1 + also + sum(isinstance(node, BRANCHES) for node in nodes)
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    taken = function.args
+    names = [each.arg for each in (*taken.posonlyargs, *taken.args, *taken.kwonlyargs)]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Names and functions of a file that are no kernels, with those of its classes, without those inside of others."""
+    for node in tree.body:
+        inside = node.body if isinstance(node, ast.ClassDef) else [node]
+        owner = f"{node.name}." if isinstance(node, ast.ClassDef) else ""
+        for found in inside:
+            if isinstance(found, ast.FunctionDef) and not KERNELS & {ast.unparse(d) for d in found.decorator_list}:
+                yield owner + found.name, found
+
+
+ALL_FUNCTIONS = [each for path in SOURCES for each in functions(ast.parse(path.read_text(encoding="utf-8")))]
+
+
+def test_functions_are_calm():
+    busy = {name: count for name, function in ALL_FUNCTIONS if (count := branches(function)) > MOST_BRANCHES}
+    assert set(busy) <= set(BUSY_FOR_NOW), busy
+
+
+def test_functions_take_few_parameters():
+    wide = {name: count for name, function in ALL_FUNCTIONS if (count := parameters(function)) > MOST_PARAMETERS}
+    assert set(wide) <= set(WIDE_FOR_NOW), wide
+
+
+def test_branches_and_parameters_are_counted():
+    tree = ast.parse(
+        "@kernel\ndef fast(a, b): ...\nclass A:\n"
+        "  def f(self, a, *, b=0):\n    def g(x): return x if a and b or x else [y for y in x]\n"
+        "    try: assert a\n    except OSError: pass\n"
+    )
+    ((name, found),) = functions(tree)
+    assert (name, branches(found), parameters(found)) == ("A.f", 7, 2)
+
+
+SAME_CLASS_NAME = ("Options", "RunOptions", "ListOptions")  # of one command each, read by tyro
+SAME_FILE_NAME = {
+    "actors": "what an actor is, and how SUMO's are read",
+    "barrier": "the protocol's state machine, and the command of its bench",
+    "base": "what a room's files build on",
+    "build": "a scene's folder, and a learner of its settings",
+    "camera": "the sensor, and the command of its bench",
+    "chair": "its section of a run file, what crosses borders of it, and the command of its bench",
+    "client_process": "a client as its launcher sees it, and from inside",
+    "command": "the commands of a group",
+    "compare": "plants, and pictures with an oracle's",
+    "drives": "of the users' bench, and of the crashes'",
+    "driving": "trials, and the rows of the table that judge them",
+    "elements": "of a scenario's files, when they are staged and when pavements are laid",
+    "faults": "of a town, and those that a soak plants",
+    "files": "written whole, of a scenario, of the cache",
+    "overrides": "of a scenario's options, and of a run's settings",
+    "parts": "of a message, and of the barrier's bench",
+    "people": "as the oracle reckons with them, and how they look",
+    "plant": "its file, and what physics makes of it",
+    "process": "of a world, and of a scene",
+    "randomization": "its section of a run file, and the draw",
+    "raster": "of the ground's classes, and of pictures",
+    "records": "of a journal, and of crashes",
+    "replay": "of a journal, and the command",
+    "report": "of a training, and of a town",
+    "run": "its section of a run file, a scene's, and the command of a town's",
+    "scene": "its file, and the command",
+    "sensors": "their section of a run file, and their numbers in a snapshot",
+    "soak": "the bench, and its command",
+    "street": "what crosses borders of it, and how it is built",
+    "table": "of users, and of chairs",
+    "tour": "the bench, and its command",
+    "town": "its file, and the folder",
+    "train": "the loop, and the command",
+    "video": "how it is written, and the command",
+    "world": "its section of a run file, and the world",
+}
+
+
+def doubles(names: Iterable[str]) -> set[str]:
+    return {name for name, count in Counter(names).items() if count > 1}
+
+
+def test_a_class_name_is_used_once():
+    nodes = (node for path in SOURCES for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    names = (node.name for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
+    assert doubles(names) == set(SAME_CLASS_NAME)
+
+
+def test_a_file_name_is_used_twice_only_where_the_folder_makes_it_plain():
+    assert doubles(path.stem for path in SOURCES if not path.stem.startswith("__")) == set(SAME_FILE_NAME)
+
+
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+FOLDERS_NAMED = {path.name for path in (ROOT / "wcsim").iterdir() if path.is_dir()} | {
+    "wcsim",
+    "tests",
+    "docs",
+    "tools",
+    "examples",
+    "scenarios",
+}
+NOT_OURS = {"__init__.py", "randomTrips.py", "dist/NOTES.md", "wcsim/Street-v1"}  # any; SUMO's; a release's; an id
+
+
+def is_ours(word: str) -> bool:
+    """Whether a word in backticks names a file or folder of the repository; with NAME in it, it is only a pattern."""
+    if word in NOT_OURS or "NAME" in word or word.startswith("scenarios/sumo/my"):
+        return False
+    a_file = re.fullmatch(r"[\w-]+(/[\w-]+)*\.(py|md)", word)
+    return bool(a_file) or ("/" in word and word.split("/")[0] in FOLDERS_NAMED)
+
+
+def not_there(text: str, here: Path) -> list[str]:
+    """Files and folders that a text names and that are not there; `here` is the folder of the file that it stands in.
+
+    A bare file name is in that folder, or in the one that was named last on the line.
+    """
+    missing = []
+    for line in text.splitlines():
+        last = here
+        for word in re.findall(r"`([\w./-]+)`", line):
+            homes = [here, last, ROOT, ROOT / "wcsim", *last.parents] if "/" in word else [here, last, ROOT]
+            found = next((home / word for home in homes if (home / word).exists()), None)
+            if is_ours(word) and found is None:
+                missing.append(word)
+            if "/" in word and found is not None:
+                last = found if found.is_dir() else found.parent
+    return missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_that_a_page_names_are_there(page):
+    assert not_there(page.read_text(encoding="utf-8"), page.parent) == []
+
+
+def test_files_that_docstrings_name_are_there():
+    said = (
+        (path, ast.get_docstring(node) or "")
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+    )
+    missing = {str(path.relative_to(ROOT)): lost for path, text in said if (lost := not_there(text, path.parent))}
+    assert missing == {}
+
+
+def test_a_file_that_is_not_there_is_found():
+    told = "`bridge/world.py`, `mirror.py`, `session.py`, `reaction/drivers.py`; `town.toml`, `bridge/nothing.py`"
+    assert not_there(told, ROOT) == ["session.py", "bridge/nothing.py"]

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from wcsim.errors import SumoError
 
-ANSWER_S = 300.0
+_ANSWER_S = 300.0
 
 
 class Runner(Protocol):
@@ -69,7 +69,7 @@ def in_turns(
 
 def _answer(end: Connection) -> list[tuple[float, ...]]:
     try:
-        if end.poll(ANSWER_S):
+        if end.poll(_ANSWER_S):
             ticks: list[tuple[float, ...]] = end.recv()
             return ticks
     except EOFError:

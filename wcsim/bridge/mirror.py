@@ -20,7 +20,7 @@ from wcsim.types.street import FLAT
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
 JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
 SLIP_MPS = 0.02  # a smaller difference between SUMO's speed and the way somebody went is none
-SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
+_SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
 
 
 def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState, ...]:
@@ -96,7 +96,7 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
     turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
-    if abs(turned_rad) > SNAP_RAD:
+    if abs(turned_rad) > _SNAP_RAD:
         start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
     if new.pitch_rad != start.pitch_rad:  # a body keeps its pitch through a tick
         start = replace(start, pitch_rad=new.pitch_rad)

@@ -15,9 +15,9 @@ from wcsim.errors import PhysicsError
 from wcsim.physics.kinematic_bodies import UPRIGHT, BodyPool
 from wcsim.types import ActorState
 
-TOLERANCE_M = 0.01
-TOLERANCE_RAD = 0.02
-FURTHEST_M = MOST_M + TOLERANCE_M  # that a vehicle is shown beside SUMO's place: as far as it may swing out
+_TOLERANCE_M = 0.01
+_TOLERANCE_RAD = 0.02
+FURTHEST_M = MOST_M + _TOLERANCE_M  # that a vehicle is shown beside SUMO's place: as far as it may swing out
 EVERY = 4  # one body in four is measured each tick, in turn; the set of bodies is compared every tick
 
 
@@ -65,10 +65,10 @@ def check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, e
         x, y, z, yaw_rad = pool.pose(actor.id)
         px, py, pz = actor.p_W_m.tolist()
         error_m = math.hypot(x - px, y - py, z - pz)
-        askew = actor.kind not in UPRIGHT and abs(frames.wrap(yaw_rad - actor.yaw_rad)) > TOLERANCE_RAD
-        if askew or not error_m <= TOLERANCE_M:
+        askew = actor.kind not in UPRIGHT and abs(frames.wrap(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        if askew or not error_m <= _TOLERANCE_M:
             raise PhysicsError(
                 f"actor {actor.id!r} is at {actor.p_W_m.round(3)}, yaw {actor.yaw_rad:.3f}, its body {error_m:.3f} m "
-                f"away at ({x:.3f}, {y:.3f}, {z:.3f}), yaw {yaw_rad:.3f}; expected at most {TOLERANCE_M} m and "
-                f"{TOLERANCE_RAD} rad: the mirror missed an update"
+                f"away at ({x:.3f}, {y:.3f}, {z:.3f}), yaw {yaw_rad:.3f}; expected at most {_TOLERANCE_M} m and "
+                f"{_TOLERANCE_RAD} rad: the mirror missed an update"
             )

@@ -22,7 +22,7 @@ from wcsim.towns.street import load_street
 from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
 
 TRACE = "trace"
-BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
+_BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
 GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
 Progress = Callable[[int, int], None]  # (ticks done, all ticks)
 Stage = Callable[[str], None]  # what begins now, in words
@@ -171,7 +171,7 @@ def check_mirrored(
     shown = {actor.id for actor in mirrored if not actor.piece}
     there = {actor.id for actor in everyone}
     near = {
-        actor.id for actor in everyone if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - BORDER_M
+        actor.id for actor in everyone if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - _BORDER_M
     }
     ghosts, missing = sorted(shown - there), sorted(near - shown)
     if ghosts or missing:

@@ -25,8 +25,8 @@ PACKAGES = (
     *("numpy", "numba", "opencv-python-headless", "shapely"),
 )
 TICK_SECONDS = 5.0
-REAL_TIME_TICKS_PER_S = 10.0
-MIN_SHM_BYTES = 32 << 20
+_REAL_TIME_TICKS_PER_S = 10.0
+_MIN_SHM_BYTES = 32 << 20
 
 
 @dataclass
@@ -107,12 +107,12 @@ def _shared_memory() -> Finding:
     folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())  # noqa: S108
     free = shutil.disk_usage(folder).free
     says = f"{free >> 20} MiB free in {folder}; needs 32 MiB"
-    if free < MIN_SHM_BYTES:
+    if free < _MIN_SHM_BYTES:
         return Finding("shared memory", False, says)
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
-            file.truncate(MIN_SHM_BYTES)
-            with mmap.mmap(file.fileno(), MIN_SHM_BYTES) as block:
+            file.truncate(_MIN_SHM_BYTES)
+            with mmap.mmap(file.fileno(), _MIN_SHM_BYTES) as block:
                 block[-1] = 1
     except (OSError, ValueError) as error:
         return Finding("shared memory", False, f"{says}; a block of it could not be used: {error}")
@@ -150,6 +150,6 @@ def _ticks(town: str, seed: int) -> Finding:
                 ticks += 1
             rate = ticks / (time.perf_counter() - ready)
             says = f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s; real time is 10"
-            return Finding("tick rate", rate >= REAL_TIME_TICKS_PER_S, says)
+            return Finding("tick rate", rate >= _REAL_TIME_TICKS_PER_S, says)
     except WcsimError as error:
         return Finding("tick rate", False, str(error))

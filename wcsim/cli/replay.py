@@ -18,7 +18,7 @@ TRACE: Final = "trace"
 JOURNAL: Final = "journal"
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Kind = Literal["trace", "journal"]
-SHOW_EVERY = 1000  # ticks
+_SHOW_EVERY = 1000  # ticks
 
 
 @dataclass
@@ -63,33 +63,36 @@ def run(words: list[str]) -> int:
 
 
 def _check(options: Options) -> None:
-    wanted = [
-        name
-        for name, given in (
-            ("--fcd", options.fcd is not None),
-            ("--verify", options.verify),
-            ("--first-difference", options.first_difference),
-        )
-        if given
-    ]
     for path in options.runs:
         if not is_folder(path) and not is_file(path):
             raise ConfigError(f"{shown(path)}: is not there; expected a run folder, a trace or a journal")
-    if len(wanted) != 1:
-        got = " and ".join(wanted) or "none"
-        raise ConfigError(f"replay got {got}; expected exactly one of --fcd FILE.xml, --verify, --first-difference")
+    task = _task(options)
     runs = 2 if options.first_difference else 1
     if len(options.runs) != runs:
-        raise ConfigError(f"{wanted[0]} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
+        raise ConfigError(f"{task} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
+    _check_ticks(options, task)
+    check_output("--fcd", options.fcd)
+
+
+def _task(options: Options) -> str:
+    """The one option that says what to do."""
+    given = (options.fcd is not None, options.verify, options.first_difference)
+    tasks = [name for name, is_so in zip(("--fcd", "--verify", "--first-difference"), given, strict=True) if is_so]
+    if len(tasks) != 1:
+        got = " and ".join(tasks) or "none"
+        raise ConfigError(f"replay got {got}; expected exactly one of --fcd FILE.xml, --verify, --first-difference")
+    return tasks[0]
+
+
+def _check_ticks(options: Options, task: str) -> None:
     if not options.verify and (options.first is not None or options.last is not None):
-        raise ConfigError(f"--from and --to say what --verify compares; expected no such option with {wanted[0]}")
+        raise ConfigError(f"--from and --to say what --verify compares; expected no such option with {task}")
     if options.first_difference and options.epoch is not None:
         raise ConfigError("--epoch says what --verify or --fcd works on; expected no such option")
     for option, number in (("--epoch", options.epoch), ("--from", options.first), ("--to", options.last)):
         in_bounds(option, number or 0, 0, float("inf"))
     if options.last is not None:
         in_bounds("--from", options.first or 0, 0, options.last)
-    check_output("--fcd", options.fcd)
 
 
 def _find(run: Path, preferred: Kind, expected: str) -> Recording:
@@ -149,7 +152,7 @@ def _verify(options: Options) -> int:
     begun_s = time.perf_counter()
 
     def show(ticks: int) -> None:
-        if ticks % SHOW_EVERY == 0:
+        if ticks % _SHOW_EVERY == 0:
             print(f"{ticks} ticks", file=sys.stderr)
 
     result = verify(found.path, options.epoch, options.first or 0, options.last, show, options.hook)

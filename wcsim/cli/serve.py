@@ -33,8 +33,8 @@ from wcsim.view.live_table import LiveTable
 
 MOST_SEATS = 64
 GATHER_S = 600.0
-TOLD_NAMES = 4
-EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
+_TOLD_NAMES = 4
+_EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
 
 
 @dataclass
@@ -125,10 +125,10 @@ def how_to_join(endpoint: str, listening: str, options: Options) -> str:
     if listening:
         address = reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
-        named = [f" --keys {options.keys} --name {name}" for name in names[:TOLD_NAMES]] or [""]
+        named = [f" --keys {options.keys} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
         lines += [f"over the network: wcsim join {address}{who} --network small --steps 1000" for who in named]
-        if len(names) > TOLD_NAMES:
-            lines.append(f"and so on, for {', '.join(names[TOLD_NAMES:])}")
+        if len(names) > _TOLD_NAMES:
+            lines.append(f"and so on, for {', '.join(names[_TOLD_NAMES:])}")
     return "\n".join(lines)
 
 
@@ -139,7 +139,7 @@ def reachable(listening: str, host: str) -> str:
     ('tcp://lab3:5555', 'tcp://lab3:5555', 'tcp://a:5')
     """
     place, _, port = listening.removeprefix("tcp://").rpartition(":")
-    return f"tcp://{host}:{port}" if place in EVERYWHERE else listening
+    return f"tcp://{host}:{port}" if place in _EVERYWHERE else listening
 
 
 def _check_doors(options: Options) -> None:

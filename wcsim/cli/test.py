@@ -91,7 +91,7 @@ def as_json(results: Sequence[TestResult]) -> dict[str, Any]:
 def test_policies(options: Options) -> Sequence[TestResult]:
     """The results, one for each town and profile."""
     towns, profiles = check(options)
-    require_policies(options)
+    _require_policies(options)
     config = _config(options)
 
     from wcsim.agents.envs.wheelchair_env import (
@@ -138,7 +138,7 @@ def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     return _towns(options), profiles
 
 
-def require_policies(options: Options) -> None:
+def _require_policies(options: Options) -> None:
     """Look at what is to be tested before torch is loaded for it.
 
     Raises:

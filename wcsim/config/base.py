@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from wcsim.core.reading import shown
 
-LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
-Positive = Annotated[float, Field(gt=0.0, le=LARGEST, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)]
+_LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Word = Annotated[str, Field(max_length=400)]
 Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
 

@@ -20,11 +20,11 @@ from wcsim.config.world import WorldConfig
 
 MAX_SEEN_PX = 1 << 22  # of all images in an observation
 
-MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
+_MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
 
 MAX_CAMERAS = 64  # as many as a frame of a served world has room for
 
-MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
+_MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
 
 
 class RunConfig(Model):
@@ -58,17 +58,17 @@ class RunConfig(Model):
     @model_validator(mode="after")
     def _pictures_can_be_held(self) -> RunConfig:
         sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
-        if sum(sizes_px) > MAX_CAMERAS_PX or sizes_px[0] * self.env.frames > MAX_SEEN_PX:
+        if sum(sizes_px) > _MAX_CAMERAS_PX or sizes_px[0] * self.env.frames > MAX_SEEN_PX:
             raise ValueError(
                 f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
-                f"{sizes_px[0] * self.env.frames}; expected at most {MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
+                f"{sizes_px[0] * self.env.frames}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
                 "width_px and height_px smaller, or env.window"
             )
         batch = max(self.learn.batch_size, self.learn.aid_batch)
-        if sizes_px[0] * self.env.frames * batch > MAX_BATCH_PX:
+        if sizes_px[0] * self.env.frames * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
-                f"{MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
+                f"{_MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
             )
         return self
 

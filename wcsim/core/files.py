@@ -16,10 +16,10 @@ from typing import Any
 from wcsim.core.reading import require_no_links
 from wcsim.errors import DiskFullError, PolicyError
 
-FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
+_FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 
 
-def write_bytes(path: Path, data: bytes, mode: int = FILE_MODE) -> None:
+def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
     """Replace a file in one step: written beside it, flushed to disk, renamed. Raises DiskFullError; it stays then."""
     beside = path.with_name(f".{path.name}.tmp")
     try:
@@ -30,7 +30,7 @@ def write_bytes(path: Path, data: bytes, mode: int = FILE_MODE) -> None:
             file.flush()
             os.fsync(file.fileno())
         beside.replace(path)
-        sync_folder(path.parent)
+        _sync_folder(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
@@ -51,9 +51,9 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
         beside.mkdir()
         fill(beside)
         for file in beside.iterdir():
-            file.chmod(FILE_MODE)
+            file.chmod(_FILE_MODE)
             _sync(file, os.O_RDONLY)
-        sync_folder(beside)
+        _sync_folder(beside)
         _put_in_place(beside, path)
     except BaseException as error:
         shutil.rmtree(beside, ignore_errors=True)
@@ -76,10 +76,10 @@ def _put_in_place(beside: Path, path: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
     else:
         beside.replace(path)
-    sync_folder(path.parent)
+    _sync_folder(path.parent)
 
 
-def sync_folder(path: Path) -> None:
+def _sync_folder(path: Path) -> None:
     """Flush a folder's list of names to disk."""
     _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 

@@ -118,22 +118,27 @@ def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
         if id(value) not in seen:
             seen.add(id(value))
             yield from _function_facts(value, package, seen)
-    elif isinstance(value, type) and issubclass(value, Enum):
-        yield value.__qualname__, [(name, member.value) for name, member in value.__members__.items()]
-    elif isinstance(value, type) and hasattr(value, "_fields"):
-        yield value.__qualname__, value._fields
-    elif isinstance(value, np.ndarray | np.generic):
-        yield value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
     elif isinstance(value, tuple | frozenset):
         yield type(value).__qualname__, getattr(value, "_fields", ())
         for item in value if isinstance(value, tuple) else sorted(value, key=repr):
             yield from _facts(item, package, seen)
-    elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Enum):
-        yield type(value).__qualname__, repr(value)
-    elif isinstance(value, ModuleType):
-        yield value.__name__  # what is taken from it, `_function_facts` knows
     else:
-        yield _foreign(value, package)
+        yield _plain_fact(value, package)
+
+
+def _plain_fact(value: Any, package: str) -> object:
+    """What a value is that holds no function and no other values but numbers."""
+    if isinstance(value, type) and issubclass(value, Enum):
+        return value.__qualname__, [(name, member.value) for name, member in value.__members__.items()]
+    if isinstance(value, type) and hasattr(value, "_fields"):
+        return value.__qualname__, value._fields
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes | Enum):
+        return type(value).__qualname__, repr(value)
+    if isinstance(value, ModuleType):
+        return value.__name__  # what is taken from it, `_function_facts` knows
+    return _foreign(value, package)
 
 
 def _foreign(value: Any, package: str) -> str:

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-STDERR_FD = 2
+_STDERR_FD = 2
 
 
 @contextmanager
@@ -19,22 +19,22 @@ def without_line(beginning: bytes) -> Iterator[None]:
     after an error. For short blocks: what another thread writes meanwhile appears a moment later.
     """
     try:
-        terminal = os.dup(STDERR_FD)
+        terminal = os.dup(_STDERR_FD)
     except OSError:  # standard error is closed: there is nobody to be spared
         yield
         return
     with tempfile.TemporaryFile() as held:
         if sys.stderr is not None:
             sys.stderr.flush()
-        os.dup2(held.fileno(), STDERR_FD)
+        os.dup2(held.fileno(), _STDERR_FD)
         try:
             yield
         finally:
             if sys.stderr is not None:
                 sys.stderr.flush()
-            os.dup2(terminal, STDERR_FD)
+            os.dup2(terminal, _STDERR_FD)
             os.close(terminal)
             held.seek(0)
             for line in held:
                 if not line.startswith(beginning):
-                    os.write(STDERR_FD, line)
+                    os.write(_STDERR_FD, line)

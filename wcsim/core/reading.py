@@ -99,7 +99,7 @@ def parse_json(text: str, where: str, kind: FileKind) -> dict[str, Any]:
         raise kind.error(f"{where}: is not JSON: {_short(error)}; expected {kind.what}") from None
     if not isinstance(data, dict):
         raise kind.error(f"{where}: holds a {type(data).__name__}; expected a JSON object, {kind.what}")
-    require_bounded(data, where, kind)
+    _require_bounded(data, where, kind)
     return data
 
 
@@ -111,11 +111,11 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
         data = tomllib.loads(text)
     except (ValueError, RecursionError, MemoryError) as error:
         raise kind.error(f"{where}: is not TOML: {_short(error)}") from None
-    require_bounded(data, where, kind)
+    _require_bounded(data, where, kind)
     return data
 
 
-def require_bounded(data: Any, where: str, kind: FileKind) -> None:
+def _require_bounded(data: Any, where: str, kind: FileKind) -> None:
     """Refuse nesting beyond `MAX_DEPTH`, numbers not finite or beyond `MAX_INTEGER`, and text that is no Unicode.
 
     Raises:

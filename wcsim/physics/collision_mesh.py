@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from wcsim.types import F64
 
-MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
+_MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
 MAX_FACES: Final = 524_288 // 3  # B3_MAX_NUM_INDICES
 WELD_M: Final = 1e-4
-MIN_HEIGHT_M: Final = 1e-4  # a triangle thinner than this is a gap that no wheel can feel
+_MIN_HEIGHT_M: Final = 1e-4  # a triangle thinner than this is a gap that no wheel can feel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,13 +37,13 @@ def tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
     _, first, weld = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     welded = weld.reshape(-1)[local.reshape(faces.shape)]
     points = vertices_m[used][first]
-    keep = _height_m(points, welded) >= MIN_HEIGHT_M
+    keep = _height_m(points, welded) >= _MIN_HEIGHT_M
     return _compact(points, welded[keep])
 
 
 def split(soup: Soup) -> Iterator[Soup]:
     """The soup in as few pieces as PyBullet's limits allow; one when it fits."""
-    if len(soup.vertices_m) <= MAX_VERTICES and len(soup.faces) <= MAX_FACES:
+    if len(soup.vertices_m) <= _MAX_VERTICES and len(soup.faces) <= MAX_FACES:
         if len(soup.faces):
             yield soup
         return

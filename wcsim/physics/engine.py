@@ -22,14 +22,14 @@ from wcsim.physics.collision_mesh import Soup, split, tidy
 from wcsim.types import F64, ClassId, StreetMesh
 
 PARK_Z_M: Final = -500.0
-MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
-GROUND_REACH_M: Final = 0.5
+_MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
+_GROUND_REACH_M: Final = 0.5
 _RAY_FROM_M: Final = 300.0
 _STREET_MARGIN_M: Final = 0.001
 # With PyBullet's 20 mm a wheel meets the edge of every triangle just ahead of it at a slant and is pushed back: 0.6
 # m/s2 rms on a flat floor of small triangles, and it is thrown off a fan of slivers. 0.1 mm gives 0.2, and a step costs
 # half. PyBullet keeps one such number for the whole process.
-CONTACT_BREAKING_M: Final = 1e-4
+_CONTACT_BREAKING_M: Final = 1e-4
 
 
 class Role(Enum):
@@ -100,7 +100,7 @@ class Engine:
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=solver_iterations,
             deterministicOverlappingPairs=1,
-            contactBreakingThreshold=CONTACT_BREAKING_M,
+            contactBreakingThreshold=_CONTACT_BREAKING_M,
             enableFileCaching=0,
             physicsClientId=client,
         )
@@ -202,7 +202,7 @@ class Engine:
 
     def ground_at(self, points_W_m: F64) -> F64:
         """Height (N,) of ground or kerb within half a metre above or below points (N, 3); nan where there is none."""
-        half = np.array([0.0, 0.0, GROUND_REACH_M])
+        half = np.array([0.0, 0.0, _GROUND_REACH_M])
         above, below = (points_W_m + half).tolist(), (points_W_m - half).tolist()
         hits = pybullet.rayTestBatch(above, below, physicsClientId=self.client)
         return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
@@ -211,12 +211,12 @@ class Engine:
         """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""
         points = np.asarray(points_W_m, np.float64)
         heights = np.full(len(points), -np.inf)
-        for start in range(0, len(points), MAX_RAYS):
-            part = points[start : start + MAX_RAYS]
+        for start in range(0, len(points), _MAX_RAYS):
+            part = points[start : start + _MAX_RAYS]
             above = np.c_[part[:, :2], np.full(len(part), _RAY_FROM_M)]
             below = np.c_[part[:, :2], np.full(len(part), 0.5 * PARK_Z_M)]
             hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
-            heights[start : start + MAX_RAYS] = [hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits]
+            heights[start : start + _MAX_RAYS] = [hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits]
         return heights
 
 

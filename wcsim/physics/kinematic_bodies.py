@@ -25,13 +25,13 @@ from wcsim.types import F64, ActorKind, ActorState
 
 Vec3 = tuple[float, float, float]
 Bucket = tuple[ActorKind, int, int, int]
-BUCKET_M: Final = 0.05
-CLEARANCE_M: Final = 0.05  # below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle
+_BUCKET_M: Final = 0.05
+_CLEARANCE_M: Final = 0.05  # below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle
 UPRIGHT: Final = (ActorKind.PEDESTRIAN,)
 _PARK_STEP_M: Final = 30.0
 _FRICTION: Final = 0.5
-SOFT_NPM: Final = 50_000.0  # a person's body: 190 kg at walking pace sink in by 3 cm and are hardly thrown back
-SOFT_NSPM: Final = 5_000.0
+_SOFT_NPM: Final = 50_000.0  # a person's body: 190 kg at walking pace sink in by 3 cm and are hardly thrown back
+_SOFT_NSPM: Final = 5_000.0
 _ZERO: Final[Vec3] = (0.0, 0.0, 0.0)
 _LEVEL: Final = (0.0, 0.0, 0.0, 1.0)
 
@@ -175,8 +175,8 @@ class BodyPool:
         self._free.setdefault(body.bucket, []).append(body)
 
     def _make(self, bucket: Bucket) -> _Body:
-        kind, length_m, width_m, height_m = bucket[0], *(BUCKET_M * steps for steps in bucket[1:])
-        low = min(CLEARANCE_M, 0.5 * height_m)
+        kind, length_m, width_m, height_m = bucket[0], *(_BUCKET_M * steps for steps in bucket[1:])
+        low = min(_CLEARANCE_M, 0.5 * height_m)
         client = self._engine.client
         if kind in UPRIGHT:
             shape = pybullet.createCollisionShape(
@@ -192,7 +192,7 @@ class BodyPool:
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
         if kind in UPRIGHT:
             pybullet.changeDynamics(
-                body, -1, contactStiffness=SOFT_NPM, contactDamping=SOFT_NSPM, physicsClientId=client
+                body, -1, contactStiffness=_SOFT_NPM, contactDamping=_SOFT_NSPM, physicsClientId=client
             )
         self._made += 1
         return _Body(body_id=body, bucket=bucket, middle_m=middle, park_m=park)
@@ -230,4 +230,4 @@ def _bucket(move: BodyMove) -> Bucket:
 
 
 def _steps(size_m: float) -> int:
-    return max(1, round(size_m / BUCKET_M))
+    return max(1, round(size_m / _BUCKET_M))

@@ -14,7 +14,7 @@ from wcsim.scenes.way import WayMeter
 from wcsim.types import F64, ClientSnapshot, Outline, Snapshot, Street
 
 STANDS_MPS = 0.05
-SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
+_SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
 
 
 class SceneMeter:
@@ -90,7 +90,7 @@ class _ChairMeter:
         self.rolled_back_m = max(self.rolled_back_m, self._backwards_m)
         self.roll_rad = max(self.roll_rad, abs(plant.roll_rad))
         self.pitch_rad = max(self.pitch_rad, abs(plant.pitch_rad))
-        if self._time_s > SETTLED_S:
+        if self._time_s > _SETTLED_S:
             self.jolt_mps2 = max(self.jolt_mps2, float(np.abs(client.sensors.imu.accel_peak_mps2).max()))
         away_m = plant.p_WB_m[:2] - self._start_W_m[:2]
         self.aside_m = max(self.aside_m, abs(float(self._ahead_W[0] * away_m[1] - self._ahead_W[1] * away_m[0])))

@@ -14,8 +14,8 @@ Group = Literal["vehicle", "rider", "person", "chair"]
 NEAR_M = 15.0  # who is farther away has nothing to do with a chair
 BEHIND_M = 1.5  # from middle to middle, to count as behind or ahead
 BESIDE_M = 3.0
-ALIGNED = 0.7  # cosine: overtaking is going the same way
-DRIVES_MPS, GIVES_WAY_MPS = 3.0, 1.4
+_ALIGNED = 0.7  # cosine: overtaking is going the same way
+_DRIVES_MPS, _GIVES_WAY_MPS = 3.0, 1.4
 
 _RIDERS = (ActorKind.BICYCLE, ActorKind.SCOOTER, ActorKind.MOTORCYCLE)
 
@@ -55,7 +55,7 @@ class OthersMeter:
         x, y, cos, sin, _, _ = box
         dx, dy = float(actor.p_W_m[0]) - x, float(actor.p_W_m[1]) - y
         along_m, aside_m = dx * cos + dy * sin, dy * cos - dx * sin
-        if abs(aside_m) > BESIDE_M or cos * math.cos(actor.yaw_rad) + sin * math.sin(actor.yaw_rad) < ALIGNED:
+        if abs(aside_m) > BESIDE_M or cos * math.cos(actor.yaw_rad) + sin * math.sin(actor.yaw_rad) < _ALIGNED:
             return
         if along_m < -BEHIND_M:
             self._behind.add((seat, actor.id))
@@ -67,13 +67,13 @@ class OthersMeter:
             self.made_way_m = max(self.made_way_m, abs(actor.deflect_m))
             return
         speed_mps = math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
-        if speed_mps > DRIVES_MPS:
+        if speed_mps > _DRIVES_MPS:
             self._drove.add(actor.id)
             if actor.id in self.gave_way:
                 self.went_on.add(actor.id)
         if actor.id in self._drove:
             self.slowest_mps = min(self.slowest_mps, speed_mps)
-            if speed_mps < GIVES_WAY_MPS:
+            if speed_mps < _GIVES_WAY_MPS:
                 self.gave_way.add(actor.id)
 
 

@@ -29,17 +29,17 @@ from wcsim.scenes.meter import SceneMeter
 from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
 
 GOLDEN = "golden.trace"
-PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
+_PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
 
-RUN_TIMEOUT_S = 240
+_RUN_TIMEOUT_S = 240
 BAD_SCENE = 2
 """Exit code of a scene's process that has said what is wrong with the scene."""
 TRACE_EVERY = 10
 """Ticks from one record of a golden trace to the next; the hash of a record covers all ticks since the last one."""
 
-WORK = "wcsim-scene-"
-SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
+_WORK = "wcsim-scene-"
+_SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
 STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
 
 
@@ -60,12 +60,12 @@ def run_scene(folder: Path, trace: Path) -> SceneFacts:
 
 
 @contextmanager
-def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
+def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
     """The world of a scene before its first tick; tiny cameras, because a scene is about motion.
 
     Raises TownError when the scene cannot be built, or a seat starts where there is no street.
     """
-    with tempfile.TemporaryDirectory(prefix=WORK) as work:
+    with tempfile.TemporaryDirectory(prefix=_WORK) as work:
         try:
             town, scene = build_scene(folder, Path(work))
             specs = tuple(_spec(seat, town.file.origin_m) for seat in scene.seats)
@@ -104,14 +104,14 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     try:
         done = subprocess.run(
             command,
-            env={**os.environ, "GLIBC_TUNABLES": PINNED_LIBM},
+            env={**os.environ, "GLIBC_TUNABLES": _PINNED_LIBM},
             capture_output=True,
             text=True,
-            timeout=RUN_TIMEOUT_S,
+            timeout=_RUN_TIMEOUT_S,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise TownError(f"scene {folder.name} did not end within {RUN_TIMEOUT_S} s; shorten it") from None
+        raise TownError(f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it") from None
     if done.returncode != 0:
         told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
         known = done.returncode == BAD_SCENE
@@ -122,7 +122,7 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
 def _without_work(text: str, folder: Path) -> str:
     """A message about copies in a working folder that is gone by now, as one about the scene's own files."""
     text = text.partition("; see what it says")[0]
-    text = re.sub(rf"\S*/(?:{WORK}|wcsim-trial-)\w+/\w[\w-]*\.", f"{folder}/*.", text)
+    text = re.sub(rf"\S*/(?:{_WORK}|wcsim-trial-)\w+/\w[\w-]*\.", f"{folder}/*.", text)
     return text if text.startswith(f"{folder}") else f"{folder}: {text}"
 
 

@@ -10,7 +10,7 @@ from wcsim.types import F64, ClassId, Ground, Outline, Snapshot, WalkEdge, WalkG
 from wcsim.users.crossing import Crossing, is_red
 
 LOOK_ASIDE_M, STEP_M = 4.0, 0.05
-PAVEMENT = (ClassId.SIDEWALK, ClassId.LOWERED_KERB)
+_PAVEMENT = (ClassId.SIDEWALK, ClassId.LOWERED_KERB)
 _OFFSETS_M = np.arange(0.0, LOOK_ASIDE_M, STEP_M)
 
 
@@ -31,8 +31,8 @@ class WayMeter:
         for seat, client in enumerate(snapshot.clients):
             x, y, cos, sin, long_m, _ = chair_box(client, self._outline)
             here_W_m = np.array([x, y])
-            if int(self._ground.class_at(here_W_m)) in PAVEMENT:
-                width_m = free_width_m(self._ground, here_W_m, np.array([-sin, cos]))
+            if int(self._ground.class_at(here_W_m)) in _PAVEMENT:
+                width_m = _free_width_m(self._ground, here_W_m, np.array([-sin, cos]))
                 self.narrowest_m = min(self.narrowest_m, width_m)
             front_W_m = here_W_m + long_m * np.array([cos, sin])
             self._cross(seat, front_W_m, snapshot)
@@ -47,12 +47,12 @@ class WayMeter:
         self._on[seat] = set(on)
 
 
-def free_width_m(ground: Ground, here_W_m: F64, left_W: F64) -> float:
+def _free_width_m(ground: Ground, here_W_m: F64, left_W: F64) -> float:
     """How wide the free pavement is across a point (2,), along a unit vector; at most twice `LOOK_ASIDE_M`."""
     width_m = 0.0
     for side in (1.0, -1.0):
         points = here_W_m + side * _OFFSETS_M[:, None] * left_W
-        stops = (ground.clearance_at(points) <= 0.0) | ~np.isin(ground.class_at(points), PAVEMENT)
+        stops = (ground.clearance_at(points) <= 0.0) | ~np.isin(ground.class_at(points), _PAVEMENT)
         width_m += STEP_M * float(stops.argmax() if stops.any() else len(_OFFSETS_M))
     return width_m
 

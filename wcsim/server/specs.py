@@ -18,7 +18,7 @@ from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
 
-MOST_ORDER_BYTES = 16 << 20
+_MOST_ORDER_BYTES = 16 << 20
 Recovery = Literal["new_epoch", "replay"]
 
 
@@ -194,4 +194,4 @@ def write_order(path: Path, line: bytes) -> None:
 
 def read_order(kind: type[T], path: Path) -> T:
     """The value in a file. Raises ConfigError when it is none."""
-    return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=MOST_ORDER_BYTES)))
+    return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=_MOST_ORDER_BYTES)))

@@ -16,8 +16,8 @@ from wcsim.errors import ConfigError
 from wcsim.types import F32, F64
 
 STEP = 0.25
-HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
-DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
+_HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
+_DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
 MAX_DISTANCE = 2.0  # the largest distance within a round gate; a corner of the square counts as this far
 NAMES = ("square81", "disc69")
 
@@ -65,10 +65,10 @@ def action_set(name: str) -> ActionSet:
     """
     if name not in NAMES:
         raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}")
-    steps = np.arange(-HALF_CELLS, HALF_CELLS + 1)
+    steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
     cells = np.array([(i, j) for i in steps for j in steps])
     if name == "disc69":
-        cells = cells[(cells**2).sum(axis=1) <= DISC_LIMIT]
+        cells = cells[(cells**2).sum(axis=1) <= _DISC_LIMIT]
     index = {(int(i), int(j)): k for k, (i, j) in enumerate(cells)}
     mirror = np.array([index[-int(i), int(j)] for i, j in cells], dtype=np.int64)
     return ActionSet(name=name, points=cells * STEP, mirror=mirror)

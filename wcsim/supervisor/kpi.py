@@ -18,10 +18,10 @@ import numpy as np
 from wcsim.errors import ConfigError
 from wcsim.types import F64, I32, Bool, Events, Joystick
 
-MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
-SMALLEST = 1e-9  # kilometres or seconds below this are none at all
-PUSHES = 0.3  # a stick that is out so far is meant
-BLOCKED_SHARE = 0.5  # who gives less than this share of the user's throttle blocks
+_MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
+_SMALLEST = 1e-9  # kilometres or seconds below this are none at all
+_PUSHES = 0.3  # a stick that is out so far is meant
+_BLOCKED_SHARE = 0.5  # who gives less than this share of the user's throttle blocks
 STANDS_MPS = 0.05
 FREEZE_S = 3.0
 DROP = "drop"  # the crash reason of a fall off a kerb
@@ -102,8 +102,8 @@ def summarise(log: StepLog) -> KpiRow:
     km = float(np.sum(np.abs(log.speed_mps) * log.dt_s)) / 1000.0
     total_s = float(np.sum(log.dt_s))
     known, free = log.free >= 0, log.free == 1
-    within = log.distance <= MAX_FOLLOW_DISTANCE + 1e-6
-    moving = free & (_out(log.asked) > PUSHES)
+    within = log.distance <= _MAX_FOLLOW_DISTANCE + 1e-6
+    moving = free & (_out(log.asked) > _PUSHES)
     standing = log.on_carriageway & (np.abs(log.speed_mps) < STANDS_MPS)
     crashes, crossings = reasons.total(), int(np.count_nonzero(log.crossed))
     return KpiRow(
@@ -196,13 +196,13 @@ def _require_lengths(log: StepLog) -> None:
 
 def _blocked(log: StepLog) -> Bool:
     """(N,) where the user pushes forward and the agent gives less than half of it."""
-    blocked: Bool = (log.asked[:, 1] > PUSHES) & (log.given[:, 1] < BLOCKED_SHARE * log.asked[:, 1])
+    blocked: Bool = (log.asked[:, 1] > _PUSHES) & (log.given[:, 1] < _BLOCKED_SHARE * log.asked[:, 1])
     return blocked
 
 
 def _freezes(log: StepLog) -> int:
     """Stretches of FREEZE_S and more, each within one episode, in which only the agent keeps the chair from going."""
-    frozen = (np.abs(log.speed_mps) < STANDS_MPS) & (_out(log.asked) > PUSHES) & (_out(log.given) < PUSHES)
+    frozen = (np.abs(log.speed_mps) < STANDS_MPS) & (_out(log.asked) > _PUSHES) & (_out(log.given) < _PUSHES)
     if not frozen.any():
         return 0
     episode = np.searchsorted(np.cumsum(log.episode_steps), np.arange(len(frozen)), side="right")
@@ -221,4 +221,4 @@ def _mean(values: F64 | I32 | Bool) -> float | None:
 
 
 def _ratio(above: float, below: float) -> float | None:
-    return above / below if below > SMALLEST else None
+    return above / below if below > _SMALLEST else None

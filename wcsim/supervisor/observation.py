@@ -22,18 +22,18 @@ from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, SensorFrame
 Form = Literal["compact", "table3"]
 Observation = dict[str, npt.NDArray[Any]]
 
-DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
-DEPTH_STEPS = 254  # of the codes 1 to 255; 0 is for what was not measured
-ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
-GYRO_FULL_SCALE_RADPS = 4.0  # more than a chair turns before it falls
-IMU_SIZE = 5  # numbers of the IMU in the paper's observation
+_DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
+_DEPTH_STEPS = 254  # of the codes 1 to 255; 0 is for what was not measured
+_ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
+_GYRO_FULL_SCALE_RADPS = 4.0  # more than a chair turns before it falls
+_IMU_SIZE = 5  # numbers of the IMU in the paper's observation
 
 _MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
 _TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
 _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 
 
-def observation_space(form: Form, width: int, height: int, imu: int = IMU_SIZE) -> spaces.Dict:
+def observation_space(form: Form, width: int, height: int, imu: int = _IMU_SIZE) -> spaces.Dict:
     """The Gymnasium space of `observe`; images are (C, height, width), `imu` numbers come from the IMU.
 
     Raises ConfigError for an unknown form.
@@ -106,7 +106,7 @@ def observe(
 
 def imu_size(gyro: bool, yaw: bool) -> int:
     """How many numbers `imu_vector` has; no two choices give the same."""
-    return IMU_SIZE + 3 * gyro + 2 * yaw
+    return _IMU_SIZE + 3 * gyro + 2 * yaw
 
 
 def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
@@ -115,10 +115,10 @@ def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
     Tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2; with `gyro` the turn rates
     over 4 rad/s; with `yaw` the sine and cosine of the heading.
     """
-    accel = imu.accel_mean_mps2 / ACCEL_FULL_SCALE_MPS2
+    accel = imu.accel_mean_mps2 / _ACCEL_FULL_SCALE_MPS2
     scaled = [*accel, imu.roll_rad / math.pi, imu.pitch_rad / (0.5 * math.pi)]
     if gyro:
-        scaled += list(imu.gyro_radps / GYRO_FULL_SCALE_RADPS)
+        scaled += list(imu.gyro_radps / _GYRO_FULL_SCALE_RADPS)
     if yaw:
         scaled += [math.sin(imu.yaw_rad), math.cos(imu.yaw_rad)]
     return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
@@ -140,8 +140,8 @@ def decode_depth(code: U8, range_m: float) -> F32:
 
     The relative error is at most 1.3 % up to 40 m. Who looks for obstacles must leave zeros out: they are not near.
     """
-    steps = np.arange(-1, DEPTH_STEPS + 1) / DEPTH_STEPS
-    metres = (DEPTH_NEAR_M * (range_m / DEPTH_NEAR_M) ** steps).astype(np.float32)
+    steps = np.arange(-1, _DEPTH_STEPS + 1) / _DEPTH_STEPS
+    metres = (_DEPTH_NEAR_M * (range_m / _DEPTH_NEAR_M) ** steps).astype(np.float32)
     metres[0] = 0.0
     decoded: F32 = metres[code]
     return decoded
@@ -153,9 +153,9 @@ def _depth_codes(range_m: float) -> U8:
     leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)  # the sign bit is the first: the other half is negative
     middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
     middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
-    near_to_far = np.clip(middle.view(np.float32).astype(np.float64), DEPTH_NEAR_M, range_m) / DEPTH_NEAR_M
+    near_to_far = np.clip(middle.view(np.float32).astype(np.float64), _DEPTH_NEAR_M, range_m) / _DEPTH_NEAR_M
     codes = np.zeros(_TABLE_SIZE, np.uint8)
-    codes[: len(leading)] = 1 + np.rint(DEPTH_STEPS * np.log(near_to_far) / math.log(range_m / DEPTH_NEAR_M))
+    codes[: len(leading)] = 1 + np.rint(_DEPTH_STEPS * np.log(near_to_far) / math.log(range_m / _DEPTH_NEAR_M))
     codes[0] = 0  # what is smaller than any distance
     codes[_INFINITE + 1 : len(leading)] = 0  # NaN
     return codes

@@ -22,7 +22,7 @@ from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
 from wcsim.types import F64, ActorKind, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
 REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
-LONGEST_ROLL_OUT_S = 2.5
+_LONGEST_ROLL_OUT_S = 2.5
 FASTEST_MPS = 5.0  # of any chair
 FAR_M = 25.5
 
@@ -62,16 +62,16 @@ class Oracle:
     def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
         """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
         commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        return bool(np.isfinite(self._roll_out(plant, commands, others_near(plant, actors), (), 0.0)[0]))
+        return bool(np.isfinite(self._roll_out(plant, commands, _others_near(plant, actors), (), 0.0)[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, others_near(plant, actors), (), 0.0))
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, _others_near(plant, actors), (), 0.0))
         return safe
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, others_near(plant, actors))
+        return self._clearance(plant, _others_near(plant, actors))
 
     def assess(
         self,
@@ -89,10 +89,10 @@ class Oracle:
         fades with the drive's jerk, whatever the stick says.
         """
         later_s = len(waiting) * self._tick_s
-        others = others_near(plant, actors, later_s=later_s)
+        others = _others_near(plant, actors, later_s=later_s)
         said, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
         if known is not None:
-            few = others_near(plant, known, later_s=later_s)
+            few = _others_near(plant, known, later_s=later_s)
             same = few.many == others.many
             visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         gap_m = self._clearance(plant, others)
@@ -153,7 +153,7 @@ class Others(NamedTuple):
         return len(self.boxes) + len(self.people)
 
 
-def others_near(
+def _others_near(
     plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
 ) -> Others:
     """Who can meet the chair, or is within `within_m`; the roll-out of a command begins `later_s` from now."""
@@ -163,7 +163,7 @@ def others_near(
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
-        meets_m = REACH_M + later_s * FASTEST_MPS + (LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
+        meets_m = REACH_M + later_s * FASTEST_MPS + (_LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
         reach = max(meets_m, within_m) + 0.5 * (length + width)
         if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
             continue

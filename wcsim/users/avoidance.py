@@ -11,11 +11,11 @@ from wcsim.users.route_line import Path
 
 HORIZON_M = 4.5  # standing things farther along the route are not steered around yet
 NEAR_M = 10.0
-DART_MPS = 2.0  # nobody steers around what shoots across faster than this
-STATIC_MARGIN_M = 0.2
-MOVING_MARGIN_M = 0.3
-STOP_GAP_M = 0.4  # left in front of the footplate
-MEET_S = 3.5  # whom the chair meets later than this is left alone
+_DART_MPS = 2.0  # nobody steers around what shoots across faster than this
+_STATIC_MARGIN_M = 0.2
+_MOVING_MARGIN_M = 0.3
+_STOP_GAP_M = 0.4  # left in front of the footplate
+_MEET_S = 3.5  # whom the chair meets later than this is left alone
 
 EDGE_MARGIN_M = 0.12  # between the chair's side and a kerb or wall that it drives along on purpose
 DEFAULT_ROOM_M = 0.35  # what the user dares without knowing the street
@@ -51,9 +51,9 @@ def blocked_lanes(
         along = thing.vx_mps * math.cos(heading) + thing.vy_mps * math.sin(heading)
         across = -thing.vx_mps * math.sin(heading) + thing.vy_mps * math.cos(heading)
         meet_s = _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along) if thing.moving else 0.0
-        if meet_s > MEET_S or abs(across) > DART_MPS:
+        if meet_s > _MEET_S or abs(across) > _DART_MPS:
             continue
-        margin = MOVING_MARGIN_M if thing.moving else STATIC_MARGIN_M
+        margin = _MOVING_MARGIN_M if thing.moving else _STATIC_MARGIN_M
         half = thing.radius_m + half_width_m + margin
         middle = place.left_m + across * min(meet_s, 2.0)
         lanes.append((middle - half, middle + half))
@@ -96,7 +96,7 @@ def safe_speed(body: Body, things: Sequence[NoticedObject], brake_mps2: float, r
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
             if ahead <= 0.0 or abs(left) > thing.radius_m + half_width_m + 0.08:
                 continue
-            gap = ahead - thing.radius_m - half_length_m - STOP_GAP_M - reaction_s * max(0.0, body.speed_mps - along)
+            gap = ahead - thing.radius_m - half_length_m - _STOP_GAP_M - reaction_s * max(0.0, body.speed_mps - along)
             own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
             limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
     return limit

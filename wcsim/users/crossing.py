@@ -12,21 +12,21 @@ from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, Wa
 from wcsim.users.route_line import Path
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
-START_S, CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
-SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
+START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
+_SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
 RED_BELIEVED_S = 130.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
-KERB_GAP_M = 0.3  # left between footplate and road while waiting
-LIGHT_SEEN_M, TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
-ALONG_KERB_M, ROAD_STEP_M = 3.0, 0.25
-NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
+_KERB_GAP_M = 0.3  # left between footplate and road while waiting
+_LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
+_ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
+_NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
 RING = tuple((math.cos(0.25 * math.pi * k), math.sin(0.25 * math.pi * k)) for k in range(8))
 CARRIAGEWAY = (ClassId.ROAD, ClassId.CROSSWALK)
-SHORT_GREEN_S = 5.0  # a green for people on foot may end so soon, and many do
-SPARE_S, ONWARD_MPS = 0.5, 0.7  # who, driving so fast, may not get to the kerb that much earlier does not go for it
-EDGE_M, EDGE_STEP_M = 1.2, 0.1  # so far before the crossing's own beginning a kerb that runs aslant may lie
-LOOK_M = 2.5  # of the footplate before the kerb: who obeys a light does not look elsewhere from there on
-HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
+_SHORT_GREEN_S = 5.0  # a green for people on foot may end so soon, and many do
+_SPARE_S, _ONWARD_MPS = 0.5, 0.7  # who, driving so fast, may not get to the kerb that much earlier does not go for it
+EDGE_M, _EDGE_STEP_M = 1.2, 0.1  # so far before the crossing's own beginning a kerb that runs aslant may lie
+_LOOK_M = 2.5  # of the footplate before the kerb: who obeys a light does not look elsewhere from there on
+_HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class Kerbs:
         """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
         starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
         self._half_length_m = half_length_m
-        self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
+        self._waits_m = half_length_m + _KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
         self._law_share = law_share
@@ -91,14 +91,14 @@ class Kerbs:
             island = line_m > behind_m + self._half_length_m  # too short a refuge is no place to wait
             stop_m, behind_m = max(stop_m, behind_m + self._half_length_m), item.end_m
             to_go_m = line_m - arc_m
-            back_m = KERB_GAP_M + min(HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
-            if not -back_m < to_go_m < LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
+            back_m = _KERB_GAP_M + min(_HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
+            if not -back_m < to_go_m < _LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
                 continue
             if self._closed(item, to_go_m, time_s, signals, vehicles):
                 return stop_m
             if self._may_end(item, self._kerb_m[item] - self._half_length_m - arc_m, time_s):
                 return self._kerb_m[item] - self._waits_m  # the next green is met nearer to the kerb than this one
-            if to_go_m < -KERB_GAP_M:
+            if to_go_m < -_KERB_GAP_M:
                 self._begun.add(item)
         return None
 
@@ -108,19 +108,19 @@ class Kerbs:
         return any(
             item.tls_id
             and item not in self._begun
-            and -KERB_GAP_M < self._kerb_m[item] - before_m < LOOK_M
+            and -_KERB_GAP_M < self._kerb_m[item] - before_m < _LOOK_M
             and self._keeps_law(item)
             for item, _ in self._items
         )
 
     def _may_end(self, item: Crossing, to_kerb_m: float, time_s: float) -> bool:
         """Whether a green that came after a red one may be over before the footplate is at the kerb."""
-        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else KERB_GAP_M):
+        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else _KERB_GAP_M):
             return False
         longest_s, shortest_s = time_s - self._red_last_s[item], time_s - self._green_since_s[item]
-        if longest_s + to_kerb_m / ONWARD_MPS > SHORT_GREEN_S - SPARE_S:
+        if longest_s + to_kerb_m / _ONWARD_MPS > _SHORT_GREEN_S - _SPARE_S:
             self._hesitates.add(item)  # who has slowed down for it cannot make it any more
-        return item in self._hesitates and shortest_s < SHORT_GREEN_S + SPARE_S
+        return item in self._hesitates and shortest_s < _SHORT_GREEN_S + _SPARE_S
 
     def _keeps_law(self, item: Crossing) -> bool:
         if item not in self._obeys:
@@ -135,7 +135,7 @@ class Kerbs:
         signals: Iterable[SignalState],
         vehicles: Iterable[ActorState],
     ) -> bool:
-        near = to_go_m < TRAFFIC_SEEN_M
+        near = to_go_m < _TRAFFIC_SEEN_M
         if is_red(item, signals):
             self._red_last_s[item] = time_s
             self._green_since_s.pop(item, None)
@@ -179,20 +179,20 @@ def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
 
 def kerb_m(ground: Ground, path: Path, start_m: float) -> float:
     """Arc where a route to a crossing comes near to the road: at its start, or before it on a way along the kerb."""
-    for step in range(round(ALONG_KERB_M / ROAD_STEP_M), 0, -1):
-        x, y = path.at(start_m - step * ROAD_STEP_M)
-        around = ((x + NEAR_ROAD_M * cos, y + NEAR_ROAD_M * sin) for cos, sin in RING)
+    for step in range(round(_ALONG_KERB_M / _ROAD_STEP_M), 0, -1):
+        x, y = path.at(start_m - step * _ROAD_STEP_M)
+        around = ((x + _NEAR_ROAD_M * cos, y + _NEAR_ROAD_M * sin) for cos, sin in RING)
         on_pavement = ground.class_here(x, y) not in CARRIAGEWAY
         if on_pavement and any(ground.class_here(*at) in CARRIAGEWAY for at in around):
-            return start_m - step * ROAD_STEP_M
+            return start_m - step * _ROAD_STEP_M
     return start_m
 
 
 def edge_m(ground: Ground, path: Path, start_m: float) -> float:
     """Arc where a route to a crossing gets onto the road: at its start, or before it where the kerb runs aslant."""
-    for step in range(round(EDGE_M / EDGE_STEP_M), 0, -1):
-        if ground.class_here(*path.at(start_m - step * EDGE_STEP_M)) in CARRIAGEWAY:
-            return start_m - step * EDGE_STEP_M
+    for step in range(round(EDGE_M / _EDGE_STEP_M), 0, -1):
+        if ground.class_here(*path.at(start_m - step * _EDGE_STEP_M)) in CARRIAGEWAY:
+            return start_m - step * _EDGE_STEP_M
     return start_m
 
 
@@ -220,7 +220,7 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
     the chair gets to that place.
     """
     length_m = math.dist(crossing.start_W_m, crossing.end_W_m)
-    needed_s = START_S + length_m / CROSSING_MPS
+    needed_s = START_S + length_m / _CROSSING_MPS
     later_s = np.arange(0.0, needed_s + GAP_S, 0.25)  # (T,)
     for vehicle in vehicles:
         v: F64 = vehicle.v_W_mps[:2]
@@ -230,10 +230,10 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
         ends_m = 0.5 * vehicle.size_lwh_m[0] / speed * np.array([-1.0, 0.0, 1.0])[:, None] * v  # tail, middle, nose
         points = vehicle.p_W_m[:2] + later_s[:, None, None] * v + ends_m  # (T, 3, 2)
         share, distance_m = _beside(points, np.array(crossing.start_W_m), np.array(crossing.end_W_m))
-        there_s = START_S + share * length_m / CROSSING_MPS
+        there_s = START_S + share * length_m / _CROSSING_MPS
         when_s = np.broadcast_to(later_s[:, None], share.shape)
         close = (when_s < GAP_S) | (np.abs(when_s - there_s) < GAP_S)
-        if (close & (distance_m < 0.5 * vehicle.size_lwh_m[1] + SIDE_M)).any():
+        if (close & (distance_m < 0.5 * vehicle.size_lwh_m[1] + _SIDE_M)).any():
             return True
     return False
 

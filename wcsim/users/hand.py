@@ -16,16 +16,16 @@ from wcsim.types import F64, Joystick
 from wcsim.users.profiles import UserProfile
 
 STICK_FILTER_S = 0.02  # first-order low-pass of the joystick's electronics
-TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
-TREMOR_WANDER_S = 0.05  # ... in this time
-TREMOR_AHEAD_RAD = 0.7  # the tremor is an ellipse: forward and back it is half as large, and early
-TREMOR_FORWARD = 0.5
+_TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
+_TREMOR_WANDER_S = 0.05  # ... in this time
+_TREMOR_AHEAD_RAD = 0.7  # the tremor is an ellipse: forward and back it is half as large, and early
+_TREMOR_FORWARD = 0.5
 
 # The four switches: stop, forward, left, right.
-SWITCH_FORWARD_Y = 0.6
-SWITCH_TURN_X = 0.35
+_SWITCH_FORWARD_Y = 0.6
+_SWITCH_TURN_X = 0.35
 PULSE_S = (0.15, 1.0)
-PULSE_OF_WISH_S = 0.5  # the wish asks for a turn rate; half a second of it is the turn
+_PULSE_OF_WISH_S = 0.5  # the wish asks for a turn rate; half a second of it is the turn
 STEER_ABOVE = 0.2  # a wish to turn less than this is not worth a switch
 DRIVE_ABOVE = 0.1
 
@@ -82,11 +82,11 @@ class SwitchHand:
     def _choose(self, x: float, y: float) -> None:
         after_turn = self._held[0] != 0.0
         if abs(x) > STEER_ABOVE and not after_turn:
-            self._held = (math.copysign(SWITCH_TURN_X, x), 0.0)
-            self._left_s = min(max(PULSE_OF_WISH_S * abs(x) / SWITCH_TURN_X, PULSE_S[0]), PULSE_S[1])
+            self._held = (math.copysign(_SWITCH_TURN_X, x), 0.0)
+            self._left_s = min(max(_PULSE_OF_WISH_S * abs(x) / _SWITCH_TURN_X, PULSE_S[0]), PULSE_S[1])
             return
         forward = y > DRIVE_ABOVE
-        self._held = (0.0, SWITCH_FORWARD_Y) if forward else (0.0, 0.0)
+        self._held = (0.0, _SWITCH_FORWARD_Y) if forward else (0.0, 0.0)
         self._left_s = self._hold_s if forward or after_turn else 0.0  # who rests may begin at any time
 
 
@@ -136,10 +136,10 @@ def _coefficients(p: UserProfile, dt_s: float) -> F64:
             keep,
             p.noise * math.sqrt(1.0 - keep * keep),
             turn_rad * dt_s,
-            turn_rad * TREMOR_WANDER * math.sqrt(dt_s * TREMOR_WANDER_S),
+            turn_rad * _TREMOR_WANDER * math.sqrt(dt_s * _TREMOR_WANDER_S),
             p.tremor,
-            TREMOR_FORWARD * p.tremor,
-            TREMOR_AHEAD_RAD,
+            _TREMOR_FORWARD * p.tremor,
+            _TREMOR_AHEAD_RAD,
             *p.gain,
             *p.bias,
         ]

@@ -16,16 +16,16 @@ from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, U8, ClassId, Ground
 from wcsim.users.route_line import Path
 
-STATION_M = 0.5
-PIECE = 20  # stations that are looked at together, within one raster of the street
+_STATION_M = 0.5
+_PIECE = 20  # stations that are looked at together, within one raster of the street
 FARTHEST_M = 1.6
 STEP_M = 0.05
 SOLID_DM = 1  # nearer to a wall than this is no place for the middle of a chair
 COMFORT_M = 0.66  # between the middle of the chair and an edge, where there is room
 ROAD, RAIL = int(ClassId.ROAD), int(ClassId.RAIL_TRACK)
-WHEEL_M = 0.28  # half the distance between the wheels
+_WHEEL_M = 0.28  # half the distance between the wheels
 SLOPE_CM = 2  # from one wheel to another or from station to station, above what the land does
-SPREAD_M = 1.0  # before and behind an edge the user keeps the distance as well
+_SPREAD_M = 1.0  # before and behind an edge the user keeps the distance as well
 
 
 class Edges:
@@ -40,9 +40,9 @@ class Edges:
 
     def aside(self, arc_m: float) -> float:
         """How far beside the route to drive at a place (m, left positive)."""
-        self._see(max(0.0, arc_m) + 2.0 * SPREAD_M + STATION_M)
+        self._see(max(0.0, arc_m) + 2.0 * _SPREAD_M + _STATION_M)
         last = len(self._aside) - 1
-        at = min(max(arc_m / STATION_M, 0.0), last - 1e-9)
+        at = min(max(arc_m / _STATION_M, 0.0), last - 1e-9)
         low = int(at)
         share = at - low
         return float((1.0 - share) * self._aside[low] + share * self._aside[min(low + 1, last)])
@@ -50,33 +50,33 @@ class Edges:
     def room(self, arc_m: float, ahead_m: float) -> tuple[float, float]:
         """How far the ground goes on beside the route over the next metres, left and right, at most 1.6 m."""
         self._see(max(0.0, arc_m) + ahead_m)
-        first, last = max(0, int(arc_m / STATION_M)), max(1, math.ceil((arc_m + ahead_m) / STATION_M))
+        first, last = max(0, int(arc_m / _STATION_M)), max(1, math.ceil((arc_m + ahead_m) / _STATION_M))
         left_m, right_m = self._room[min(first, len(self._room) - 1) : last].min(axis=0).tolist()
         return left_m, right_m
 
     def slope_ahead(self, arc_m: float, ahead_m: float) -> float:
         """How far it is to where the ground slopes; 0 on it, infinity when it does not over the next metres."""
         self._see(max(0.0, arc_m) + ahead_m)
-        first = max(0, int(arc_m / STATION_M))
-        found = np.flatnonzero(self._slopes[first : math.ceil((arc_m + ahead_m) / STATION_M) + 1])
-        return max(0.0, float(first + found[0]) * STATION_M - arc_m) if len(found) else math.inf
+        first = max(0, int(arc_m / _STATION_M))
+        found = np.flatnonzero(self._slopes[first : math.ceil((arc_m + ahead_m) / _STATION_M) + 1])
+        return max(0.0, float(first + found[0]) * _STATION_M - arc_m) if len(found) else math.inf
 
     def _see(self, to_m: float) -> None:
         """Look at the street up to a place."""
-        wanted = min(math.ceil(to_m / STATION_M), math.ceil(self._path.length_m / STATION_M)) + 1
+        wanted = min(math.ceil(to_m / _STATION_M), math.ceil(self._path.length_m / _STATION_M)) + 1
         if wanted <= len(self._room):
             return
         while len(self._room) < wanted:
-            arcs_m = STATION_M * (len(self._room) + np.arange(PIECE))
+            arcs_m = _STATION_M * (len(self._room) + np.arange(_PIECE))
             line = np.array([self._path.at(arc) for arc in arcs_m.tolist()])
             headings = np.array([self._path.heading(arc) for arc in arcs_m.tolist()])
             left = np.c_[-np.sin(headings), np.cos(headings)]
-            grid = self._ground.around(line[PIECE // 2])
+            grid = self._ground.around(line[_PIECE // 2])
             origin_m = np.array(grid.origin_W_m, np.float64)
             room = _rooms(line, left, grid.height_cm, grid.clearance_dm, grid.ground_class, origin_m, grid.cell_m)
             self._room = np.concatenate([self._room, room])
-            aside_m = WHEEL_M * np.stack([left, np.zeros_like(left), -left])  # (3, PIECE, 2)
-            height_cm = grid.height_cm[grid.cells(line + aside_m)].astype(np.int64)  # (3, PIECE)
+            aside_m = _WHEEL_M * np.stack([left, np.zeros_like(left), -left])  # (3, _PIECE, 2)
+            height_cm = grid.height_cm[grid.cells(line + aside_m)].astype(np.int64)  # (3, _PIECE)
             along = np.abs(np.diff(height_cm, axis=1, append=height_cm[:, -1:])).max(axis=0)
             self._slopes = np.concatenate([self._slopes, (along >= SLOPE_CM) | (np.ptp(height_cm, axis=0) >= SLOPE_CM)])
         self._aside = spread(wanted_aside(self._room))
@@ -95,7 +95,7 @@ def wanted_aside(room_m: F64) -> F64:
 
 def spread(aside_m: F64) -> F64:
     """(N,) offsets that are reached a little before the place that asks for them, without a jump."""
-    reach = round(SPREAD_M / STATION_M)
+    reach = round(_SPREAD_M / _STATION_M)
     padded = np.pad(aside_m, 2 * reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
     largest = np.take_along_axis(windows, np.abs(windows).argmax(axis=1)[:, None], axis=1)[:, 0]

@@ -11,12 +11,12 @@ from wcsim.core.frames import rad, wrap
 from wcsim.types import ActorKind, ActorState, UserView
 from wcsim.users.profiles import UserProfile
 
-HALF_VIEW_RAD = rad(80.0)
-PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
-FORGET_S = 10.0
-LONGEST_AWAY = 2.0  # times the mean
-UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
-SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
+_HALF_VIEW_RAD = rad(80.0)
+PERSON_SIGHT, _VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+_FORGET_S = 10.0
+_LONGEST_AWAY = 2.0  # times the mean
+_UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
+_SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class Perception:
         p = self._profile
         if p.away_share <= 0.0 or dt_s <= 0.0:
             return self.attentive
-        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (UNCUT_AWAY * p.away_s)
+        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (_UNCUT_AWAY * p.away_s)
         changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
         if self.attentive:
             self._leaves = self._leaves or changes
@@ -71,7 +71,7 @@ class Perception:
                 self.attentive, self._leaves, self._away_s = False, False, 0.0
         else:
             self._away_s += dt_s
-            self.attentive = changes or heeds or self._away_s >= LONGEST_AWAY * p.away_s - 1e-9
+            self.attentive = changes or heeds or self._away_s >= _LONGEST_AWAY * p.away_s - 1e-9
         return self.attentive
 
     def look(self, view: UserView) -> Seen:
@@ -79,8 +79,8 @@ class Perception:
         things = [NoticedObject(x_m=x, y_m=y, radius_m=r) for x, y, r in self._obstacles(view)]
         vehicles = []
         for actor in view.actors:
-            slow = actor.kind in SLOW_KINDS
-            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
+            slow = actor.kind in _SLOW_KINDS
+            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else _VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
             x, y, _ = actor.p_W_m.tolist()
             if not self._notices(f"a{actor.id}", x, y, reach_m, view, everywhere=not slow):
                 continue
@@ -107,7 +107,7 @@ class Perception:
             return False
         known = self._noticed.get(key)
         if known is None:
-            ahead = abs(wrap(math.atan2(dy, dx) - view.yaw_rad)) <= HALF_VIEW_RAD
+            ahead = abs(wrap(math.atan2(dy, dx) - view.yaw_rad)) <= _HALF_VIEW_RAD
             if distance > reach_m or not (everywhere or ahead or distance < 1.0):
                 return False
             known = (bool(self._rng.random() < self._profile.see_share), view.time_s)
@@ -116,7 +116,7 @@ class Perception:
 
     def _forget(self, time_s: float) -> None:
         if len(self._noticed) > 256:
-            self._noticed = {k: v for k, v in self._noticed.items() if time_s - v[1] < FORGET_S}
+            self._noticed = {k: v for k, v in self._noticed.items() if time_s - v[1] < _FORGET_S}
 
 
 def discs(actor: ActorState) -> list[NoticedObject]:

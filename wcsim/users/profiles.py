@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.errors import ConfigError
 
-SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
+_SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
 
 
 HELD_OUT = ("ataxic",)
@@ -50,10 +50,10 @@ class UserProfile:
 
 def profile(name: str) -> UserProfile:
     """The profile called `name`. Raises ConfigError with the known names."""
-    for known in PROFILES:
+    for known in _PROFILES:
         if known.name == name:
             return known
-    names = ", ".join(item.name for item in PROFILES)
+    names = ", ".join(item.name for item in _PROFILES)
     raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, or recorded:FILE.csv")
 
 
@@ -64,7 +64,7 @@ def recordings(profiles: Iterable[str]) -> tuple[str, ...]:
 
 def profile_names() -> tuple[str, ...]:
     """The names of all profiles."""
-    return tuple(item.name for item in PROFILES)
+    return tuple(item.name for item in _PROFILES)
 
 
 def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
@@ -75,7 +75,7 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     """
 
     def around(value: float) -> float:
-        return value * float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
+        return value * float(rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD))
 
     return replace(
         base,
@@ -123,7 +123,7 @@ _COMPETENT = UserProfile(
     hold_s=0.3,
 )
 
-PROFILES: tuple[UserProfile, ...] = (
+_PROFILES: tuple[UserProfile, ...] = (
     _COMPETENT,
     replace(_COMPETENT, name="slow", reaction_s=0.6, lag_s=0.3, lookahead_m=0.9, see_share=0.9, speed_share=0.6),
     replace(_COMPETENT, name="tremor", reaction_s=0.35, noise=0.06, tremor=0.25, tremor_hz=4.5),

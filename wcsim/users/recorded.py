@@ -26,11 +26,11 @@ from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
 COLUMNS = ("time_s", "x", "y")
-LONGEST_GAP_S = 0.5
+_LONGEST_GAP_S = 0.5
 MOST_SAMPLES = 2_000_000  # two hours of 240 a second
 _KIND = FileKind(what="a recorded joystick", limit_bytes=64 << 20)
 _BOUNDS = {"time_s": "seconds", "x": "-1 to 1", "y": "-1 to 1"}
-SAME_TIME_S = 1e-6
+_SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class JoystickRecording:
     """A joystick over time; see `read_recording`."""
 
     name: str
-    time_s: F64  # (n,) rising, from 0 to LONGEST_GAP_S on, n >= 2
+    time_s: F64  # (n,) rising, from 0 to _LONGEST_GAP_S on, n >= 2
     sticks: F64  # (n, 2) x, y on the unit disc
 
     @property
@@ -48,8 +48,8 @@ class JoystickRecording:
 
     def at(self, time_s: F64) -> F64:
         """The stick (N, 2) at times (N,); at rest before the first sample and after the end."""
-        index = np.searchsorted(self.time_s, time_s + SAME_TIME_S, side="right") - 1
-        there = (index >= 0) & (time_s < self.end_s - SAME_TIME_S)
+        index = np.searchsorted(self.time_s, time_s + _SAME_TIME_S, side="right") - 1
+        there = (index >= 0) & (time_s < self.end_s - _SAME_TIME_S)
         return np.where(there[:, None], self.sticks[index], 0.0)
 
 
@@ -111,7 +111,7 @@ class RecordedUser:
         there = self._path.project(x + self._middle_m * math.cos(yaw), y + self._middle_m * math.sin(yaw), self._arc_m)
         self._arc_m = there.arc_m
         self.arrived = self.arrived or self._arc_m > self._path.length_m - ARRIVED_M
-        if not self._told and self._time_s >= self._recording.end_s - SAME_TIME_S:
+        if not self._told and self._time_s >= self._recording.end_s - _SAME_TIME_S:
             self._told = self.gave_up = True
 
 
@@ -200,10 +200,10 @@ def _check(where: str, row: tuple[float, float, float], before_s: float, first: 
     for name, value in zip("xy", stick, strict=True):
         if not -1.0 <= value <= 1.0:
             raise ConfigError(f"{where}: {name} is {value}; expected -1 to 1")
-    if first and not 0.0 <= time_s <= LONGEST_GAP_S:
-        raise ConfigError(f"{where}: time_s is {time_s} s; expected the first sample at 0 to {LONGEST_GAP_S} s")
-    if not first and not before_s < time_s <= before_s + LONGEST_GAP_S + SAME_TIME_S:
+    if first and not 0.0 <= time_s <= _LONGEST_GAP_S:
+        raise ConfigError(f"{where}: time_s is {time_s} s; expected the first sample at 0 to {_LONGEST_GAP_S} s")
+    if not first and not before_s < time_s <= before_s + _LONGEST_GAP_S + _SAME_TIME_S:
         raise ConfigError(
-            f"{where}: time_s is {time_s} s after {before_s} s; expected later, by at most {LONGEST_GAP_S} s: "
+            f"{where}: time_s is {time_s} s after {before_s} s; expected later, by at most {_LONGEST_GAP_S} s: "
             "a gap is not filled, cut the recording there"
         )

@@ -12,10 +12,10 @@ from wcsim.core.jit import exact_kernel
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Route
 
-CORNER_WINDOW_M = 0.6  # turns within this distance of each other are one corner
-GENTLE_TURN_RAD = 0.15
-HINT_BACK_M, HINT_AHEAD_M = 3.0, 8.0
-LOST_M = 3.0  # farther from the hinted stretch than this, the whole route is searched
+_CORNER_WINDOW_M = 0.6  # turns within this distance of each other are one corner
+_GENTLE_TURN_RAD = 0.15
+_HINT_BACK_M, _HINT_AHEAD_M = 3.0, 8.0
+_LOST_M = 3.0  # farther from the hinted stretch than this, the whole route is searched
 
 
 class RoutePoint(NamedTuple):
@@ -53,10 +53,10 @@ class Path:
 
     def project(self, x_m: float, y_m: float, hint_m: float) -> RoutePoint:
         """The nearest place on the route, searched around `hint_m` first, so that a route may cross itself."""
-        first = self._segment(hint_m - HINT_BACK_M)
-        last = max(first + 1, bisect_left(self._arc, hint_m + HINT_AHEAD_M))
+        first = self._segment(hint_m - _HINT_BACK_M)
+        last = max(first + 1, bisect_left(self._arc, hint_m + _HINT_AHEAD_M))
         place, distance = self._nearest(x_m, y_m, first, last)
-        return place if distance <= LOST_M else self._nearest(x_m, y_m, 0, len(self._unit))[0]
+        return place if distance <= _LOST_M else self._nearest(x_m, y_m, 0, len(self._unit))[0]
 
     def at(self, arc_m: float, left_m: float = 0.0) -> tuple[float, float]:
         """The point (x, y) at a place; before the start and beyond the end the line goes on straight."""
@@ -72,11 +72,11 @@ class Path:
     def speed_limit(self, arc_m: float, turn_radps: float, brake_mps2: float, ahead_m: float) -> float:
         """How fast to go at `arc_m` so that every corner within `ahead_m` can be taken turning at `turn_radps`."""
         limit = math.inf
-        for corner_m, sharpness in self._corners[bisect_left(self._corners, (arc_m - CORNER_WINDOW_M, -math.inf)) :]:
+        for corner_m, sharpness in self._corners[bisect_left(self._corners, (arc_m - _CORNER_WINDOW_M, -math.inf)) :]:
             if corner_m > arc_m + ahead_m:
                 break
-            there = turn_radps * CORNER_WINDOW_M / sharpness
-            limit = min(limit, math.sqrt(there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - CORNER_WINDOW_M)))
+            there = turn_radps * _CORNER_WINDOW_M / sharpness
+            limit = min(limit, math.sqrt(there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - _CORNER_WINDOW_M)))
         return limit
 
     def _segment(self, arc_m: float) -> int:
@@ -93,8 +93,8 @@ class Path:
         at = np.array(self._arc[1:-1])
         corners = []
         for arc_m, turn in zip(at.tolist(), turns.tolist(), strict=True):
-            sharpness = float(turns[np.abs(at - arc_m) <= 0.5 * CORNER_WINDOW_M].sum())
-            if turn > 1e-3 and sharpness > GENTLE_TURN_RAD:
+            sharpness = float(turns[np.abs(at - arc_m) <= 0.5 * _CORNER_WINDOW_M].sum())
+            if turn > 1e-3 and sharpness > _GENTLE_TURN_RAD:
                 corners.append((arc_m, sharpness))
         return corners
 

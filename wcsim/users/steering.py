@@ -12,12 +12,12 @@ from wcsim.users.avoidance import Body
 
 # Turn rate asked for each radian of heading error, and its largest value: who answers late must steer gently, or the
 # chair swings (a delayed integrator is stable for gain * delay < pi / 2; drivers keep well below).
-GAIN_DELAY = 0.6
-GAIN_MAX_PER_S = 1.4
-TURN_MAX_RADPS = 1.0
+_GAIN_DELAY = 0.6
+_GAIN_MAX_PER_S = 1.4
+_TURN_MAX_RADPS = 1.0
 DRIVE_DELAY_S = 0.1  # of the chair's own drive
 TURN_IN_PLACE_RAD = 1.0
-BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
+_BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
 
 
 def steer(
@@ -39,13 +39,13 @@ def steer(
         before_x: The stick's x of the plan before, for goals right behind.
     """
     error = wrap(math.atan2(goal[1] - body.y_m, goal[0] - body.x_m) - body.yaw_rad)
-    if abs(error) > BEHIND_RAD and before_x * error > 0.0:
+    if abs(error) > _BEHIND_RAD and before_x * error > 0.0:
         error = -error
     turning = abs(error) > TURN_IN_PLACE_RAD
     speed = 0.0 if turning else speed_mps * math.cos(error) ** 2
     w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps)
-    gain = min(GAIN_MAX_PER_S, GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
-    most = min(1.0, min(TURN_MAX_RADPS, GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
+    gain = min(_GAIN_MAX_PER_S, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
+    most = min(1.0, min(_TURN_MAX_RADPS, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
     x = min(most, max(-most, -gain * error / w_limit))
     y = min(speed / chair.v_max_mps, math.sqrt(1.0 - x * x))
     radius = math.hypot(x, y)

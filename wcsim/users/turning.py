@@ -21,14 +21,14 @@ MARGIN_M = 0.05
 RAYS = 72
 RAY_STEP_M = 0.05
 RAY_STEPS = 19
-CREEP_COST_RAD = 0.35  # creeping on for one metre is worth turning this much less
-NO_TURN_RAD = 0.25  # less than this is not worth the trouble
-DONE_RAD, DONE_M = 0.2, 0.06
+_CREEP_COST_RAD = 0.35  # creeping on for one metre is worth turning this much less
+_NO_TURN_RAD = 0.25  # less than this is not worth the trouble
+_DONE_RAD, _DONE_M = 0.2, 0.06
 LONGEST_S = 8.0  # whoever has not got there by then looks anew
-ELSEWHERE_M = 0.35  # so far away a turn that was not possible may be
+_ELSEWHERE_M = 0.35  # so far away a turn that was not possible may be
 
 # Wheels and casters stand so much inside the chair's ends, and as wide as its sides.
-WHEELS_IN_M = 0.22
+_WHEELS_IN_M = 0.22
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,12 +81,12 @@ def plan_turn(
         shift_m = float(shifts_m[index])
         _, to_left_rad, to_right_rad = room[index].tolist()
         for asked_rad, free_rad, side in ((left_rad, to_left_rad, 1.0), (math.tau - left_rad, to_right_rad, -1.0)):
-            cost = CREEP_COST_RAD * abs(shift_m)
+            cost = _CREEP_COST_RAD * abs(shift_m)
             if free_rad >= asked_rad - 0.05:
                 whole.append((cost + 0.2 * asked_rad, shift_m, side * asked_rad))
-            elif abs(shift_m) < ELSEWHERE_M and side * tried < 0.0:
+            elif abs(shift_m) < _ELSEWHERE_M and side * tried < 0.0:
                 continue
-            elif side * error_rad > 0.0 and free_rad > NO_TURN_RAD:
+            elif side * error_rad > 0.0 and free_rad > _NO_TURN_RAD:
                 part.append((cost + asked_rad - free_rad, shift_m, side * free_rad))
     if not whole and not part:
         farthest_m = max((float(shifts_m[index]) for index in reachable), key=abs)
@@ -116,7 +116,7 @@ class Turning:
     def tried(self, axle: Axle) -> float:
         """The side to which the chair has turned as far as it can near this place, 0 for neither; see `plan_turn`."""
         away_m = math.hypot(axle.x_m - self._at[0], axle.y_m - self._at[1])
-        return 0.0 if self._turn.whole or away_m > ELSEWHERE_M else math.copysign(1.0, self._turn.turn_rad)
+        return 0.0 if self._turn.whole or away_m > _ELSEWHERE_M else math.copysign(1.0, self._turn.turn_rad)
 
     def next(self, axle: Axle, time_s: float) -> tuple[float, float] | None:
         """How far to go on along the heading (m), and to turn (rad): one of them is 0. None when the turn is over."""
@@ -128,11 +128,11 @@ class Turning:
             cos, sin = math.cos(self._from.yaw_rad), math.sin(self._from.yaw_rad)
             gone_m = (axle.x_m - self._from.x_m) * cos + (axle.y_m - self._from.y_m) * sin
             to_go_m = self._turn.move_m - gone_m
-            if to_go_m * self._turn.move_m > 0.0 and abs(to_go_m) > DONE_M:
+            if to_go_m * self._turn.move_m > 0.0 and abs(to_go_m) > _DONE_M:
                 return to_go_m, 0.0
             self._moving = False
             self._end_s = time_s + LONGEST_S
-        over = self._left_rad * self._turn.turn_rad <= 0.0 or abs(self._left_rad) < DONE_RAD
+        over = self._left_rad * self._turn.turn_rad <= 0.0 or abs(self._left_rad) < _DONE_RAD
         return None if over else (0.0, self._left_rad)
 
 
@@ -140,7 +140,7 @@ def _boxes(outline: Outline) -> tuple[F64, F64]:
     """(3,) rear, front and half width from the drive axle: of all of the chair, and of its wheels."""
     rear_m, front_m = outline.middle_x_m - 0.5 * outline.length_m, outline.middle_x_m + 0.5 * outline.length_m
     side_m = 0.5 * outline.width_m
-    return np.array([rear_m, front_m, side_m]), np.array([rear_m + WHEELS_IN_M, front_m - WHEELS_IN_M, side_m])
+    return np.array([rear_m, front_m, side_m]), np.array([rear_m + _WHEELS_IN_M, front_m - _WHEELS_IN_M, side_m])
 
 
 def _shifts(backwards: bool) -> F64:

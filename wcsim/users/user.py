@@ -30,25 +30,25 @@ from wcsim.users.turning import Axle, Turn, Turning, plan_turn
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
 # Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
-LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
+_LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
 BRAKE_MPS2 = 0.6
-CORNER_RADPS = 1.0
-CORNER_AHEAD_M = 5.0
-SLOPE_MPS, SLOPE_AHEAD_M = 0.8, 4.0  # how fast a ramp is driven on, and how far ahead it is seen
-CORRECTION_ERROR = 0.25  # relative, of one corrective movement
-CALM_STICK = 0.2  # who steers more than this looks at the street
-STRAIGHT_S = 0.5  # so long after the beginning of a look elsewhere the stick is straight
+_CORNER_RADPS = 1.0
+_CORNER_AHEAD_M = 5.0
+_SLOPE_MPS, _SLOPE_AHEAD_M = 0.8, 4.0  # how fast a ramp is driven on, and how far ahead it is seen
+_CORRECTION_ERROR = 0.25  # relative, of one corrective movement
+_CALM_STICK = 0.2  # who steers more than this looks at the street
+_STRAIGHT_S = 0.5  # so long after the beginning of a look elsewhere the stick is straight
 ARRIVED_M = 0.5
-PROGRESS_M = 0.25  # less than this is being blocked
-WAIT_PATIENCE = 12.0  # at a light or for a vehicle the user waits this many times longer,
-TURN_PATIENCE = 3.0  # and this many times while turning round
-LONGEST_STEP_S = 0.05
-HAIRPIN_M = 1.0
-NEAREST_GOAL_M = 0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
-GOAL_FARTHER_M = tuple(0.25 * step for step in range(1, 11))
+_PROGRESS_M = 0.25  # less than this is being blocked
+_WAIT_PATIENCE = 12.0  # at a light or for a vehicle the user waits this many times longer,
+_TURN_PATIENCE = 3.0  # and this many times while turning round
+_LONGEST_STEP_S = 0.05
+_HAIRPIN_M = 1.0
+_NEAREST_GOAL_M = 0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
+_GOAL_FARTHER_M = tuple(0.25 * step for step in range(1, 11))
 STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
-CREEP_MPS, BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
-STUCK_S, STUCK_M, STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
+CREEP_MPS, _BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
+STUCK_S, _STUCK_M, _STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
 FREE_M = 0.5  # and is backed up so far
 
 
@@ -90,7 +90,7 @@ class SimulatedUser:
         attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
         self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
-        self._lookahead_s = LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
+        self._lookahead_s = _LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
         self._street = street
         self._outline = outline
         self._perception = Perception(profile, attention_rng)
@@ -159,9 +159,9 @@ class SimulatedUser:
         Raises:
             ConfigError: A step is too long for a hand (more than 0.05 s), or not positive, or there is none.
         """
-        if steps < 1 or not 0.0 < dt_s <= LONGEST_STEP_S:
+        if steps < 1 or not 0.0 < dt_s <= _LONGEST_STEP_S:
             raise ConfigError(
-                f"a hand cannot move in {steps} steps of {dt_s} s; expected at least one, of 0 to {LONGEST_STEP_S} s: "
+                f"a hand cannot move in {steps} steps of {dt_s} s; expected at least one, of 0 to {_LONGEST_STEP_S} s: "
                 "change world.substeps"
             )
         self._sticks = self._hand.move(steps, dt_s)
@@ -179,7 +179,7 @@ class SimulatedUser:
         self._witness = None
         # A stop that was begun is carried on without a look; who drives on towards a light keeps it in sight.
         heeds = self._stop_m is None and self._kerbs.heeds_light(self._arc_m)
-        if self._perception.attend(dt_s, abs(self._intent.x) < CALM_STICK, heeds):
+        if self._perception.attend(dt_s, abs(self._intent.x) < _CALM_STICK, heeds):
             plan = self._plan(view, body, self._path)
             self._patience = plan.patience
             self._intent = self._corrected(plan.wish, view.time_s)
@@ -197,7 +197,7 @@ class SimulatedUser:
         arc_m = path.project(x + ahead_m * math.cos(yaw), y + ahead_m * math.sin(yaw), self._arc_m).arc_m
         # In a hairpin both legs are equally near, and turning there swings the chair's middle from one to the other:
         # who has come to a place of the route does not go back over it by turning.
-        self._arc_m = arc_m if arc_m < self._arc_m - HAIRPIN_M else max(arc_m, self._arc_m)
+        self._arc_m = arc_m if arc_m < self._arc_m - _HAIRPIN_M else max(arc_m, self._arc_m)
         delay_s = self._delay_s
         turned = delay_s * self._yaw_rate_radps
         x += delay_s * view.speed_mps * math.cos(yaw + 0.5 * turned) + ahead_m * math.cos(yaw + turned)
@@ -217,11 +217,11 @@ class SimulatedUser:
         seen = self._perception.look(view)
         self._witness = (view, seen)
         speed = self.profile.speed_share * self._chair.v_max_mps
-        speed = min(speed, path.speed_limit(body.arc_m, CORNER_RADPS, BRAKE_MPS2, CORNER_AHEAD_M))
+        speed = min(speed, path.speed_limit(body.arc_m, _CORNER_RADPS, BRAKE_MPS2, _CORNER_AHEAD_M))
         speed = min(speed, stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
         if self._edges is not None:
-            slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, SLOPE_AHEAD_M)
-            speed = min(speed, math.hypot(SLOPE_MPS, stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
+            slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, _SLOPE_AHEAD_M)
+            speed = min(speed, math.hypot(_SLOPE_MPS, stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
         kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         if kerb_m is not None:
             speed = min(speed, stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
@@ -233,7 +233,7 @@ class SimulatedUser:
         goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
             self._moved = None  # who turned here already would swing the footplate over the kerb
-            return Plan(wish=self._straight_on(body, speed), patience=WAIT_PATIENCE)
+            return Plan(wish=self._straight_on(body, speed), patience=_WAIT_PATIENCE)
         self._free_when_stuck(body, view.time_s)
         turn = self._turned(body, goal, seen, view.time_s)
         if turn is not None:
@@ -243,7 +243,7 @@ class SimulatedUser:
     def _carried_on(self, body: Body, dt_s: float) -> Joystick:
         """What the hand does during a look elsewhere: it lets go of the steering, and goes on with a stop."""
         x, y = self._intent.x, self._intent.y
-        x = math.copysign(max(0.0, abs(x) - CALM_STICK * dt_s / STRAIGHT_S), x)
+        x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
         if self._stop_m is not None and y > 0.0:
             y = min(y, self._straight_on(body, stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
         return Joystick(x, y)
@@ -255,8 +255,8 @@ class SimulatedUser:
         there would change where to turn to, and never end.
         """
         axle, goal = self._axle(body), path.at(arc_m, self._lane_m)
-        for farther_m in GOAL_FARTHER_M:
-            if math.dist(goal, (axle.x_m, axle.y_m)) >= NEAREST_GOAL_M:
+        for farther_m in _GOAL_FARTHER_M:
+            if math.dist(goal, (axle.x_m, axle.y_m)) >= _NEAREST_GOAL_M:
                 break
             goal = path.at(arc_m + farther_m, self._lane_m)
         return goal
@@ -284,10 +284,10 @@ class SimulatedUser:
         if to_do is None:
             self._turning = None
             return None
-        patience = TURN_PATIENCE if self._turning.turns else 1.0
+        patience = _TURN_PATIENCE if self._turning.turns else 1.0
         on_m, turn_rad = to_do
         if on_m < 0.0:
-            return Plan(wish=Joystick(0.0, BACK_STICK), patience=patience)
+            return Plan(wish=Joystick(0.0, _BACK_STICK), patience=patience)
         yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
         speed = min(CREEP_MPS, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
         there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
@@ -295,7 +295,7 @@ class SimulatedUser:
 
     def _free_when_stuck(self, body: Body, time_s: float) -> None:
         """Back up, or next time creep on, when the chair hangs on something: a kerb, a caster across."""
-        wants = math.hypot(self._intent.x, self._intent.y) > CALM_STICK
+        wants = math.hypot(self._intent.x, self._intent.y) > _CALM_STICK
         if self._moved is None or not wants or _apart(self._moved[1], body):
             self._moved = (time_s, body)
         elif time_s - self._moved[0] > STUCK_S and not self.profile.discrete:
@@ -330,7 +330,7 @@ class SimulatedUser:
             return self._intent
         # From when it was due, not from this tick: else the ticks' grid would make every period longer.
         self._correct_at_s = max(self._correct_at_s, time_s - period_s) + period_s
-        wrong_x, wrong_y = (1.0 + CORRECTION_ERROR * self._rng.standard_normal(2)).tolist()
+        wrong_x, wrong_y = (1.0 + _CORRECTION_ERROR * self._rng.standard_normal(2)).tolist()
         return Joystick(*on_disc(wish.x * wrong_x, wish.y * wrong_y))
 
     def _axle(self, body: Body) -> Axle:
@@ -339,7 +339,7 @@ class SimulatedUser:
 
     def _judge_progress(self, path: Path, patience_s: float) -> None:
         self.arrived = self.arrived or self._arc_m > path.length_m - ARRIVED_M
-        if self._arc_m > self._furthest_m + PROGRESS_M:
+        if self._arc_m > self._furthest_m + _PROGRESS_M:
             self._furthest_m, self._blocked_s = self._arc_m, 0.0
         else:
             self._blocked_s += patience_s
@@ -347,4 +347,4 @@ class SimulatedUser:
 
 
 def _apart(a: Body, b: Body) -> bool:
-    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > STUCK_M or abs(wrap(a.yaw_rad - b.yaw_rad)) > STUCK_RAD
+    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > _STUCK_M or abs(wrap(a.yaw_rad - b.yaw_rad)) > _STUCK_RAD

@@ -13,9 +13,9 @@ from wcsim.errors import ConfigError
 from wcsim.types import F64, U8
 
 INK_RGB = (40, 44, 50)
-GRID_RGB = (226, 229, 233)
-COLOURS_RGB = ((31, 84, 176), (220, 110, 20), (20, 140, 80), (170, 40, 120), (110, 110, 110))
-LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 64, 12, 22, 20
+_GRID_RGB = (226, 229, 233)
+_COLOURS_RGB = ((31, 84, 176), (220, 110, 20), (20, 140, 80), (170, 40, 120), (110, 110, 110))
+LEFT_PX, _RIGHT_PX, TOP_PX, BOTTOM_PX = 64, 12, 22, 20
 TICKS = 4  # about so many lines of the grid in a panel
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
@@ -73,7 +73,7 @@ def _panel(panel: Panel, left: float, right: float, width_px: int, height_px: in
     values = np.concatenate([line.y for line in panel.lines])
     span = max(float(np.ptp(values)), 1e-6)
     bottom, top = float(values.min()) - 0.06 * span, float(values.max()) + 0.06 * span
-    across, up = width_px - LEFT_PX - RIGHT_PX, height_px - TOP_PX - BOTTOM_PX
+    across, up = width_px - LEFT_PX - _RIGHT_PX, height_px - TOP_PX - BOTTOM_PX
 
     def place(x: F64, y: F64) -> F64:
         return np.stack(
@@ -82,14 +82,14 @@ def _panel(panel: Panel, left: float, right: float, width_px: int, height_px: in
 
     for x in steps(left, right):
         (at, _) = place(np.array(x), np.array(top))
-        cv2.line(image, (round(at), TOP_PX), (round(at), TOP_PX + up), GRID_RGB, 1)
+        cv2.line(image, (round(at), TOP_PX), (round(at), TOP_PX + up), _GRID_RGB, 1)
         _write(image, f"{x:g}", (round(at) - 8, height_px - 6), INK_RGB)
     for y in steps(bottom, top):
         (_, at) = place(np.array(left), np.array(y))
-        cv2.line(image, (LEFT_PX, round(at)), (width_px - RIGHT_PX, round(at)), GRID_RGB, 1)
+        cv2.line(image, (LEFT_PX, round(at)), (width_px - _RIGHT_PX, round(at)), _GRID_RGB, 1)
         _write(image, f"{y:g}", (6, round(at) + 4), INK_RGB)
     for number, line in enumerate(panel.lines):
-        colour = COLOURS_RGB[number % len(COLOURS_RGB)]
+        colour = _COLOURS_RGB[number % len(_COLOURS_RGB)]
         points = np.rint(place(line.x, line.y) * (1 << _SHIFT)).astype(np.int32)
         cv2.polylines(image, [points], False, colour, 1, cv2.LINE_AA, _SHIFT)
     _legend(image, panel)
@@ -100,7 +100,7 @@ def _legend(image: U8, panel: Panel) -> None:
     _write(image, panel.title, (LEFT_PX, 15), INK_RGB)
     x = LEFT_PX + 8 * len(panel.title) + 24
     for number, line in enumerate(panel.lines):
-        colour = COLOURS_RGB[number % len(COLOURS_RGB)]
+        colour = _COLOURS_RGB[number % len(_COLOURS_RGB)]
         cv2.line(image, (x, 11), (x + 18, 11), colour, 2)
         _write(image, line.label, (x + 24, 15), colour)
         x += 24 + 8 * len(line.label) + 18

@@ -21,9 +21,9 @@ from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import captioned
 from wcsim.view.video import VideoWriter, side_by_side
 
-ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
-IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
-FIELD_OF_VIEW_M = 30.0
+_ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
+_IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
+_FIELD_OF_VIEW_M = 30.0
 MAP_SPAN_M = 60.0
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 
@@ -58,9 +58,9 @@ class FilmedDrive:
         for tick in range(max(1, round(seconds / self.tick_s))):
             snapshot = self.go_on()
             frame = snapshot.clients[0].sensors.cameras[0]
-            pixels = int(np.isin(frame.class_id, ACTOR_CLASSES).sum())
+            pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
             score = self._in_view(snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
-            if pixels > IN_VIEW_PX and score > best_score:
+            if pixels > _IN_VIEW_PX and score > best_score:
                 best, best_score = self._shot(snapshot, (tick + 1) * self.tick_s), score
         return best
 
@@ -108,11 +108,11 @@ class FilmedDrive:
         for actor in snapshot.actors:
             gap = actor.p_W_m[:2] - plant.p_WB_m[:2]
             along, aside = float(gap @ ahead), float(gap @ right)
-            if not 1.0 < along < FIELD_OF_VIEW_M or abs(aside) > half * along:
+            if not 1.0 < along < _FIELD_OF_VIEW_M or abs(aside) > half * along:
                 continue
             column = int((0.5 + 0.5 * aside / (half * along)) * (frame.class_id.shape[1] - 1))
             stripe = slice(max(0, column - 2), column + 3)
-            seen = np.isin(frame.class_id[:, stripe], ACTOR_CLASSES) & (frame.depth_m[:, stripe] > along - 4.0)
+            seen = np.isin(frame.class_id[:, stripe], _ACTOR_CLASSES) & (frame.depth_m[:, stripe] > along - 4.0)
             count += bool(seen.any())
         return count
 
@@ -144,9 +144,7 @@ class Film:
         self._writer.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._writer.__exit__(kind, error, at)
 
 

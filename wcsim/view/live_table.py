@@ -15,10 +15,10 @@ from rich.text import Text
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import WorldStatus
 
-LINE_S = 10.0  # between two lines where there is no terminal
-WAITS_S = 0.5  # who is waited for is said when it takes so long ...
-SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
-ENOUGH_S = 1.0  # ... once that is worth a word
+_LINE_S = 10.0  # between two lines where there is no terminal
+_WAITS_S = 0.5  # who is waited for is said when it takes so long ...
+_SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
+_ENOUGH_S = 1.0  # ... once that is worth a word
 
 
 class LiveTable:
@@ -42,7 +42,7 @@ class LiveTable:
     def _say(self, state: LaunchState) -> None:
         if self.console.is_terminal:
             self._live.update(table_of(state), refresh=True)
-        elif state.elapsed_s - self._lined_s >= LINE_S:
+        elif state.elapsed_s - self._lined_s >= _LINE_S:
             self._lined_s = state.elapsed_s
             self.console.print(line_of(state), soft_wrap=True, markup=False)
 
@@ -51,9 +51,7 @@ class LiveTable:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self.console.is_terminal:
             self._live.stop()
 
@@ -94,11 +92,11 @@ def head_of(state: LaunchState) -> str:
 
 def waits_of(world: WorldStatus) -> str:
     """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
-    if world.late and world.late_s >= WAITS_S and len(world.late) < max(2, len(world.members)):
+    if world.late and world.late_s >= _WAITS_S and len(world.late) < max(2, len(world.members)):
         return f"waits for {', '.join(world.late)} ({world.late_s:.1f} s)"
     slowest = max(world.held, key=lambda held: held.seconds, default=None)
     all_s = sum(held.seconds for held in world.held)
-    if slowest is None or len(world.held) < 2 or all_s < ENOUGH_S or slowest.seconds < SLOW_SHARE * all_s:
+    if slowest is None or len(world.held) < 2 or all_s < _ENOUGH_S or slowest.seconds < _SLOW_SHARE * all_s:
         return ""
     return f"waits mostly for {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s)"
 

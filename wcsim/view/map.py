@@ -16,10 +16,10 @@ from wcsim.physics.sensors.camera import FreeCamera, look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, Route, StreetMesh
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
-HEIGHT_M = 400.0
+_HEIGHT_M = 400.0
 RANGE_M = 10_000.0  # haze grows with the share of the range
 
-KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
+_KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
     (ActorKind.CAR, (36, 86, 190)),
     (ActorKind.TRUCK, (24, 48, 120)),
     (ActorKind.BUS, (14, 120, 150)),
@@ -31,10 +31,10 @@ KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
     (ActorKind.WHEELCHAIR, (240, 200, 40)),
     (ActorKind.OTHER, (110, 80, 120)),
 )
-CHAIR_RGB = (250, 214, 40)
+_CHAIR_RGB = (250, 214, 40)
 ROUTE_RGB = (40, 150, 60)
-EDGE_RGB = (250, 250, 250)
-SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
+_EDGE_RGB = (250, 250, 250)
+_SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
 
 
 class MapView:
@@ -45,7 +45,7 @@ class MapView:
         camera = Pinhole(
             width_px=size_px,
             height_px=size_px,
-            focal_px=size_px * HEIGHT_M / span_m,
+            focal_px=size_px * _HEIGHT_M / span_m,
             near_m=1.0,
             range_m=RANGE_M,
         )
@@ -67,18 +67,18 @@ class MapView:
             route: drawn as a green line.
         """
         x, y, ground = (float(value) for value in centre_W_m)
-        T_CW = look_along((x, y, ground + HEIGHT_M), math.pi / 2, -math.pi / 2)
+        T_CW = look_along((x, y, ground + _HEIGHT_M), math.pi / 2, -math.pi / 2)
         images = self._camera.look(T_CW, instances_of(()))
         image = np.zeros_like(images.class_id[..., None].repeat(3, axis=2)) if images.rgb is None else images.rgb
         if route is not None:
             points = np.column_stack([route.points_W_m, np.full(len(route.points_W_m), ground)])
             cv2.polylines(image, [self._pixels(T_CW, points)], False, ROUTE_RGB, 2, cv2.LINE_AA, 3)
-        colours = dict(KIND_RGB)
+        colours = dict(_KIND_RGB)
         for actor in actors:
             corners = oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
             self._box(image, T_CW, corners, colours[actor.kind])
         for place, yaw_rad, size_lw_m in _chair_places(chairs):
-            self._box(image, T_CW, oriented_box(place, yaw_rad, size_lw_m), CHAIR_RGB)
+            self._box(image, T_CW, oriented_box(place, yaw_rad, size_lw_m), _CHAIR_RGB)
         return image
 
     def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
@@ -86,12 +86,12 @@ class MapView:
         pixels = self._pixels(T_CW, corners_W_m)
         middle, nose = corners_W_m.mean(axis=0), corners_W_m[:2].mean(axis=0)
         start, end = self._pixels(T_CW, np.array([middle, nose])).tolist()
-        if np.ptp(pixels, axis=0).max() < SMALL_PX * 8:
-            cv2.circle(image, start, SMALL_PX * 4, colour, cv2.FILLED, cv2.LINE_AA, 3)
+        if np.ptp(pixels, axis=0).max() < _SMALL_PX * 8:
+            cv2.circle(image, start, _SMALL_PX * 4, colour, cv2.FILLED, cv2.LINE_AA, 3)
             return
         cv2.fillConvexPoly(image, pixels, colour, cv2.LINE_AA, 3)
-        cv2.polylines(image, [pixels], True, EDGE_RGB, 1, cv2.LINE_AA, 3)
-        cv2.line(image, start, end, EDGE_RGB, 1, cv2.LINE_AA, 3)
+        cv2.polylines(image, [pixels], True, _EDGE_RGB, 1, cv2.LINE_AA, 3)
+        cv2.line(image, start, end, _EDGE_RGB, 1, cv2.LINE_AA, 3)
 
     def _pixels(self, T_CW: F64, points_W_m: F64) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
         """Image points (n, 2) int32 in eighths of a pixel, for OpenCV's `shift` of 3."""

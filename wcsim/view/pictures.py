@@ -12,7 +12,7 @@ from wcsim.supervisor.palette import palette
 from wcsim.types import F32, U8
 
 INK_RGB = (255, 255, 255)
-STRIP_RGB = (28, 32, 38)
+_STRIP_RGB = (28, 32, 38)
 
 
 def class_colours(class_id: U8) -> U8:
@@ -40,7 +40,7 @@ def captioned(image: U8, text: str) -> U8:
     scale = max(0.35, out.shape[1] / 800.0)
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
     strip = out[: height + below + 6, : width + 10]
-    strip[:] = (0.35 * strip + 0.65 * np.array(STRIP_RGB)).astype(np.uint8)
+    strip[:] = (0.35 * strip + 0.65 * np.array(_STRIP_RGB)).astype(np.uint8)
     cv2.putText(out, text, (5, height + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, INK_RGB, 1, cv2.LINE_AA)
     return out
 
@@ -63,7 +63,7 @@ def triptych(rgb: U8 | None, class_id: U8, depth_m: F32, range_m: float | None =
             f"images of one camera must be of one size; got class {shape}, depth {depth_m.shape}, "
             f"rgb {None if rgb is None else rgb.shape}: pass the arrays of one CameraFrame"
         )
-    colour = captioned(np.full((*shape, 3), STRIP_RGB, np.uint8), "no colour taken") if rgb is None else rgb
+    colour = captioned(np.full((*shape, 3), _STRIP_RGB, np.uint8), "no colour taken") if rgb is None else rgb
     panels = [
         captioned(colour, "camera") if rgb is not None else colour,
         captioned(class_colours(class_id), "class"),

@@ -14,7 +14,7 @@ from tests.support.worlds import open_world, quick_config
 from wcsim.agents.policies.baselines import baseline
 from wcsim.bench.crashes import watch
 from wcsim.bench.crashes.classes import CrashClass
-from wcsim.bench.crashes.drives import CrashDrive, Rate, drive_crashes
+from wcsim.bench.crashes.drives import CrashDrive, CrashOrder, Rate, drive_crashes
 from wcsim.bench.crashes.watch import SeatWatch
 from wcsim.cli.bench.crashes import as_json
 from wcsim.errors import ConfigError
@@ -48,7 +48,8 @@ def held_sticks() -> list[Held]:
 
 
 def drive(corner: Path, drivers, ticks: int = 150, seed: int = 3, config=CONFIG) -> CrashDrive:
-    return drive_crashes(find_town(str(corner)), config, "held", drivers, "inattentive", ticks, seed)
+    order = CrashOrder(policy="held", profile="inattentive", ticks=ticks, seed=seed)
+    return drive_crashes(order, find_town(str(corner)), config, drivers)
 
 
 @pytest.fixture(scope="module")
@@ -234,8 +235,9 @@ def test_rates_have_their_interval():
 
 
 def test_an_unknown_profile_is_refused(corner):
+    order = CrashOrder(policy="held", profile="drunk", ticks=1, seed=0)
     with pytest.raises(ConfigError, match="drunk"):
-        drive_crashes(find_town(str(corner)), CONFIG, "held", [Held(0.0, 0.0)], "drunk", 1, 0)
+        drive_crashes(order, find_town(str(corner)), CONFIG, [Held(0.0, 0.0)])
 
 
 def test_records_are_plain_values(held):

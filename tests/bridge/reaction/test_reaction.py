@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.bench.reaction.battery import run_battery, stand
+from wcsim.bench.reaction.battery import BatteryOrder, run_battery, stand
 from wcsim.bench.reaction.engineless_world import ReactionStage
 from wcsim.bench.reaction.places import ChairPlace
 from wcsim.bench.reaction.streets import SMALL_STREETS, build_small_street
@@ -139,9 +139,8 @@ def test_who_comes_into_being_on_a_chair_is_taken_out_and_orders_to_the_gone_are
 
 def test_a_sample_of_the_battery(tmp_path, streets):
     told = []
-    battery = run_battery(
-        "", tmp_path, seed=2, standing_s=15.0, trials=2, streets=1, places=1, progress=told.append, warmup_s=30.0
-    )
+    order = BatteryOrder(town="", seed=2, standing_s=15.0, trials=2, streets=1, places=1, warmup_s=30.0)
+    battery = run_battery(order, tmp_path, told.append)
     assert set(battery.standing) == {"pavement", "bike_lane", "zebra", "carriageway"}
     assert sum(battery.standing.values()) == 0
     assert battery.roll_out["attention_1"] < battery.roll_out["attention_0"] <= battery.roll_out["trials"] == 2

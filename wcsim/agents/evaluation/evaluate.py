@@ -12,7 +12,7 @@ from wcsim.agents.policy_api import Policy, SeesTruth
 from wcsim.errors import ConfigError
 from wcsim.supervisor.kpi import KpiMeter, KpiRow, KpiStep
 
-MIN_KM = 0.05  # below this a number of crashes per kilometre says nothing
+_MIN_KM = 0.05  # below this a number of crashes per kilometre says nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ def evaluate(
 
 
 def _row(name: str, row: KpiRow) -> EvalRow:
-    far_enough = row.km >= MIN_KM
+    far_enough = row.km >= _MIN_KM
     return EvalRow(
         policy=name,
         episodes=row.episodes,

@@ -27,15 +27,15 @@ from wcsim.supervisor.observation import imu_size
 MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
 Progress = Callable[[str], None]
 
-CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
+_CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 """What makes the same street look different to a network."""
 
-SHORTEST_NAME, NUMBERS_WIDTH = 14, 66  # characters that a policy's name has at least, and those of the longest numbers
-LEGEND_WIDTH = 70  # less than any of the tables has
-WIDE, GAPS = 100, 11  # from so many characters on there is a second space between columns
+_SHORTEST_NAME, _NUMBERS_WIDTH = 14, 66  # characters that a policy's name has at least, and of the longest numbers
+_LEGEND_WIDTH = 70  # less than any of the tables has
+_WIDE, _GAPS = 100, 11  # from so many characters on there is a second space between columns
 
 Columns = tuple[tuple[str, str, str], ...]
-FOLLOWING: Columns = (
+_FOLLOWING: Columns = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
     ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
     ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
@@ -46,7 +46,7 @@ FOLLOWING: Columns = (
     ("freezes", "\nfreezes", "{:d}"),
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
 )
-GETTING_THERE: Columns = (
+_GETTING_THERE: Columns = (
     ("crashes", "\ncrash", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
     ("crashes_per_km", "crash\n/km", "{:.2f}"),
@@ -58,7 +58,7 @@ GETTING_THERE: Columns = (
     ("red_entries", "at\nred", "{:d}"),
     ("standing_on_carriageway_s", "s on\nroad", "{:.1f}"),
 )
-UPPER_BOUND_NOTES = {
+_UPPER_BOUND_NOTES = {
     UPPER_BOUND: "oracle sees the truth: an upper bound",
     VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
 }
@@ -106,20 +106,20 @@ class TestResult:
         """
         title = f"{self.town}, {self.profile} user, seed {self.seed}"
         drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
-        there = _table("\ngetting there", GETTING_THERE, width, drops)
-        following = _table(f"{title}: following", FOLLOWING, width)
-        labels = _labels([row.policy for row in self.rows], width - NUMBERS_WIDTH - (GAPS if width >= WIDE else 0))
+        there = _table("\ngetting there", _GETTING_THERE, width, drops)
+        following = _table(f"{title}: following", _FOLLOWING, width)
+        labels = _labels([row.policy for row in self.rows], width - _NUMBERS_WIDTH - (_GAPS if width >= _WIDE else 0))
         named = zip(labels, self.rows, strict=True)
         legend = [_broken(f"{label}: {row.policy}") for label, row in named if label != row.policy]
         if legend:
             following.caption, following.caption_justify = Text("\n".join(legend), overflow="fold"), "left"
         bounds = [name for name in UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
         if bounds:
-            there.caption, there.caption_justify = "\n".join(UPPER_BOUND_NOTES[name] for name in bounds), "left"
+            there.caption, there.caption_justify = "\n".join(_UPPER_BOUND_NOTES[name] for name in bounds), "left"
         for label, row in zip(labels, self.rows, strict=True):
-            following.add_row(Text(label), *_cells(row, FOLLOWING))
+            following.add_row(Text(label), *_cells(row, _FOLLOWING))
             fallen = [str(row.crash_reasons.get(DROP, 0)) for _ in drops]
-            there.add_row(Text(label), *_cells(row, GETTING_THERE), *fallen)
+            there.add_row(Text(label), *_cells(row, _GETTING_THERE), *fallen)
         return following, there
 
 
@@ -162,7 +162,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"policy {name!r} wants {file.vector_size} numbers from IMU and joystick, this test gives {numbers}: "
             "set env.observe_gyro and env.observe_yaw as in its training"
         )
-    other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
             f"policy {name!r} was trained with another camera or class form than this test has "
@@ -179,7 +179,7 @@ def window_for(policies: Sequence[Policy]) -> int:
 
 def _labels(names: Sequence[str], longest: int) -> list[str]:
     """What each policy is called in a row: its name, the end of its path, or its number."""
-    longest = max(longest, SHORTEST_NAME)
+    longest = max(longest, _SHORTEST_NAME)
     ends = [name.rstrip("/").rpartition("/")[2] for name in names]
     found = []
     for number, (name, end) in enumerate(zip(names, ends, strict=True), 1):
@@ -192,14 +192,14 @@ def _broken(line: str) -> str:
     """A line that is broken behind a / where it is too long for a table."""
     lines = [""]
     for part in re.findall(r"[^/]*/|[^/]+", line):
-        if lines[-1] and len(lines[-1] + part) > LEGEND_WIDTH:
+        if lines[-1] and len(lines[-1] + part) > _LEGEND_WIDTH:
             lines.append("")
         lines[-1] += part
     return "\n".join(lines)
 
 
 def _table(title: str, columns: Columns, width: int, more: Sequence[str] = ()) -> Table:
-    gap = (0, 1 if width >= WIDE else 0, 0, 0)
+    gap = (0, 1 if width >= _WIDE else 0, 0, 0)
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=gap, pad_edge=False, show_edge=False)
     table.add_column("\npolicy", no_wrap=True)
     for heading in (*(heading for _, heading, _ in columns), *(f"\n{heading}" for heading in more)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-MAP_HEIGHT = 8  # stride-2 layers are added until the feature map is no higher than this
+_MAP_HEIGHT = 8  # stride-2 layers are added until the feature map is no higher than this
 FEATURES = 128
 PATCH_PX, PATCH_CHANNELS = 4, 24
 
@@ -21,7 +21,7 @@ class StridedNet(nn.Module):
         layers: list[nn.Module] = [stem, nn.ReLU()]
         with torch.no_grad():
             _, width, height, _ = stem(torch.zeros(1, *image_shape)).shape
-        while height > MAP_HEIGHT:
+        while height > _MAP_HEIGHT:
             layers += [nn.Conv2d(width, 32, 3, stride=2, padding=1), nn.ReLU()]
             height, width = (height + 1) // 2, 32
         layers += [nn.Conv2d(width, 16, 1), nn.ReLU(), nn.Flatten()]

@@ -53,9 +53,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
     ObservationEncoder, "normalize_images": False}`.
     """
 
-    def __init__(
-        self, observation_space: spaces.Dict, network: str = "small", classes: Classes = "cityscapes"
-    ) -> None:
+    def __init__(self, observation_space: spaces.Dict, network: str = "small", classes: Classes = "cityscapes") -> None:
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
         table = group_table(classes)

@@ -16,8 +16,8 @@ from wcsim.agents.networks.encoder import Classes, ObservationEncoder, vector, v
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
-SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
-TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
+_SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
+_TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class QNet(BasePolicy):
         self.value = nn.Linear(spec.hidden, 1) if spec.dueling else None
         if spec.head == "residual":
             with torch.no_grad():
-                self.advantage.weight.mul_(SMALL_INIT)
+                self.advantage.weight.mul_(_SMALL_INIT)
                 self.advantage.bias.zero_()
         points = torch.as_tensor(action_set(spec.actions).points, dtype=torch.float32)
         self.register_buffer("_points", points, persistent=False)  # (A, 2)
@@ -87,7 +87,7 @@ class QNet(BasePolicy):
         distance = self.distances(joysticks_xy)
         window = prior.max_distance - prior.max_follow_distance
         intensity = ((distance - prior.max_follow_distance) / window).clamp(0.0, 1.0)
-        near = distance <= prior.max_follow_distance + TOLERANCE
+        near = distance <= prior.max_follow_distance + _TOLERANCE
         reward = torch.where(near, torch.full_like(distance, prior.base), -prior.penalty * intensity)
         return prior.reward_scale * reward
 

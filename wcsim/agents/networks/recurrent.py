@@ -13,8 +13,8 @@ from torch import nn
 
 from wcsim.agents.networks.convolutional import FEATURES, PATCH_CHANNELS, PATCH_PX, PatchNet, StridedNet
 
-MEMORY = 128  # units of the recurrent layer
-REMEMBERS = 1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
+_MEMORY = 128  # units of the recurrent layer
+_REMEMBERS = 1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
 Shape = tuple[int, int, int, int]  # T, C, H, W
 
 
@@ -38,8 +38,8 @@ class RecurrentNet(nn.Module):
                     values.zero_()
                     continue
                 fill = nn.init.orthogonal_ if name.startswith("weight_hh") else nn.init.xavier_uniform_
-                for first in range(0, len(values), MEMORY):
-                    fill(values[first : first + MEMORY])  # gate by gate
+                for first in range(0, len(values), _MEMORY):
+                    fill(values[first : first + _MEMORY])  # gate by gate
 
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
@@ -54,11 +54,11 @@ class Figure6Net(RecurrentNet):
 
     def __init__(self, image_shape: Shape, vector_size: int) -> None:
         del vector_size
-        memory = nn.LSTM(FEATURES, MEMORY, batch_first=True)
+        memory = nn.LSTM(FEATURES, _MEMORY, batch_first=True)
         super().__init__(image_shape, memory)
         with torch.no_grad():
             biases = memory.get_parameter("bias_ih_l0")  # of the gates input, forget, cell, output
-            biases[MEMORY : 2 * MEMORY] = REMEMBERS
+            biases[_MEMORY : 2 * _MEMORY] = _REMEMBERS
 
 
 class GruNet(RecurrentNet):
@@ -66,7 +66,7 @@ class GruNet(RecurrentNet):
 
     def __init__(self, image_shape: Shape, vector_size: int) -> None:
         del vector_size
-        super().__init__(image_shape, nn.GRU(FEATURES, MEMORY, batch_first=True))
+        super().__init__(image_shape, nn.GRU(FEATURES, _MEMORY, batch_first=True))
 
 
 class StackNet(StridedNet):

@@ -13,11 +13,11 @@ from safetensors.torch import load
 from wcsim.core.reading import FileKind, parse_json, read_bytes, regular_size, shown
 from wcsim.errors import PolicyError
 
-MAX_WEIGHTS_BYTES = 1 << 30
-MAX_HEADER_BYTES = 1 << 20
+_MAX_WEIGHTS_BYTES = 1 << 30
+_MAX_HEADER_BYTES = 1 << 20
 _LENGTH_BYTES = 8  # of the header's length, which comes first
-_KIND = FileKind(what="the weights of a policy", limit_bytes=MAX_WEIGHTS_BYTES, error=PolicyError)
-_HEADER = FileKind(what="a safetensors file", limit_bytes=MAX_HEADER_BYTES, error=PolicyError)
+_KIND = FileKind(what="the weights of a policy", limit_bytes=_MAX_WEIGHTS_BYTES, error=PolicyError)
+_HEADER = FileKind(what="a safetensors file", limit_bytes=_MAX_HEADER_BYTES, error=PolicyError)
 _DTYPES = {
     torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16", torch.int64: "I64",
     torch.int32: "I32", torch.int16: "I16", torch.int8: "I8", torch.uint8: "U8", torch.bool: "BOOL",
@@ -37,7 +37,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
         PolicyError: The file cannot be read, has another size or digest, or tells of other tensors.
     """
     size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted.values())
-    if not least <= size <= least + MAX_HEADER_BYTES + _LENGTH_BYTES:
+    if not least <= size <= least + _MAX_HEADER_BYTES + _LENGTH_BYTES:
         raise PolicyError(
             f"{shown(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
             "copy the whole policy folder again"
@@ -80,7 +80,7 @@ def _facts(tensor: torch.Tensor) -> str:
 def _told(path: Path, data: bytes) -> dict[str, str]:
     """What the header of a safetensors file says of its tensors."""
     size = int.from_bytes(data[:_LENGTH_BYTES], "little")
-    head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, MAX_HEADER_BYTES)]
+    head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, _MAX_HEADER_BYTES)]
     if len(head) < max(size, 1):
         raise PolicyError(f"{shown(path)} is not a safetensors file: its header has {size} bytes; expected 1 to 1 MiB")
     try:

@@ -14,13 +14,13 @@ from wcsim.types import F32, F64, U8, Bool, Outline
 
 MARGIN_M = 0.19  # on each side
 CLEAR_M = 0.3  # to keep in front when standing
-REACTION_S = 0.4  # one tick of delay, the drive's ramp
+_REACTION_S = 0.4  # one tick of delay, the drive's ramp
 STEP_M = 0.15  # higher than this is in the way, deeper than this is a drop: twice what the casters climb
 HEAD_M = 1.6  # what hangs higher passes above
-SLOPE_PER_M = 0.03  # uneven ground and depth steps grow with the distance
-PIXEL_SHARE = 4e-4  # of the image, and at least MIN_PIXELS: less is noise
-MIN_PIXELS = 2
-STRAIGHT_RADPS = 0.05
+_SLOPE_PER_M = 0.03  # uneven ground and depth steps grow with the distance
+_PIXEL_SHARE = 4e-4  # of the image, and at least _MIN_PIXELS: less is noise
+_MIN_PIXELS = 2
+_STRAIGHT_RADPS = 0.05
 
 
 class CorridorWatch:
@@ -30,7 +30,7 @@ class CorridorWatch:
         self._rays = viewing_rays(camera)
         self._eye_B_m = np.array(camera.p_BC_m, dtype=np.float64)  # (3,)
         self._range_m, self._chair, self._outline = camera.range_m, chair, outline
-        self._few = max(MIN_PIXELS, round(PIXEL_SHARE * len(self._rays)))
+        self._few = max(_MIN_PIXELS, round(_PIXEL_SHARE * len(self._rays)))
 
     def blocked(self, observation: Observation, x: float, y: float) -> bool:
         """Whether a joystick at (x right, y > 0 forward) would run into something before the chair could stand."""
@@ -38,7 +38,7 @@ class CorridorWatch:
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
         roll, pitch = math.pi * float(observation[IMU_KEY][3]), 0.5 * math.pi * float(observation[IMU_KEY][4])
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
-        stop_m = speed * REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2)
+        stop_m = speed * _REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
         seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
         return self._obstacle(points, seen, speed, turn, reach_m, roll, pitch) or self._drop(
@@ -48,7 +48,7 @@ class CorridorWatch:
     def _obstacle(
         self, points: F64, seen: Bool, speed: float, turn: float, reach_m: float, roll: float, pitch: float
     ) -> bool:
-        limit = STEP_M + SLOPE_PER_M * np.hypot(points[:, 0], points[:, 1])
+        limit = STEP_M + _SLOPE_PER_M * np.hypot(points[:, 0], points[:, 1])
         low, high = heights(points, roll, pitch)
         solid = seen & (low > limit) & (high < HEAD_M)
         return self._enough(solid & in_corridor(points, speed, turn, reach_m, self._outline))
@@ -59,7 +59,7 @@ class CorridorWatch:
         fall = np.where(down, -self._eye_B_m[2] / np.where(down, self._rays[:, 2], -1.0), 0.0)
         ground = self._eye_B_m + self._rays * fall[:, None]
         _, high = heights(points, roll, pitch)
-        deep = high < -(STEP_M + SLOPE_PER_M * np.hypot(ground[:, 0], ground[:, 1]))
+        deep = high < -(STEP_M + _SLOPE_PER_M * np.hypot(ground[:, 0], ground[:, 1]))
         return self._enough(down & deep & in_corridor(ground, speed, turn, reach_m, self._outline))
 
     def _enough(self, pixels: Bool) -> bool:
@@ -107,7 +107,7 @@ def in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: f
     """Points over which the chair passes on the arc of (speed, turn), up to `reach_m` ahead of its axle; (K,) bool."""
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M
-    if abs(turn_radps) < STRAIGHT_RADPS:
+    if abs(turn_radps) < _STRAIGHT_RADPS:
         return np.asarray((np.abs(y) < half) & (x > 0.0) & (x < reach_m), dtype=np.bool_)
     radius = speed_mps / turn_radps  # centre of the arc at (0, radius), left positive
     aside = np.abs(np.hypot(x, y - radius) - abs(radius))

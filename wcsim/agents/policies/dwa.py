@@ -24,12 +24,12 @@ from wcsim.types import F32, F64, Outline
 
 HOLD_S, STEP_S, LONGEST_S = 0.5, 0.1, 3.0
 MARGIN_M = 0.07  # kept all around: half a cell, and what the reckoning is off
-CLOSER_M = 0.02  # who is nearer than the margin already may get no nearer than this
-COMFORT_M = 0.25  # passing closer than this costs up to COMFORT_COST
-COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
+_CLOSER_M = 0.02  # who is nearer than the margin already may get no nearer than this
+COMFORT_M = 0.25  # passing closer than this costs up to _COMFORT_COST
+_COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 KEEP_S = 3.0  # what was seen is remembered for so long
-FORGET_M = 3.0  # and within this distance
-BLIND_M = 1.3  # nearer than this on the ground, the camera does not look over its own footplate
+_FORGET_M = 3.0  # and within this distance
+_BLIND_M = 1.3  # nearer than this on the ground, the camera does not look over its own footplate
 
 
 class DynamicWindow:
@@ -79,11 +79,11 @@ class DynamicWindow:
         gap_m = np.empty(len(self._actions))
         arcs(self._motion, self._commands, self._limits, self._box_B_m, self._seen_B_m, gap_m)
         now_m = rectangle_gap(0.0, 0.0, 0.0, self._box_B_m, self._seen_B_m)
-        allowed_m = min(MARGIN_M, now_m - CLOSER_M)
+        allowed_m = min(MARGIN_M, now_m - _CLOSER_M)
         free = gap_m > allowed_m
         if free.any():
             cost = self._actions.distances(stick[None])[0]
-            cost += COMFORT_COST * np.clip((COMFORT_M - gap_m) / COMFORT_M, 0.0, 1.0)
+            cost += _COMFORT_COST * np.clip((COMFORT_M - gap_m) / COMFORT_M, 0.0, 1.0)
             choice = int(np.argmin(np.where(free, cost, np.inf)))
         else:
             choice = self._actions.nearest((0.0, 0.0))
@@ -98,8 +98,8 @@ class DynamicWindow:
         now = self._map.obstacles(depth_m, self._rays, self._eye_B_m, span_m, up_in_body(observation[IMU_KEY]))
         old, away = self._seen_B_m, np.hypot(*(self._seen_B_m - self._eye_B_m[:2]).T)
         bearing = np.arctan2(old[:, 1] - self._eye_B_m[1], old[:, 0] - self._eye_B_m[0]) - self._ahead_rad
-        in_view = (np.abs(np.arctan2(np.sin(bearing), np.cos(bearing))) < self._half_rad) & (old[:, 0] > BLIND_M)
-        kept = ~in_view & (away < FORGET_M) & (self._age_s < KEEP_S)
+        in_view = (np.abs(np.arctan2(np.sin(bearing), np.cos(bearing))) < self._half_rad) & (old[:, 0] > _BLIND_M)
+        kept = ~in_view & (away < _FORGET_M) & (self._age_s < KEEP_S)
         near = now[np.hypot(now[:, 0], now[:, 1]) < REACH_M - CELL_M]
         self._seen_B_m = np.concatenate([near, old[kept]])
         self._age_s = np.concatenate([np.zeros(len(near)), self._age_s[kept]])

@@ -22,7 +22,7 @@ RISE_PER_M = 0.12  # a steep ramp
 GAP_CELLS = 4  # how far apart neighbours may be: behind a kerb's edge, some ground is hidden
 HEAD_M = 1.6  # what hangs higher passes above
 DROP_M, DROP_PER_M = 0.15, 0.06  # rays that go so far below level ground have met no ground where it should be
-MOST_POINTS = 1024
+_MOST_POINTS = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class StepMap:
 
     low_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
     high_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
-    points_B_m: F64 = field(default_factory=lambda: np.empty((MOST_POINTS, 2)))
+    points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
 
     def obstacles(self, depth_m: F32, rays: F32, eye_B_m: F64, span_m: tuple[float, float], up_B: F64) -> F64:
         """Middles of what is in the way.

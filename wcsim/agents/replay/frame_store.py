@@ -13,9 +13,9 @@ import zstandard
 
 from wcsim.types import U8
 
-PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
+_PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 LEVEL = 1
-CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
+_CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 I64 = npt.NDArray[np.int64]
 
@@ -69,18 +69,18 @@ class PackedFrames:
 
 def frame_store(rows: int, seats: int, size: int) -> FrameStore:
     """The store that fits frames of `size` bytes."""
-    return RawFrames(rows, seats, size) if size <= PACK_ABOVE_BYTES else PackedFrames(rows, seats, size)
+    return RawFrames(rows, seats, size) if size <= _PACK_ABOVE_BYTES else PackedFrames(rows, seats, size)
 
 
 def pack(frames: U8) -> list[bytes]:
     """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
     packer = zstandard.ZstdCompressor(level=LEVEL)
-    return [packer.compress(frames[k : k + CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), CHUNK_FRAMES)]
+    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
 
 
 def unpack(blobs: list[bytes], size: int) -> U8:
     """What `pack` packed, (K, size)."""
     unpacker = zstandard.ZstdDecompressor()
-    limit = CHUNK_FRAMES * size
+    limit = _CHUNK_FRAMES * size
     parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
     return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)

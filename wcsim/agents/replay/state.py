@@ -13,8 +13,8 @@ from wcsim.agents.replay.buffer import FrameReplay
 
 Arrays = dict[str, npt.NDArray[Any]]
 
-PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
-SLICE = 512  # steps read at once
+_PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
+_SLICE = 512  # steps read at once
 
 
 def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
@@ -27,11 +27,11 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     rows = index % replay.buffer_size
     blobs: list[bytes] = []
     for seat in range(replay.n_envs):
-        for k in range(0, size, SLICE):
-            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + SLICE], seat))
+        for k in range(0, size, _SLICE):
+            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
     ends = sorted(replay.after_end)
-    arrays: Arrays = {name: getattr(replay, name)[rows] for name in PER_STEP}
+    arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
@@ -57,18 +57,36 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
 
 def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    size = _steps_kept(replay, arrays)
+    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
+    arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
+    for name, (shape, kind) in _expected(replay, arrays, size).items():
+        if arrays[name].shape != shape or arrays[name].dtype != kind:
+            got = arrays[name].dtype, arrays[name].shape
+            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
+    frames, lengths = arrays["frames"], arrays["blob_bytes"]
+    if len(arrays["next_images"]) not in (0, replay.n_envs) or frames.ndim != 1 or lengths.ndim != 1:
+        raise ValueError("replay: its images do not go together")
+    if (lengths < 0).any() or int(lengths.sum()) != len(frames):
+        raise ValueError("replay: its frames have other lengths than it says")
+
+
+def _steps_kept(replay: FrameReplay, arrays: Arrays) -> int:
     told = arrays["total"]
     if told.dtype != np.int64 or told.shape != (2,):
         raise ValueError(f"replay has counts {told.dtype} {told.shape}; expected two numbers")
     total, size = (int(value) for value in told)
     if not 0 <= size <= total or size != min(total, replay.buffer_size):
         raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
-    layout, seats = replay.layout, replay.n_envs
-    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
-    arrays.setdefault("whole_images", np.zeros((0, layout.image_bytes), np.uint8))
+    return size
+
+
+def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
+    """Shape and type of each array, with as many ends, windows and frames as there are."""
+    layout = replay.layout
     ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
-    shapes = {
-        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in PER_STEP},
+    return {
+        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in _PER_STEP},
         "end_at": ((ends, 2), np.int64),
         "end_images": ((ends, layout.image_bytes), np.uint8),
         "end_vectors": ((ends, layout.vector_size), np.float32),
@@ -79,14 +97,6 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
         "frames": (arrays["frames"].shape, np.uint8),
         "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
     }
-    for name, (shape, kind) in shapes.items():
-        if arrays[name].shape != shape or arrays[name].dtype != kind:
-            got = arrays[name].dtype, arrays[name].shape
-            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
-    if coming not in (0, seats) or arrays["frames"].ndim != 1 or arrays["blob_bytes"].ndim != 1:
-        raise ValueError("replay: its images do not go together")
-    if (arrays["blob_bytes"] < 0).any() or int(arrays["blob_bytes"].sum()) != len(arrays["frames"]):
-        raise ValueError("replay: its frames have other lengths than it says")
 
 
 def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
@@ -101,7 +111,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     replay.reset()
     index = total - size + np.arange(size)
     rows = index % replay.buffer_size
-    for name in PER_STEP:
+    for name in _PER_STEP:
         getattr(replay, name)[rows] = arrays[name]
     if replay.advice is not None:
         replay.advice.restore(arrays, index)

@@ -18,8 +18,8 @@ from wcsim.core.reading import FileKind, read_bytes, shown
 from wcsim.errors import FileError, PolicyError
 
 KEY_FILE = "own-runs.key"
-KEY_BYTES = 32
-_KEY = FileKind(what=f"a key of {KEY_BYTES} bytes", limit_bytes=KEY_BYTES, error=PolicyError)
+_KEY_BYTES = 32
+_KEY = FileKind(what=f"a key of {_KEY_BYTES} bytes", limit_bytes=_KEY_BYTES, error=PolicyError)
 
 
 def own_classes(hook: str, rewards: Sequence[str], networks: Collection[str]) -> tuple[str, ...]:
@@ -65,8 +65,8 @@ def _key(make: bool) -> bytes:
             path.parent.mkdir(parents=True, exist_ok=True)
             number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(number, "wb") as file:
-                file.write(secrets.token_bytes(KEY_BYTES))
+                file.write(secrets.token_bytes(_KEY_BYTES))
         key = read_bytes(path, _KEY)
     except (OSError, FileError):
         return b""
-    return key if len(key) == KEY_BYTES else b""
+    return key if len(key) == _KEY_BYTES else b""

@@ -36,8 +36,8 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
-PLANT = "plant.toml"
-CHECKPOINTS, POLICIES = "checkpoints", "policies"
+_PLANT = "plant.toml"
+_CHECKPOINTS, _POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
@@ -89,11 +89,11 @@ class RunFolder:
     @property
     def checkpoints(self) -> Path:
         """Where checkpoints are."""
-        return self.path / CHECKPOINTS
+        return self.path / _CHECKPOINTS
 
     def policy(self, stage: str) -> Path:
         """Where the policy of a stage ("phase1" or "final") is, whether it exists or not."""
-        return self.path / POLICIES / stage
+        return self.path / _POLICIES / stage
 
     def manifest_sha256(self) -> str:
         """Digest of what the run was made with, the same before and after it ends."""
@@ -132,10 +132,10 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
     plant = plant_text(config.chair.plant)
-    (path / CHECKPOINTS).mkdir(parents=True)
-    (path / POLICIES).mkdir()
+    (path / _CHECKPOINTS).mkdir(parents=True)
+    (path / _POLICIES).mkdir()
     if plant:
-        files.write_bytes(path / PLANT, plant)
+        files.write_bytes(path / _PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
     return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
@@ -171,9 +171,9 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
 
 def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
     """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
-    if not is_file(path / PLANT):
+    if not is_file(path / _PLANT):
         return config
-    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
+    chair = config.chair.model_copy(update={"plant": str(path / _PLANT)})
     return config.model_copy(update={"chair": chair})
 
 

@@ -23,7 +23,7 @@ from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
 from wcsim.types import F32, F64, U8
 
-RASTER_SHOTS = 5  # pictures of the rasteriser for one of TinyRenderer: one alone is too short for the clock
+_RASTER_SHOTS = 5  # pictures of the rasteriser for one of TinyRenderer: one alone is too short for the clock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +112,7 @@ def pooled(pictures: Sequence[ComparedPicture]) -> RendererComparison:
     )
 
 
-def cpu_ms(work: Callable[[], object], times: int) -> float:
+def _cpu_ms(work: Callable[[], object], times: int) -> float:
     """CPU milliseconds of this process for one call of `work`, mean of `times` calls."""
     start = time.process_time()
     for _ in range(times):
@@ -125,9 +125,9 @@ def _times(
 ) -> tuple[float, float, float]:
     """Milliseconds of the rasteriser, of the rasteriser with colours, and of TinyRenderer."""
     plain, colour = _plain(camera), new_images(camera.width_px, camera.height_px, rgb=True)
-    tiny_ms = cpu_ms(partial(tiny.render, camera, T_CW, instances, plain), 1)
-    plain_ms = cpu_ms(partial(raster.render, camera, T_CW, instances, plain), RASTER_SHOTS)
-    colour_ms = cpu_ms(partial(raster.render, camera, T_CW, instances, colour), RASTER_SHOTS)
+    tiny_ms = _cpu_ms(partial(tiny.render, camera, T_CW, instances, plain), 1)
+    plain_ms = _cpu_ms(partial(raster.render, camera, T_CW, instances, plain), _RASTER_SHOTS)
+    colour_ms = _cpu_ms(partial(raster.render, camera, T_CW, instances, colour), _RASTER_SHOTS)
     return plain_ms, colour_ms, tiny_ms
 
 

@@ -14,10 +14,10 @@ from wcsim.physics.sensors.camera import camera_matrix, mount, pose_of
 from wcsim.types import F64, ActorKind, ActorState, ClassId, Ground, Street, WalkGraph, WayKind
 
 RADIUS_M = 45.0
-PEDESTRIAN_SHARE = 0.6
+_PEDESTRIAN_SHARE = 0.6
 CELL_M = 0.1
 CLEAR_M = 1.5  # distance of a vehicle's middle from walls and poles
-ROAD_KINDS: tuple[tuple[ActorKind, tuple[float, float, float]], ...] = (
+_ROAD_KINDS: tuple[tuple[ActorKind, tuple[float, float, float]], ...] = (
     (ActorKind.CAR, (4.6, 1.8, 1.5)),
     (ActorKind.CAR, (4.2, 1.75, 1.45)),
     (ActorKind.CAR, (5.0, 1.9, 1.6)),
@@ -27,7 +27,7 @@ ROAD_KINDS: tuple[tuple[ActorKind, tuple[float, float, float]], ...] = (
     (ActorKind.SCOOTER, (1.2, 0.5, 1.7)),
     (ActorKind.MOTORCYCLE, (2.2, 0.9, 1.5)),
 )
-PERSON_LWH_M = (0.215, 0.478, 1.719)
+_PERSON_LWH_M = (0.215, 0.478, 1.719)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,11 +85,11 @@ def _actors(
     walk = _cells(grid, centre, (ClassId.SIDEWALK, ClassId.CROSSWALK), 0.4)
     out: list[ActorState] = []
     for number in range(4 * count):
-        on_foot = bool(rng.random() < PEDESTRIAN_SHARE)
+        on_foot = bool(rng.random() < _PEDESTRIAN_SHARE)
         cells = walk if on_foot else road
         if len(out) == count or len(cells) == 0:
             continue
-        kind, size = (ActorKind.PEDESTRIAN, PERSON_LWH_M) if on_foot else ROAD_KINDS[rng.integers(len(ROAD_KINDS))]
+        kind, size = (ActorKind.PEDESTRIAN, _PERSON_LWH_M) if on_foot else _ROAD_KINDS[rng.integers(len(_ROAD_KINDS))]
         x, y = (float(value) for value in cells[rng.integers(len(cells))])
         radius = 0.5 * math.hypot(size[0], size[1])
         if any(math.hypot(x - ox, y - oy) < radius + other for ox, oy, other in taken):

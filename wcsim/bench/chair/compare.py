@@ -8,8 +8,8 @@ from typing import Final
 
 from wcsim.bench.chair.row import Row
 
-MOST_CHANGE: Final = 0.10
-MOST_CHANGE_IMPACT: Final = 0.15
+_MOST_CHANGE: Final = 0.10
+_MOST_CHANGE_IMPACT: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +37,7 @@ def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
         values = tuple(row.value for row in rows)
         whole = max([abs(value) for value in values] + ([abs(first.low), abs(first.high)] if _near_zero(first) else []))
         change = (max(values) - min(values)) / whole if whole > 0.0 else 0.0
-        most = MOST_CHANGE_IMPACT if first.impact else MOST_CHANGE
+        most = _MOST_CHANGE_IMPACT if first.impact else _MOST_CHANGE
         out.append(Change(name=name, unit=first.unit, values=values, change=change, most=most, ok=change <= most))
     return out
 

@@ -37,14 +37,14 @@ def draw_plant(plant: str, folder: Path) -> Path:
     spec = plant_spec(ChairConfig(plant=plant))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"plant_{Path(plant).stem}.png"
-    ok, data = cv2.imencode(".png", plant_image(spec, Path(plant).stem))
+    ok, data = cv2.imencode(".png", _plant_image(spec, Path(plant).stem))
     if not ok:
         raise OSError(f"{path}: the picture could not be encoded")
     path.write_bytes(data.tobytes())
     return path
 
 
-def plant_image(spec: PlantSpec, name: str) -> Image:
+def _plant_image(spec: PlantSpec, name: str) -> Image:
     """The picture, (H, W, 3) BGR: side view above, top view below."""
     side, above = _View(spec, 2, spec.outline.height_m), _View(spec, 1, spec.outline.width_m)
     for view in (side, above):

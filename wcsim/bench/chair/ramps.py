@@ -16,7 +16,7 @@ from wcsim.types import Joystick
 
 TWIST_RAD: Final = rad(3.0)  # over the wheelbase
 FALL_RAD: Final = rad(4.0)  # of the ramp, 1 in 14
-STEADY: Final = Joystick(0.0, 0.5)
+_STEADY: Final = Joystick(0.0, 0.5)
 _CELL_M: Final = 0.1
 _HALF_M: Final = 6.0
 _WIDE_M: Final = 2.0
@@ -56,20 +56,20 @@ def turned_share(setup: Setup) -> float:
     return min(shares)
 
 
-def wheelbase_m(spec: PlantSpec) -> float:
+def _wheelbase_m(spec: PlantSpec) -> float:
     """From the drive axle to the swivels farthest away from it."""
     return max(abs(pair.swivel_x_m) for pair in spec.casters)
 
 
 def _saddle(setup: Setup, twist: float, fall_rad: float) -> Height:
     """A ramp whose cross slope grows with x, level across below the drive axle."""
-    per_m = twist * TWIST_RAD / wheelbase_m(plant_spec(setup.chair))
+    per_m = twist * TWIST_RAD / _wheelbase_m(plant_spec(setup.chair))
     return lambda x, y: -math.tan(fall_rad) * x + y * math.tan(per_m * x)
 
 
 def _wave(setup: Setup, phase: int) -> Height:
     """A ramp that falls along x and twists to and fro, nowhere more than the saddle."""
-    per_m = 1.0 / wheelbase_m(plant_spec(setup.chair))
+    per_m = 1.0 / _wheelbase_m(plant_spec(setup.chair))
     shift = 2.0 * math.pi * phase / _PHASES
     return lambda x, y: -math.tan(FALL_RAD) * x + y * math.tan(TWIST_RAD * math.sin(per_m * x + shift))
 
@@ -94,7 +94,7 @@ def _stop_m(setup: Setup, phase: int) -> float:
     height = _wave(setup, phase)
     with Yard(setup, grid_street(height, _HALF_M, _WIDE_M, _CELL_M)) as yard:
         yard.place(-_START_M, z_m=height(-_START_M, 0.0))
-        start = yard.drive(STEADY, _RUN_S).states[-1]
+        start = yard.drive(_STEADY, _RUN_S).states[-1]
         end = yard.drive(NEUTRAL, _STOP_S).states[-1]
     return math.dist(start.p_WB_m, end.p_WB_m)
 
@@ -102,12 +102,12 @@ def _stop_m(setup: Setup, phase: int) -> float:
 def _level_stop_m(setup: Setup) -> float:
     with Yard(setup) as yard:
         yard.place(-_START_M)
-        v_mps = float(yard.drive(STEADY, _RUN_S).speed_mps[-1])
+        v_mps = float(yard.drive(_STEADY, _RUN_S).speed_mps[-1])
     return stopping_distance_m(v_mps, setup.chair.decel_mps2, setup.chair.jerk_mps3)
 
 
 def _turned_rad(setup: Setup, stick: Joystick, height: Height) -> float:
     with Yard(setup, grid_street(height, _HALF_M, _WIDE_M, _CELL_M)) as yard:
         yard.place(-_START_M, z_m=height(-_START_M, 0.0))
-        states = [*yard.drive(STEADY, _RUN_S).states[-1:], *yard.drive(stick, _TURN_S).states]
+        states = [*yard.drive(_STEADY, _RUN_S).states[-1:], *yard.drive(stick, _TURN_S).states]
     return sum(math.remainder(after.yaw_rad - before.yaw_rad, math.tau) for before, after in pairwise(states))

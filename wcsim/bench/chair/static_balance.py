@@ -22,7 +22,7 @@ from wcsim.types import F64
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
-FIRM_N_PER_M: Final = 1e7  # of a wheel on the table: 0.1 mm under a whole chair
+_FIRM_N_PER_M: Final = 1e7  # of a wheel on the table: 0.1 mm under a whole chair
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _LEVEL_M: Final = 1e-6
 _MOST_LEAN_RAD: Final = 0.5
@@ -207,7 +207,7 @@ class _Table:
         depth = -(place[:, 2] + pose[0])
         for beam, carried in self._beams:
             depth[carried] -= self._rocked_m(beam, place[carried], depth[carried], self._share[carried], turn)
-        firm = FIRM_N_PER_M * np.maximum(depth, 0.0)
+        firm = _FIRM_N_PER_M * np.maximum(depth, 0.0)
         load, compressed = self._sprung_loads(depth, turn[:, 2])
         place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
         return place, self._share * np.where(self._sprung, load, firm), compressed
@@ -221,7 +221,7 @@ class _Table:
         push = np.append(-self._sin / self._cos * self._down, 1.0)
         lift_m = np.cross(axis, arm)[:, 2]
         moment_m = np.cross(arm, push) @ axis
-        firm = FIRM_N_PER_M * share
+        firm = _FIRM_N_PER_M * share
         hangs = beam.weight_N * np.append(self._sin * self._down, -self._cos)
         own_Nm = (beam.com_z_m - beam.pivot_z_m) * float(np.cross(turn[:, 2], hangs) @ axis)
 
@@ -240,7 +240,7 @@ class _Table:
         hangs = GRAVITY_MPS2 * (self._cos * arm[2] - self._sin * (self._down @ arm[:2]))
         pushed = depth / arm[2]
         force = self._preload + self._unsprung * hangs + self._stiff * pushed
-        force = force + FIRM_N_PER_M * np.maximum(pushed - self._most, 0.0)
+        force = force + _FIRM_N_PER_M * np.maximum(pushed - self._most, 0.0)
         hanging = np.maximum(-(self._preload + self._unsprung * hangs) / self._stiff, self._least)
         in_air = pushed < hanging
         return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(in_air, hanging, pushed)
@@ -255,7 +255,7 @@ class _Table:
                 upright = bool(np.abs(pose[1:]).max() < _MOST_LEAN_RAD)
                 return pose if upright and np.linalg.eigvalsh(slope + slope.T).max() < 0.0 else None
             try:
-                move = np.linalg.solve(slope - drag * FIRM_N_PER_M * np.eye(3), -residual)
+                move = np.linalg.solve(slope - drag * _FIRM_N_PER_M * np.eye(3), -residual)
             except np.linalg.LinAlgError:
                 return None
             tried = self._residual(pose + move)

@@ -21,7 +21,7 @@ from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 
-TILT_RADPS: Final = rad(0.2)
+_TILT_RADPS: Final = rad(0.2)
 _BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
 _BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
 _FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
@@ -118,7 +118,7 @@ class _Table:
         then the solver is free to give the upper wheels none.
         """
         while self._tilt_rad < most_rad:
-            if self._tick(TILT_RADPS):
+            if self._tick(_TILT_RADPS):
                 return self._tilt_rad
         return self._tilt_rad
 

@@ -14,7 +14,7 @@ from wcsim.supervisor.rewards import GROUND_KINDS, ROLLING_PARTS, is_collision
 from wcsim.types import ActorKind, Contact
 
 FALL_REMEMBERED_S: Final = 10.0  # a kerb that is rammed so soon after a fall is a consequence of it
-FALLING_S: Final = 1.0  # so long after its middle left the pavement a chair may still be in the fall
+_FALLING_S: Final = 1.0  # so long after its middle left the pavement a chair may still be in the fall
 
 
 class CrashClass(Enum):
@@ -110,7 +110,7 @@ def _against_ground(facts: CrashFacts, config: RewardConfig) -> CrashClass:
     if abs(facts.roll_rad) > roll_max or abs(facts.pitch_rad) > pitch_max:
         return CrashClass.ROLLOVER
     tips_over_edge = facts.straddles and not facts.on_road  # one that rams the kerb has its middle on the road
-    if tips_over_edge or (facts.fell_s is not None and facts.fell_s <= FALLING_S):
+    if tips_over_edge or (facts.fell_s is not None and facts.fell_s <= _FALLING_S):
         return CrashClass.FALLING
     if not meets_kerb(facts):
         return CrashClass.GROUND

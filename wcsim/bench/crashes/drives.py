@@ -69,37 +69,40 @@ class Rate:
         return self.events / self.km, low / self.km, high / self.km
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrashOrder:
+    """What to drive."""
+
+    policy: str  # what the drivers are called
+    profile: str  # of the users
+    ticks: int  # of the world; each is a step of every chair
+    seed: int  # of the world
+    visible: bool = False  # the drivers are told, too, what is so of those of the others whom their cameras showed
+
+
 def drive_crashes(
+    order: CrashOrder,
     town: Town,
     config: RunConfig,
-    policy: str,
     drivers: Sequence[Driver],
-    profile: str,
-    ticks: int,
-    seed: int,
-    visible: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> CrashDrive:
     """Let drivers drive one chair each in a town, and look at each of their crashes.
 
     Args:
+        order: What to drive.
         town: Where.
         config: Of the world; its first camera is looked through.
-        policy: What the drivers are called.
         drivers: One for each chair.
-        profile: Of the users.
-        ticks: Of the world; each is a step of every chair.
-        seed: Of the world.
-        visible: Whether the drivers are told, too, what is so of those of the others whom their cameras showed.
         progress: Hears how many steps of all chairs are done.
 
     Raises:
         ConfigError: The profile is unknown.
         PolicyError: A driver cannot use what it is shown.
     """
-    spec = SeatSpec(profile=profile, max_steps=EPISODE_STEPS, truth=True, truth_visible=visible)
+    spec = SeatSpec(profile=order.profile, max_steps=EPISODE_STEPS, truth=True, truth_visible=order.visible)
     points = action_set(config.env.actions).points
-    with World(town, config, (spec,) * len(drivers), seed) as world:
+    with World(town, config, (spec,) * len(drivers), order.seed) as world:
         now = world.snapshot.clients
         watches = [
             SeatWatch(seat, world.street, config, client, _others(world, seat.index))
@@ -108,7 +111,7 @@ def drive_crashes(
         for driver in drivers:
             driver.begin()
             driver.reset()
-        for tick in range(ticks):
+        for tick in range(order.ticks):
             commands = []
             for driver, watch, client in zip(drivers, watches, now, strict=True):
                 x, y = points[_action(driver, client, config)].tolist()
@@ -123,7 +126,7 @@ def drive_crashes(
             progress((tick + 1) * len(drivers))
         for watch in watches:
             watch.close()
-    return _drive(town.name, policy, watches)
+    return _drive(town.name, order.policy, watches)
 
 
 def _action(driver: Driver, client: ClientSnapshot, config: RunConfig) -> int:

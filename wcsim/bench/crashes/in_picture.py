@@ -12,12 +12,12 @@ from wcsim.physics.engine import role_of_class
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.types import F32, F64, ActorState, ClassId, ComparesArrays, Outline, PlantState, Street, StreetMesh
 
-AGREES_M, AGREES_SHARE = 0.1, 0.05  # a depth agrees within so much and so much of it: noise, and a pixel's size
+_AGREES_M, _AGREES_SHARE = 0.1, 0.05  # a depth agrees within so much and so much of it: noise, and a pixel's size
 BODY_M = 0.2  # more for actors, whose body is smaller than its box
 SPACING_M = 0.5
-HEIGHTS = (0.2, 0.5, 0.8)  # shares of an actor's
-BELOW_M = 0.3  # a kerb that a chair falls from or rams lies lower than its top
-REACHES_M = (0.15, 0.4)  # around the chair's box: it has moved on a little since it touched
+_HEIGHTS = (0.2, 0.5, 0.8)  # shares of an actor's
+_BELOW_M = 0.3  # a kerb that a chair falls from or rams lies lower than its top
+_REACHES_M = (0.15, 0.4)  # around the chair's box: it has moved on a little since it touched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ def in_picture(points_W_m: F64, sight: Sight, camera: Pinhole, more_m: float = 0
     inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
     pixels, z_m = pixels[inside], z_m[inside]
     gap_m = np.abs(sight.depth_m[pixels[:, 1], pixels[:, 0]] - z_m)
-    return bool((gap_m <= AGREES_M + AGREES_SHARE * z_m + more_m).any())
+    return bool((gap_m <= _AGREES_M + _AGREES_SHARE * z_m + more_m).any())
 
 
 def actor_points(actor: ActorState) -> F64:
@@ -59,7 +59,7 @@ def actor_points(actor: ActorState) -> F64:
     ends = [(end * length_m, y) for y in across for end in (-0.5, 0.5)]
     cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
     flat = np.array(sides + ends) @ np.array([[cos, sin], [-sin, cos]])
-    layers = [np.column_stack([flat, np.full(len(flat), share * height_m)]) for share in HEIGHTS]
+    layers = [np.column_stack([flat, np.full(len(flat), share * height_m)]) for share in _HEIGHTS]
     return np.asarray(np.concatenate(layers) + actor.p_W_m, np.float64)
 
 
@@ -72,7 +72,7 @@ def street_points(street: Street, kind: str, plant: PlantState, outline: Outline
         plant: The chair when it had touched it.
         outline: Its box.
     """
-    for reach_m in REACHES_M:
+    for reach_m in _REACHES_M:
         found = [item for key in street.tiles.near(plant.p_WB_m[None, :2], 3.0) for item in
                  _faces_near(street.tiles.mesh(key), kind, plant, outline, reach_m)]  # fmt: skip
         if found:
@@ -90,7 +90,7 @@ def _faces_near(
     middle_W_m = plant.p_WB_m + outline.middle_x_m * to_box[:, 0]
     half_m = np.array([0.5 * outline.length_m + reach_m, 0.5 * outline.width_m + reach_m, 0.0])
     low_m, high_m = -half_m, half_m.copy()
-    low_m[2], high_m[2] = -BELOW_M, outline.height_m
+    low_m[2], high_m[2] = -_BELOW_M, outline.height_m
     wanted = np.array([role_of_class(number).value == kind for number in range(256)])[mesh.face_class]
     corners = mesh.vertices_W_m[mesh.faces[wanted]].astype(np.float64)
     corners = (corners - middle_W_m) @ to_box

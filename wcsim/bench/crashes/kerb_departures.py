@@ -10,7 +10,7 @@ import numpy as np
 from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.types import F64, ClassId, Ground, WalkEdge, WalkGraph, WayKind
 
-FALL_M: Final = 0.03  # a flush or lowered edge is no fall
+_FALL_M: Final = 0.03  # a flush or lowered edge is no fall
 BESIDE_M: Final = 1.0  # so far beside and before a crossing a chair still uses it
 EDGES = (ClassId.KERB, ClassId.LOWERED_KERB, ClassId.VOID)  # neither pavement nor road
 
@@ -34,7 +34,7 @@ class KerbFall:
             self._raised_m = raised_m
             return False
         before_m, self._raised_m = self._raised_m, None
-        if before_m is None or before_m - raised_m < FALL_M or surface == ClassId.CROSSWALK:
+        if before_m is None or before_m - raised_m < _FALL_M or surface == ClassId.CROSSWALK:
             return False
         return not any(away_m(edge, x, y) <= 0.5 * edge.width_m + BESIDE_M for edge in self._crossings)
 

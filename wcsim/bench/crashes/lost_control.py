@@ -26,10 +26,10 @@ from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool
 
 LASTS_S = 0.7
-OTHER_WAY_RADPS = 0.25
-ROLLS_ON_MPS = 0.25
+_OTHER_WAY_RADPS = 0.25
+_ROLLS_ON_MPS = 0.25
 LATE_S = 0.2  # the motors follow what they are told a little later
-PARTS = 4  # of a tick, in which the normal stop is reckoned
+_PARTS = 4  # of a tick, in which the normal stop is reckoned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,8 +64,8 @@ def stretches(track: Track, chair: ChairConfig) -> tuple[Stretch, ...]:
             f"expected {count + 1} of each"
         )
     sticks, limits = shaped_rows(track.sticks, chair), limits_of(chair)
-    turned = _lost(*turns_against(track, sticks, limits), track.tick_s)
-    rolled = _lost(*rolls_on(track, sticks, limits), track.tick_s)
+    turned = _lost(*_turns_against(track, sticks, limits), track.tick_s)
+    rolled = _lost(*_rolls_on(track, sticks, limits), track.tick_s)
     lost = turned | rolled
     return tuple(
         Stretch(first=a, ticks=b - a, turned=bool(turned[a:b].any()), rolled=bool(rolled[a:b].any()))
@@ -73,7 +73,7 @@ def stretches(track: Track, chair: ChairConfig) -> tuple[Stretch, ...]:
     )
 
 
-def turns_against(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, Bool]:
+def _turns_against(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, Bool]:
     """Ticks (N,) at whose end the chair turns against its stick, and ticks (N,) at which that is late.
 
     Sticks (N, 2) are those without the deadband, `limits` (7,) those of the drive.
@@ -84,12 +84,12 @@ def turns_against(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, 
         left_radps = left_radps if side == before else max(0.0, -side * float(track.turn_radps[i]))
         left_radps = max(0.0, left_radps - float(limits[YAW_ACCEL]) * track.tick_s)
         before = side
-        against[i] = -side * float(track.turn_radps[i + 1]) > OTHER_WAY_RADPS
-        late[i] = left_radps <= OTHER_WAY_RADPS
+        against[i] = -side * float(track.turn_radps[i + 1]) > _OTHER_WAY_RADPS
+        late[i] = left_radps <= _OTHER_WAY_RADPS
     return against, late
 
 
-def rolls_on(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, Bool]:
+def _rolls_on(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, Bool]:
     """Ticks (N,) at whose end the chair rolls on though no speed is asked for, and ticks (N,) at which that is late.
 
     Sticks (N, 2) are those without the deadband, `limits` (7,) those of the drive.
@@ -104,10 +104,10 @@ def rolls_on(track: Track, shaped_sticks: F64, limits: F64) -> tuple[Bool, Bool]
         if not resting:
             gain_mps2 = float(speed_mps[i] - speed_mps[max(i - 1, 0)]) / track.tick_s
             resting, v, a = True, float(speed_mps[i]), min(max(gain_mps2, 0.0), float(limits[ACCEL]))
-        for _ in range(PARTS):
-            v, _, a = driven(v, 0.0, a, 0.0, 0.0, limits, track.tick_s / PARTS)
-        rolling[i] = float(speed_mps[i + 1]) > ROLLS_ON_MPS
-        late[i] = abs(v) <= ROLLS_ON_MPS
+        for _ in range(_PARTS):
+            v, _, a = driven(v, 0.0, a, 0.0, 0.0, limits, track.tick_s / _PARTS)
+        rolling[i] = float(speed_mps[i + 1]) > _ROLLS_ON_MPS
+        late[i] = abs(v) <= _ROLLS_ON_MPS
     return rolling, late
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from wcsim.errors import ConfigError
 
-HALVINGS = 80  # each halves the interval in which the answer lies
+_HALVINGS = 80  # each halves the interval in which the answer lies
 
 
 def garwood(events: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -41,7 +41,7 @@ def at_most(events: int, mean: float) -> float:
 def _solved(below: Callable[[float], bool], far: float) -> float:
     """Where `below` turns from true to false between 0 and `far`."""
     low, high = 0.0, far
-    for _ in range(HALVINGS):
+    for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if below(middle) else (low, middle)
     return 0.5 * (low + high)

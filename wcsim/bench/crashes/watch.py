@@ -25,13 +25,13 @@ from wcsim.towns.importing.parking import CAR
 from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
 from wcsim.users.recorded import RecordedUser
 
-NEWEST_S, OLDEST_S = 0.3, 1.0  # before a crash: when what was hit should have been in the picture
-SAFE_S = 1.0  # and when some action should have been safe
-AWAY_S = 2.0  # and for how long the user should have looked
+_NEWEST_S, _OLDEST_S = 0.3, 1.0  # before a crash: when what was hit should have been in the picture
+_SAFE_S = 1.0  # and when some action should have been safe
+_AWAY_S = 2.0  # and for how long the user should have looked
 STEP_M = 0.05  # of height, more than a low kerb's
 BESIDE_M = 0.15  # around the chair's box a kerb is beside it
-PARKED_ID = f"v:{CAR}."
-OF_STREET: Final = frozenset({"ground", "kerb", "building", "static"})
+_PARKED_ID = f"v:{CAR}."
+_OF_STREET: Final = frozenset({"ground", "kerb", "building", "static"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +105,7 @@ class SeatWatch:
         self._waiting = deque([AT_REST] * delay)
         self._sticks: list[tuple[float, float]] = []
         self._plants = [first.plant]
-        self._frames: deque[_Frame] = deque(maxlen=self._ticks(max(AWAY_S, SAFE_S, OLDEST_S)))
+        self._frames: deque[_Frame] = deque(maxlen=self._ticks(max(_AWAY_S, _SAFE_S, _OLDEST_S)))
         self._fall = KerbFall(self._street.grid, self._street.walk)
         self._fall.see(self._middle(first.plant))
         self._fell_at = None
@@ -140,12 +140,12 @@ class SeatWatch:
             kerb_beside=self._kerb_beside(plant),
             roll_rad=plant.roll_rad,
             pitch_rad=plant.pitch_rad,
-            parked=hit is not None and hit.actor_id.startswith(PARKED_ID),
+            parked=hit is not None and hit.actor_id.startswith(_PARKED_ID),
         )
         kind = "kerb" if hit is None or (hit.kind in GROUND_KINDS and meets_kerb(facts)) else hit.kind
         thing, seen = self._seen(hit, kind, plant)
-        known = [frame.away for frame in self._last(AWAY_S) if frame.away is not None]
-        safe = self._last(SAFE_S)
+        known = [frame.away for frame in self._last(_AWAY_S) if frame.away is not None]
+        safe = self._last(_SAFE_S)
         return Crash(
             seat=client.seat,
             episode=events.episode,
@@ -164,14 +164,14 @@ class SeatWatch:
             after_fall=fell_s is not None and fell_s <= FALL_REMEMBERED_S,
             fell_s=fell_s,
             away_share=sum(known) / len(known) if known else None,
-            safe_before=safe[0].safe if len(safe) >= self._ticks(SAFE_S) else None,
+            safe_before=safe[0].safe if len(safe) >= self._ticks(_SAFE_S) else None,
         )
 
     def _seen(self, hit: Contact | None, kind: str, plant: PlantState) -> tuple[str, bool | None]:
         """What was hit (without a collision: a kerb nearby), and whether it was in the picture before."""
-        frames = self._last(OLDEST_S)
-        frames = frames[: max(0, len(frames) - self._ticks(NEWEST_S) + 1)]
-        if hit is not None and hit.kind not in OF_STREET:
+        frames = self._last(_OLDEST_S)
+        frames = frames[: max(0, len(frames) - self._ticks(_NEWEST_S) + 1)]
+        if hit is not None and hit.kind not in _OF_STREET:
             found = [(frame, actor) for frame in frames for actor in frame.others if actor.id == hit.actor_id]
             shown = (self._shows(frame, actor_points(actor), BODY_M) for frame, actor in found)
             return hit.actor_id, any(shown) if frames else None

@@ -24,17 +24,17 @@ from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorState, Street
 
-WARMUP_S = 120.0
+_WARMUP_S = 120.0
 BEFORE_S = 2.5  # so far ahead of the next vehicle the chair comes out
-ROLL_MPS = 1.2
-ROLL_S = 12.0
+_ROLL_MPS = 1.2
+_ROLL_S = 12.0
 WAIT_S = 90.0  # for a vehicle to come
-CALM_S = 8.0  # without a chair, between two trials
-GONE_M = 8.0
-SOON_S = 2.5
+_CALM_S = 8.0  # without a chair, between two trials
+_GONE_M = 8.0
+_SOON_S = 2.5
 CLEAR_M = 1.5
 STANDS_MPS = 0.3
-SPARE_PLACES = 3
+_SPARE_PLACES = 3
 
 Progress = Callable[[str], None]
 
@@ -75,7 +75,7 @@ class _Passers:
                 self.longest_s = max(self.longest_s, blocked.for_s)
                 self.could.add(blocked.actor_id)
         self.could.update(stage.passing())
-        self.near = {a.id for a in actors if math.dist(a.p_W_m[:2], chair.p_W_m) < GONE_M + 0.5 * a.size_lwh_m[0]}
+        self.near = {a.id for a in actors if math.dist(a.p_W_m[:2], chair.p_W_m) < _GONE_M + 0.5 * a.size_lwh_m[0]}
 
 
 def stand(stage: ReactionStage, place: ChairPlace, duration_s: float) -> Standing | None:
@@ -104,7 +104,7 @@ def stand(stage: ReactionStage, place: ChairPlace, duration_s: float) -> Standin
 def _comes_soon(actor: ActorState, chair: ChairInStreet) -> bool:
     """Whether an actor is at the chair's place, or will be before it could do anything about it."""
     speed_mps = float(np.hypot(*actor.v_W_mps[:2]))
-    reach_m = 2.0 + 0.5 * actor.size_lwh_m[0] + SOON_S * speed_mps
+    reach_m = 2.0 + 0.5 * actor.size_lwh_m[0] + _SOON_S * speed_mps
     return math.dist(actor.p_W_m[:2], chair.p_W_m) < reach_m
 
 
@@ -124,55 +124,46 @@ def roll_out(stage: ReactionStage, way: RollOut) -> bool | None:
     else:
         return None
     stage.contacts.clear()
-    step_m = tick_s * ROLL_MPS * np.array([math.cos(way.yaw_rad), math.sin(way.yaw_rad)])
+    step_m = tick_s * _ROLL_MPS * np.array([math.cos(way.yaw_rad), math.sin(way.yaw_rad)])
     actors: tuple[ActorState, ...] = ()
-    for _ in range(round(ROLL_S / tick_s)):
+    for _ in range(round(_ROLL_S / tick_s)):
         ahead = stage.chair(place + 3.0 * step_m, way.yaw_rad)
         waits = any(np.hypot(*a.v_W_mps[:2]) < STANDS_MPS and touches_chair(a, ahead) for a in actors)
         place = place if waits else place + step_m
-        actors = stage.tick((stage.chair(place, way.yaw_rad, 0.0 if waits else ROLL_MPS),))
+        actors = stage.tick((stage.chair(place, way.yaw_rad, 0.0 if waits else _ROLL_MPS),))
     touched = bool(stage.contacts)
-    for _ in range(round(CALM_S / tick_s)):
+    for _ in range(round(_CALM_S / tick_s)):
         stage.tick(())
     return touched
 
 
-def run_battery(
-    town: str,
-    work: Path,
-    *,
-    seed: int,
-    standing_s: float,
-    trials: int,
-    streets: int,
-    places: int,
-    progress: Progress,
-    warmup_s: float = WARMUP_S,
-) -> Battery:
-    """Run everything.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatteryOrder:
+    """What to run."""
 
-    Args:
-        town: Name or path of a town with real streets; "" for the small streets alone.
-        work: Folder for the small streets.
-        seed: Of the traffic, the places and the trials.
-        standing_s: How long a chair stands at each place.
-        trials: Roll-outs at each share of attention.
-        streets: How many of the small streets to use.
-        places: Places of each kind in the town.
-        progress: Told what has been done.
-        warmup_s: How long the traffic runs before a chair comes, and is watched for places where much of it comes by.
+    town: str  # name or path of a town with real streets; "" for the small streets alone
+    seed: int  # of the traffic, the places and the trials
+    standing_s: float  # how long a chair stands at each place
+    trials: int  # roll-outs at each share of attention
+    streets: int  # of the small ones
+    places: int  # of each kind in the town
+    warmup_s: float = _WARMUP_S  # before a chair comes; the traffic is watched for places where much of it comes by
+
+
+def run_battery(order: BatteryOrder, work: Path, progress: Progress) -> Battery:
+    """Run everything, with the small streets in the folder `work`; `progress` is told what has been done.
 
     Raises:
         TownError: no such town, or it offers no place to stand.
     """
-    sites = list(_sites(town, work, seed, streets, places, warmup_s))
+    sites = list(_sites(order, work))
     results: dict[str, list[Standing]] = {kind: [] for kind in KINDS}
     hits = {1: 0, 0: 0}
     done = 0
     for i, site in enumerate(sites):
-        for kind, result in site.stand_everywhere(standing_s, progress):
+        for kind, result in site.stand_everywhere(order.standing_s, progress):
             results[kind].append(result)
-        share = trials // len(sites) + (i < trials % len(sites))
+        share = order.trials // len(sites) + (i < order.trials % len(sites))
         ways = site.ways(share)
         rolled = {attention: site.roll(ways, share, attention, progress) for attention in (1, 0)}
         tried = min(len(touched) for touched in rolled.values())
@@ -180,7 +171,7 @@ def run_battery(
         hits = {attention: hits[attention] + sum(rolled[attention][:tried]) for attention in hits}
     missing = [kind for kind in KINDS if not results[kind]]
     if missing:
-        raise TownError(f"bench reaction: no {missing[0]} with traffic in {town!r}; choose another town")
+        raise TownError(f"bench reaction: no {missing[0]} with traffic in {order.town!r}; choose another town")
     return _battery(results, hits, done)
 
 
@@ -204,7 +195,7 @@ class _Site:
             places = busy_places(net, stage, self.warmup_s, seeding.generator(self.seed, "places"))
         for kind, ranked in places.items():
             found = 0
-            for place in ranked[: self.per_kind + SPARE_PLACES]:
+            for place in ranked[: self.per_kind + _SPARE_PLACES]:
                 if found == self.per_kind:
                     break
                 with self.stage(1.0) as stage:
@@ -236,15 +227,17 @@ class _Site:
         return found
 
 
-def _sites(town: str, work: Path, seed: int, streets: int, places: int, warmup_s: float) -> Iterator[_Site]:
-    for street in SMALL_STREETS[:streets]:
-        built = build_small_street(street, work / street.name, seed)
-        site_seed = seeding.derive(seed, "site", street.name)
-        yield _Site(town=built, street=load_street(built), seed=site_seed, per_kind=1, warmup_s=warmup_s)
-    if town:
-        found = find_town(town)
-        site_seed = seeding.derive(seed, "site", found.name)
-        yield _Site(town=found, street=load_street(found), seed=site_seed, per_kind=places, warmup_s=warmup_s)
+def _sites(order: BatteryOrder, work: Path) -> Iterator[_Site]:
+    for street in SMALL_STREETS[: order.streets]:
+        yield _site(order, build_small_street(street, work / street.name, order.seed), street.name, 1)
+    if order.town:
+        town = find_town(order.town)
+        yield _site(order, town, town.name, order.places)
+
+
+def _site(order: BatteryOrder, town: Town, name: str, per_kind: int) -> _Site:
+    seed = seeding.derive(order.seed, "site", name)
+    return _Site(town=town, street=load_street(town), seed=seed, per_kind=per_kind, warmup_s=order.warmup_s)
 
 
 def _told(town: str, place: ChairPlace, result: Standing) -> str:

@@ -23,8 +23,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, ClassId, Street
 
-ON_ROAD = (int(ClassId.ROAD), int(ClassId.CROSSWALK), int(ClassId.RAIL_TRACK))
-TOUCH_M = 0.01  # bodies that share less than this only touch
+_ON_ROAD = (int(ClassId.ROAD), int(ClassId.CROSSWALK), int(ClassId.RAIL_TRACK))
+_TOUCH_M = 0.01  # bodies that share less than this only touch
 
 
 class ReactionStage:
@@ -93,7 +93,7 @@ class ReactionStage:
     def chair(self, p_W_m: F64, yaw_rad: float, speed_mps: float = 0.0) -> ChairInStreet:
         """A chair at a place of this street."""
         heading = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
-        on_road = int(self._ground.class_at(p_W_m)) in ON_ROAD
+        on_road = int(self._ground.class_at(p_W_m)) in _ON_ROAD
         return ChairInStreet(
             p_W_m=p_W_m, v_W_mps=speed_mps * heading, on_road=on_road, half_m=self.half_m, yaw_rad=yaw_rad
         )
@@ -124,8 +124,8 @@ class ReactionStage:
             return True
         return any(
             other.id != actor.id
-            and _overlap_m(actor, other) > max(TOUCH_M, _overlap_m(bare, other_bare) + TOUCH_M)
-            and (is_person(other) or _overlap_m(bare, other_bare) <= TOUCH_M)  # else SUMO itself has them meet
+            and _overlap_m(actor, other) > max(_TOUCH_M, _overlap_m(bare, other_bare) + _TOUCH_M)
+            and (is_person(other) or _overlap_m(bare, other_bare) <= _TOUCH_M)  # else SUMO itself has them meet
             for other, other_bare in zip(self._actors, near, strict=True)
             if abs(other.p_W_m[0] - actor.p_W_m[0]) + abs(other.p_W_m[1] - actor.p_W_m[1]) < 15.0
         )
@@ -137,8 +137,8 @@ def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
     box = (x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m)
     if is_person(actor):
         px, py, _ = actor.p_W_m.tolist()
-        return gap_to_box(px, py, *box) < _radius_m(actor) - TOUCH_M
-    return bool(boxes_touch(*box_of(actor, -TOUCH_M), *box))
+        return gap_to_box(px, py, *box) < _radius_m(actor) - _TOUCH_M
+    return bool(boxes_touch(*box_of(actor, -_TOUCH_M), *box))
 
 
 def _overlap_m(person: ActorState, other: ActorState) -> float:

@@ -20,10 +20,10 @@ _LANES = {
     "zebra": (LaneKind.CROSSING,),
     "carriageway": (LaneKind.MOTOR,),
 }
-CANDIDATES = 60
-FROM_ENDS_M = 12.0
-SCOUT_EVERY_S = 1.0
-SEEN_M = 2.5  # traffic this near to a place comes by there
+_CANDIDATES = 60
+_FROM_ENDS_M = 12.0
+_SCOUT_EVERY_S = 1.0
+_SEEN_M = 2.5  # traffic this near to a place comes by there
 MOVING_MPS = 3.0
 GAP_M = 0.05  # between the front of a chair and the lane that it rolls out to
 
@@ -71,10 +71,10 @@ def busy_places(
 
 def roll_outs(net: Net, stage: ReactionStage, many: int, scout_s: float, rng: np.random.Generator) -> Sequence[RollOut]:
     """Ways across lanes that have traffic, the busiest first. Raises TownError when the net has none."""
-    lanes = [lane for lane in _rightmost(net) if _length_m(lane) > 3.0 * FROM_ENDS_M]
+    lanes = [lane for lane in _rightmost(net) if _length_m(lane) > 3.0 * _FROM_ENDS_M]
     if not lanes:
         raise TownError("bench reaction: no street long enough to roll out in mid-block; choose another town")
-    ways = [_roll_out(lanes[int(rng.integers(len(lanes)))], stage.half_m[0], rng) for _ in range(CANDIDATES)]
+    ways = [_roll_out(lanes[int(rng.integers(len(lanes)))], stage.half_m[0], rng) for _ in range(_CANDIDATES)]
     counts = _passers(stage, np.array([way.lane_p_W_m for way in ways]), scout_s, MOVING_MPS)
     order = np.argsort(-counts, kind="stable")[: max(1, min(many, 8))]
     return [ways[i] for i in order]
@@ -82,13 +82,13 @@ def roll_outs(net: Net, stage: ReactionStage, many: int, scout_s: float, rng: np
 
 def _drawn(net: Net, kind: str, rng: np.random.Generator) -> list[ChairPlace]:
     lanes = [lane for lane in net.lanes(*_LANES[kind]) if not lane.internal]
-    ends_m = 0.0 if kind == "zebra" else FROM_ENDS_M
+    ends_m = 0.0 if kind == "zebra" else _FROM_ENDS_M
     long = [lane for lane in lanes if _length_m(lane) > 2.0 * ends_m + 2.0]
     if not long:
         return []
     weight = np.array([_length_m(lane) for lane in long])
     places = []
-    for i in rng.choice(len(long), CANDIDATES, p=weight / weight.sum()):
+    for i in rng.choice(len(long), _CANDIDATES, p=weight / weight.sum()):
         lane = long[i]
         at_m = rng.uniform(ends_m, _length_m(lane) - ends_m)
         aside_m = rng.uniform(-1.0, 1.0) * max(0.0, 0.5 * lane.width_m - 0.5)
@@ -108,7 +108,7 @@ def _rightmost(net: Net) -> list[Lane]:
 
 
 def _roll_out(lane: Lane, half_length_m: float, rng: np.random.Generator) -> RollOut:
-    at_m = rng.uniform(FROM_ENDS_M, _length_m(lane) - FROM_ENDS_M)
+    at_m = rng.uniform(_FROM_ENDS_M, _length_m(lane) - _FROM_ENDS_M)
     middle, yaw_rad = _along(lane.points_m, at_m, 0.0)
     start, _ = _along(lane.points_m, at_m, -0.5 * lane.width_m - GAP_M - half_length_m)
     return RollOut(
@@ -125,14 +125,14 @@ def _passers(stage: ReactionStage, places_W_m: F64, scout_s: float, faster_mps: 
     counts = np.zeros(len(places_W_m))
     if not len(places_W_m):
         return counts
-    for _ in range(round(scout_s / SCOUT_EVERY_S)):
-        for _ in range(round(SCOUT_EVERY_S / stage.tick_s)):
+    for _ in range(round(scout_s / _SCOUT_EVERY_S)):
+        for _ in range(round(_SCOUT_EVERY_S / stage.tick_s)):
             stage.tick(())
         near = [a for a in stage.near(places_W_m, 12.0) if float(np.hypot(*a.v_W_mps[:2])) > faster_mps]
         seen = np.array([a.p_W_m[:2] for a in near]).reshape(-1, 2)
         if len(seen):
             gap_m = np.linalg.norm(places_W_m[:, None] - seen[None], axis=2)
-            counts += (gap_m < SEEN_M).sum(axis=1)
+            counts += (gap_m < _SEEN_M).sum(axis=1)
     return counts
 
 

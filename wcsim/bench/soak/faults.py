@@ -25,13 +25,13 @@ _MENU: tuple[tuple[str, What, float], ...] = (
     (WORLD, "stop", 0.05),
     (WORLD, "pause", 0.05),
 )
-FORWARD_TICKS = 5  # the world has gone on by so much before the next fault comes
-TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
+_FORWARD_TICKS = 5  # the world has gone on by so much before the next fault comes
+_TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
 GAP_S = (0.5, 3.0)  # ... and then so long
-HASTE = 0.25  # share of faults on which the next one follows before anybody has got over them
-HASTE_GAP_S = (0.1, 2.5)
-PAUSE_S = (0.3, 1.5)
-STOP_S = (4.0, 8.0)  # a stopped client wakes again, and finds that it was given up
+_HASTE = 0.25  # share of faults on which the next one follows before anybody has got over them
+_HASTE_GAP_S = (0.1, 2.5)
+_PAUSE_S = (0.3, 1.5)
+_STOP_S = (4.0, 8.0)  # a stopped client wakes again, and finds that it was given up
 PATIENCE_S = 60.0  # the next fault comes although nothing went on
 
 
@@ -65,16 +65,16 @@ class Chaos:
         if state.stopping or now_s > self._until_s or state.world is None or state.world_standing != "running":
             return
         here = (state.world.epoch, state.world.tick)
-        if self.faults and now_s - self.faults[-1].time_s < TOLD_S:
+        if self.faults and now_s - self.faults[-1].time_s < _TOLD_S:
             self._base = here
         new = here[0] > self._base[0]
-        went_on = here[1] >= (0 if new else self._base[1]) + FORWARD_TICKS
+        went_on = here[1] >= (0 if new else self._base[1]) + _FORWARD_TICKS
         last_s = self.faults[-1].time_s if self.faults else now_s
         if self._due_s is None and (went_on or now_s - last_s > PATIENCE_S):
             self._due_s = now_s + float(self._rng.uniform(*GAP_S))
         if self._due_s is not None and now_s >= self._due_s:
-            hasty = self._rng.random() < HASTE
-            self._due_s = now_s + float(self._rng.uniform(*HASTE_GAP_S)) if hasty else None
+            hasty = self._rng.random() < _HASTE
+            self._due_s = now_s + float(self._rng.uniform(*_HASTE_GAP_S)) if hasty else None
             self._base = here
             self._strike(state, now_s)
 
@@ -102,7 +102,7 @@ class Chaos:
         _send(pid, signal.SIGKILL if what == "kill" else signal.SIGSTOP)
         self.faults.append(fault)
         if what == "pause" or (what == "stop" and fault.who != WORLD):
-            low_s, high_s = PAUSE_S if what == "pause" else STOP_S
+            low_s, high_s = _PAUSE_S if what == "pause" else _STOP_S
             self._wakes.append((fault.time_s + float(self._rng.uniform(low_s, high_s)), pid))
 
     def _wake(self, now_s: float) -> None:

@@ -31,10 +31,10 @@ from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
 
-CALM_SHARE = 0.25  # of the time, at the end
+_CALM_SHARE = 0.25  # of the time, at the end
 SETTLE_S = 3.0  # of the calm time, before memory is watched
 SAMPLE_S = 0.5
-WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
+_WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,15 +53,22 @@ class SoakOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SoakFacts:
-    """What a soak showed; times in seconds, from the fault to the others' next tick, empty where there was no fault."""
+class RecoveryTimes:
+    """Seconds from each fault to the others' next tick; empty where there was no such fault."""
 
-    audit: Audit
-    faults: tuple[Fault, ...]
     client_s: tuple[float, ...]
     world_s: tuple[float, ...]
     overlap_s: tuple[float, ...]  # of faults that struck while another one was being got over, and of those others
     rejoin_s: tuple[float, ...]  # until the client that was hit saw a frame again
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoakFacts:
+    """What a soak showed."""
+
+    audit: Audit
+    faults: tuple[Fault, ...]
+    times: RecoveryTimes
     orphans: int
     leaked: int  # folders of shared memory
     rss_slope_mb_per_h: float
@@ -76,34 +83,39 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     end_s = time.monotonic() + order.seconds
-    watch = _Watch(Chaos(order.seed, end_s - CALM_SHARE * order.seconds), end_s, progress, order.seconds)
+    watch = _Watch(Chaos(order.seed, end_s - _CALM_SHARE * order.seconds), end_s, progress, order.seconds)
     with workplace() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
-        rules = LaunchRules(world_lease_s=WORLD_LEASE_S, client_lease_s=30.0)
+        rules = LaunchRules(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
         launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
         watch.launcher = launcher
         outcome = launcher.run()
     ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
-    sights = {name: read_sights(_sights(order, name)) for name in names}
-    faults = tuple(watch.chaos.faults)
-    took = tuple(recovery_s(fault, sights) for fault in faults)
-    rejoined = tuple(rejoin_s(fault, sights) for fault in faults)
-    overlap = overlapping(
-        [(f.time_s, f.time_s + (t or r or 0.0)) for f, t, r in zip(faults, took, rejoined, strict=True)]
-    )
-    known = [(f, t, shared) for f, t, shared in zip(faults, took, overlap, strict=True) if t is not None]
+    times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
-        faults=faults,
-        client_s=tuple(t for fault, t, shared in known if fault.who != WORLD and not shared),
-        world_s=tuple(t for fault, t, shared in known if fault.who == WORLD and not shared),
-        overlap_s=tuple(t for _, t, shared in known if shared),
-        rejoin_s=tuple(filter(None, rejoined)),
+        faults=tuple(watch.chaos.faults),
+        times=times,
         orphans=watch.orphans(),
         leaked=int(place.exists()),
         rss_slope_mb_per_h=watch.slope_mb_per_h(),
         outcome=outcome,
+    )
+
+
+def _recovery_times(faults: Sequence[Fault], sights: dict[str, list[StubSight]]) -> RecoveryTimes:
+    """How long each fault was felt, by what was hit; one that struck while another was felt is a case of its own."""
+    took = [recovery_s(fault, sights) for fault in faults]
+    rejoined = [rejoin_s(fault, sights) for fault in faults]
+    spans_s = [(f.time_s, f.time_s + (t or r or 0.0)) for f, t, r in zip(faults, took, rejoined, strict=True)]
+    shared = overlapping(spans_s)
+    known = [(f.who == WORLD, s, t) for f, s, t in zip(faults, shared, took, strict=True) if t is not None]
+    return RecoveryTimes(
+        client_s=tuple(t for is_world, is_shared, t in known if not is_world and not is_shared),
+        world_s=tuple(t for is_world, is_shared, t in known if is_world and not is_shared),
+        overlap_s=tuple(t for _, is_shared, t in known if is_shared),
+        rejoin_s=tuple(filter(None, rejoined)),
     )
 
 
@@ -189,7 +201,7 @@ class _Watch:
                 size_mb += process.memory_info().rss / 1e6
                 if pid in pids:
                     self._seen.add((pid, process.create_time()))
-        calm_s = CALM_SHARE * self._seconds
+        calm_s = _CALM_SHARE * self._seconds
         all_there = state.world is not None and len(state.world.members) == len(state.clients)
         if not state.stopping and all_there and now_s > self._end_s - calm_s + SETTLE_S:
             self._samples.append((now_s, size_mb))

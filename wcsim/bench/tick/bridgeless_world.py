@@ -21,7 +21,7 @@ from wcsim.config import RunConfig
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.types import Command, SeatSpec
 
-SETTLE_TICKS = 50
+_SETTLE_TICKS = 50
 BLOCK_TICKS = 10
 STAGES = ("react", "sumo", "read", "mirror", "physics", "user", "render", "truth", "street")
 
@@ -148,5 +148,5 @@ def typical(rows: list[tuple[float, ...]]) -> list[float]:
 
 
 def _settle(world: World) -> None:
-    for _ in range(SETTLE_TICKS):
+    for _ in range(_SETTLE_TICKS):
         world.tick(as_users_wish(world.snapshot))

@@ -18,13 +18,13 @@ from wcsim.physics.renderer.instances import rotation_of
 from wcsim.types import F64, ClassId, Command, Joystick, PlantState
 
 AHEAD_M = 1.2  # where on its line the chair steers to
-FAR_OFF_M = 1.5  # further from its line it is put back
+_FAR_OFF_M = 1.5  # further from its line it is put back
 STUCK_S = 3.0
 LEVEL_M = 0.03
-SKIP_M = 2.0
+_SKIP_M = 2.0
 # A caster swivels about its stem, and beside a kerb a hand's breadth decides what is below it.
 AROUND_M = 0.15 * np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
-SINK_M, FLOAT_M = 0.06, 0.20  # a chair with a wheel deeper in the ground, or all of them higher, stands on nothing
+_SINK_M, _FLOAT_M = 0.06, 0.20  # a chair with a wheel deeper in the ground, or all of them higher, stands on nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,12 +54,12 @@ class _Tour:
     def visit(self, line: F64) -> None:
         """Drive along a polyline (K, 2) to its end."""
         arc_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-        done_m, best_m, waited_s, put_m = 0.0, 0.0, 0.0, -SKIP_M
+        done_m, best_m, waited_s, put_m = 0.0, 0.0, 0.0, -_SKIP_M
         while done_m < arc_m[-1] - 0.3:
             plant = self.chair.state()
             near_m, off_m = _nearest(line, arc_m, plant.p_WB_m[:2], done_m)
-            if off_m > FAR_OFF_M or waited_s > STUCK_S:
-                done_m = best_m = put_m = self._level_from(line, arc_m, max(done_m, put_m + SKIP_M))
+            if off_m > _FAR_OFF_M or waited_s > STUCK_S:
+                done_m = best_m = put_m = self._level_from(line, arc_m, max(done_m, put_m + _SKIP_M))
                 waited_s = 0.0
                 if done_m < arc_m[-1]:
                     self._put(line, arc_m, done_m)
@@ -111,7 +111,7 @@ class _Tour:
         known = grid.class_at(wheels_W_m) != ClassId.VOID
         above_m = wheels_W_m[:, 2] - ground_m.min(axis=1)
         lifted_m = wheels_W_m[:, 2] - ground_m.max(axis=1)
-        return bool(known.all() and above_m.min() > -SINK_M and lifted_m.min() < FLOAT_M)
+        return bool(known.all() and above_m.min() > -_SINK_M and lifted_m.min() < _FLOAT_M)
 
 
 def tour(world: World, lines: tuple[F64, ...], progress: Callable[[int], object]) -> TourReport:

@@ -22,21 +22,21 @@ from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.walking.routes import Router
-from wcsim.types import Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
+from wcsim.types import Events, Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
 from wcsim.users.crossing import CARRIAGEWAY, RED_BELIEVED_S, Crossing, crossings, is_red
 from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
 
 Colour = Literal["green", "turned", "red", "none"]
-CHAIRS = 6  # at work at the same time
+_CHAIRS = 6  # at work at the same time
 ENDLESS = 1_000_000_000
-RUN_UP_M, LEAST_RUN_UP_M = 12.0, 6.0  # of pavement before the kerb
+RUN_UP_M, _LEAST_RUN_UP_M = 12.0, 6.0  # of pavement before the kerb
 BEYOND_M = 6.0
 NEAR_M = 30.0  # a pavement to start from or to go to begins so near to the crossing
 ROOM_M = 4.0  # between a start and anybody else
 APART_M = 30.0  # between the starts of two chairs, which else would wait at one kerb, one behind the other
 OVER_M = 0.3  # less than this of the footplate over the kerb line is no entry
-ANSWER_S = 1.0  # who has passed the line at green and goes on at a red older than this could have stopped
+_ANSWER_S = 1.0  # who has passed the line at green and goes on at a red older than this could have stopped
 ASIDE_M = 3.0  # who leaves the pavement farther from the crossing than this does not use it
 LONGEST_S = 240.0
 
@@ -62,7 +62,7 @@ class CrossingApproach:
     at_W_m: tuple[float, float]
 
 
-def signalled(street: Street, outline: Outline) -> tuple[CrossingPlace, ...]:
+def _signalled(street: Street, outline: Outline) -> tuple[CrossingPlace, ...]:
     """The crossings of a town that have a light, from each side with enough pavement for a chair before it."""
     router = Router(street.walk)
     ends = [(tuple(e.points_W_m[0]), tuple(e.points_W_m[-1])) for e in street.walk.edges if e.kind is WayKind.SIDEWALK]
@@ -100,7 +100,7 @@ def _place(
         return None
     first = items[0]
     path = Path(route)
-    if first.start_m < LEAST_RUN_UP_M or path.length_m < first.end_m + BEYOND_M:
+    if first.start_m < _LEAST_RUN_UP_M or path.length_m < first.end_m + BEYOND_M:
         return None
     from_m = max(0.0, first.start_m - RUN_UP_M)
     xy, yaw_rad = path.at(from_m), path.heading(from_m)
@@ -136,7 +136,7 @@ class _Watch:
             return "none"
         if not red:
             return "green"
-        return "red" if self._passed_red or self._red_ticks * tick_s > ANSWER_S else "turned"
+        return "red" if self._passed_red or self._red_ticks * tick_s > _ANSWER_S else "turned"
 
     def _footplate(self, ground: Ground) -> tuple[bool, float]:
         """Whether it is over the kerb at the crossing, and how far beyond the crossing's beginning."""
@@ -178,13 +178,13 @@ def approach_crossings(
     """
     done: list[CrossingApproach] = []
     tick_s = config.world.tick_s
-    with World(town, config, (None,) * CHAIRS, seed) as world:
+    with World(town, config, (None,) * _CHAIRS, seed) as world:
         outline = plant_spec(config.chair).outline
-        todo = _ordered(signalled(world.street, outline), count, seed, town)
+        todo = _ordered(_signalled(world.street, outline), count, seed, town)
         watches: dict[int, _Watch] = {}
         while todo or watches:
-            for seat in range(CHAIRS):
-                place = _next(todo, world, [watch.place for watch in watches.values()]) if seat not in watches else None
+            for seat in sorted(set(range(_CHAIRS)) - set(watches)):
+                place = _next(todo, world, [watch.place for watch in watches.values()])
                 if place is not None:
                     todo.remove(place)
                     world.admit(seat, SeatSpec(profile=name, max_steps=ENDLESS, start=place.start))
@@ -194,20 +194,27 @@ def approach_crossings(
             for client in snapshot.clients:
                 watch = watches[client.seat]
                 watch.ticks += 1
-                events = client.events
+                seconds, events = watch.ticks * tick_s, client.events
                 # After a crash the chair stands at its start again.
                 colour = "none" if events.crashed else watch.entered(world.street.grid, snapshot.signals, tick_s)
-                over = watch.ticks * tick_s >= LONGEST_S
-                if not (colour != "none" or over or events.crashed or events.arrived or events.gave_up):
+                if colour == "none" and not _is_over(events, seconds):
                     continue
-                seconds = watch.ticks * tick_s
                 at = watch.place.crossing.start_W_m
                 done.append(CrossingApproach(town=town.name, colour=colour, seconds=seconds, at_W_m=at))
-                how = events.crash_reason or ("arrived" if events.arrived else "gave up" if events.gave_up else "")
-                progress(f"{town.name}: {colour} after {seconds:.0f} s at ({at[0]:.1f}, {at[1]:.1f}) {how}".rstrip())
+                told = f"{town.name}: {colour} after {seconds:.0f} s at ({at[0]:.1f}, {at[1]:.1f})"
+                progress(f"{told} {_ending(events)}".rstrip())
                 world.dismiss(client.seat)
                 del watches[client.seat]
     return done
+
+
+def _is_over(events: Events, seconds: float) -> bool:
+    return seconds >= LONGEST_S or events.crashed or events.arrived or events.gave_up
+
+
+def _ending(events: Events) -> str:
+    """How an approach ended, "" when it did on the crossing or when its time was up."""
+    return events.crash_reason or ("arrived" if events.arrived else "gave up" if events.gave_up else "")
 
 
 def colours(found: Sequence[CrossingApproach]) -> dict[str, int]:

@@ -18,14 +18,14 @@ from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
 
 STICK_FILTER_S = 0.02  # the joystick's electronics, which every stick has passed
-THIN = 6  # of the substeps one in so many is fitted
-LAGS_S = np.arange(0.04, 0.56, 0.02)
-LONGEST_DELAY_S = 1.0
-TREMOR_BAND_HZ = (2.5, 8.0)
-TREMOR_HALF_WIDTH_HZ = 1.2
-SEGMENT_S = 6.0
-WANDER_LATER_S = 0.25
-AT_GATE, GATE_SHARE, CLEAR_OF_GATE = 0.99, 0.05, 0.6  # of the stick's travel, of the samples, of a wish
+_THIN = 6  # of the substeps one in so many is fitted
+_LAGS_S = np.arange(0.04, 0.56, 0.02)
+_LONGEST_DELAY_S = 1.0
+_TREMOR_BAND_HZ = (2.5, 8.0)
+_TREMOR_HALF_WIDTH_HZ = 1.2
+_SEGMENT_S = 6.0
+_WANDER_LATER_S = 0.25
+_AT_GATE, _GATE_SHARE, _CLEAR_OF_GATE = 0.99, 0.05, 0.6  # of the stick's travel, of the samples, of a wish
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,16 +73,16 @@ class Pauses:
 def tremor(log: HandLog) -> Tremor:
     """Peak of the averaged spectrum between 2.5 and 8 Hz, and the amplitude of the power around it."""
     x = log.flat[:, 0]
-    size = min(len(x), round(SEGMENT_S / log.dt_s))
+    size = min(len(x), round(_SEGMENT_S / log.dt_s))
     window = np.hanning(size)
     starts = range(0, len(x) - size + 1, max(1, size // 2))
     pieces = np.array([x[start : start + size] for start in starts])
     spectra = np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window)) ** 2
     power = 2.0 * spectra.mean(axis=0) / (size * float((window**2).sum()))  # its sum over a band is the variance
     hz = np.fft.rfftfreq(size, log.dt_s)
-    band = np.flatnonzero((hz >= TREMOR_BAND_HZ[0]) & (hz <= TREMOR_BAND_HZ[1]))
+    band = np.flatnonzero((hz >= _TREMOR_BAND_HZ[0]) & (hz <= _TREMOR_BAND_HZ[1]))
     peak_hz = float(hz[band[power[band].argmax()]])
-    near = np.abs(hz - peak_hz) <= TREMOR_HALF_WIDTH_HZ
+    near = np.abs(hz - peak_hz) <= _TREMOR_HALF_WIDTH_HZ
     variance = float(power[near].sum())
     taken_off = math.hypot(1.0, math.tau * peak_hz * STICK_FILTER_S)
     middle_hz = float((hz * power)[near].sum()) / max(variance, 1e-12)
@@ -99,12 +99,12 @@ def fit_hand(log: HandLog, smooth_s: float = 0.0) -> HandFit:
         log: At least some seconds in which the intent moves.
         smooth_s: Both sides are averaged over this time first: the period of a tremor takes it out.
     """
-    dt_s = THIN * log.dt_s
+    dt_s = _THIN * log.dt_s
     held = np.repeat(log.intents, log.sticks.shape[1], axis=0)
     width = max(1, round(smooth_s / dt_s))
-    stick = _averaged(log.flat[::THIN], width)
+    stick = _averaged(log.flat[::_THIN], width)
     filtered = _lagged(held, log.dt_s, STICK_FILTER_S)
-    inputs = [_averaged(_lagged(filtered, log.dt_s, float(lag_s))[::THIN], width) for lag_s in LAGS_S]
+    inputs = [_averaged(_lagged(filtered, log.dt_s, float(lag_s))[::_THIN], width) for lag_s in _LAGS_S]
     inside = [_inside(signal, stick) for signal in inputs]
     keep = 0.0
     for _ in range(2):
@@ -113,15 +113,15 @@ def fit_hand(log: HandLog, smooth_s: float = 0.0) -> HandFit:
         lag, delay = np.unravel_index(int(errors.argmin()), errors.shape)
         gain, bias, rest = _line(inputs[lag][: len(stick) - delay], stick[delay:], inside[lag][: len(stick) - delay])
         keep = float(np.clip((rest[1:] * rest[:-1]).sum() / max(float((rest**2).sum()), 1e-12), 0.0, 0.995))
-    later = round(WANDER_LATER_S / dt_s)
+    later = round(_WANDER_LATER_S / dt_s)
     memory = float((rest[later:] * rest[:-later]).sum() / max(float((rest[:-later] ** 2).sum()), 1e-12))
     return HandFit(
         delay_s=_between(errors[lag], int(delay)) * dt_s,
-        lag_s=float(LAGS_S[0] + _between(errors[:, delay], int(lag)) * (LAGS_S[1] - LAGS_S[0])),
+        lag_s=float(_LAGS_S[0] + _between(errors[:, delay], int(lag)) * (_LAGS_S[1] - _LAGS_S[0])),
         gain=gain,
         bias=bias,
         wander=float(rest.std(axis=0).mean()),
-        wander_rate=-math.log(min(max(memory, 1e-3), 0.999)) / WANDER_LATER_S,
+        wander_rate=-math.log(min(max(memory, 1e-3), 0.999)) / _WANDER_LATER_S,
     )
 
 
@@ -188,16 +188,16 @@ def _new(signal: F64, keep: float) -> F64:
 
 def _inside(signal: F64, stick: F64) -> Bool:
     """(n,) which samples of a wish to take: where the gate often stops the stick, only those that stay clear of it."""
-    if float((np.hypot(*stick.T) > AT_GATE).mean()) < GATE_SHARE:
+    if float((np.hypot(*stick.T) > _AT_GATE).mean()) < _GATE_SHARE:
         return np.ones(len(signal), np.bool_)
-    clear: Bool = np.hypot(*signal.T) < CLEAR_OF_GATE
-    return clear if float(clear.mean()) > GATE_SHARE else np.ones(len(signal), np.bool_)
+    clear: Bool = np.hypot(*signal.T) < _CLEAR_OF_GATE
+    return clear if float(clear.mean()) > _GATE_SHARE else np.ones(len(signal), np.bool_)
 
 
 def _errors(signal: F64, stick: F64, use: Bool, dt_s: float) -> F64:
     """Square error for each delay in steps, the best gain and bias taken for each."""
     errors = []
-    for delay in range(round(LONGEST_DELAY_S / dt_s) + 1):
+    for delay in range(round(_LONGEST_DELAY_S / dt_s) + 1):
         chosen = use[: len(signal) - delay]
         x, y = signal[: len(signal) - delay][chosen], stick[delay:][chosen]
         x, y = x - x.mean(axis=0), y - y.mean(axis=0)

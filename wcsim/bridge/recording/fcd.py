@@ -20,7 +20,7 @@ from wcsim.core import frames
 from wcsim.errors import WcsimError
 from wcsim.types import F64, ActorKind
 
-CHAIR_TYPE = ActorKind.WHEELCHAIR.value
+_CHAIR_TYPE = ActorKind.WHEELCHAIR.value
 _SCHEMA = "http://sumo.dlr.de/xsd/fcd_file.xsd"
 _HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
 
@@ -94,8 +94,8 @@ def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
         yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         middle_W_m = row[:3] + middle_m * frames.forward(yaw_rad, 0.0)
         speed_mps = float(np.hypot(row[7], row[8]))
-        name = f"{CHAIR_TYPE}.{seat}"
-        yield _line(name, CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
+        name = f"{_CHAIR_TYPE}.{seat}"
+        yield _line(name, _CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
 
 
 def _line(

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 PACKAGES = ("libsumo", "pybullet", "numpy")
-CPU_KIND = ("vendor_id", "cpu family", "model")
+_CPU_KIND = ("vendor_id", "cpu family", "model")
 """Two kinds of the same vector units still differ in the last bit: numpy, its linear algebra and numba go by kind."""
 
 
@@ -27,4 +27,4 @@ def _cpu_kind() -> str:
         return "unknown-cpu"
     named = [line.partition(":") for line in lines]
     first = {name.strip(): value.strip() for name, _, value in reversed(named)}
-    return "-".join(first.get(name, "?") for name in CPU_KIND)
+    return "-".join(first.get(name, "?") for name in _CPU_KIND)

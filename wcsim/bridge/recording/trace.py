@@ -56,7 +56,7 @@ class TickRecord:
     epoch: int
     tick: int
     commands: F64  # (seats, 2) x, y
-    plants: F64  # (seats, 15) see `plant_row`
+    plants: F64  # (seats, 15) see `_plant_row`
     actor_ids: tuple[str, ...]
     actors: F64  # (n, 8) position, yaw, pitch, velocity
     state_hash: str
@@ -71,12 +71,12 @@ def chair_box_m(chair: ChairConfig) -> tuple[float, float]:
     return outline.length_m, outline.middle_x_m
 
 
-def plant_row(plant: PlantState) -> F64:
+def _plant_row(plant: PlantState) -> F64:
     """A plant as 15 numbers: position, quaternion, velocity, angular velocity, wheel speeds."""
     return np.concatenate([plant.p_WB_m, plant.q_WB, plant.v_B_mps, plant.w_B_radps, plant.wheel_radps])
 
 
-def actor_rows(actors: Sequence[ActorState]) -> F64:
+def _actor_rows(actors: Sequence[ActorState]) -> F64:
     """Actors as (n, 8) numbers: position, yaw, pitch, velocity."""
     if not actors:
         return np.zeros((0, 8))
@@ -88,12 +88,12 @@ def state_hash(snapshot: Snapshot) -> str:
     digest = hashlib.blake2b(digest_size=8)
     digest.update(struct.pack("<qq", snapshot.epoch, snapshot.tick))
     for client in snapshot.clients:
-        digest.update(plant_row(client.plant).tobytes())
+        digest.update(_plant_row(client.plant).tobytes())
         digest.update(struct.pack("<dd", client.user.x, client.user.y))
         digest.update(client.sensors.imu.accel_mean_mps2.tobytes())
     for actor in snapshot.actors:
         digest.update(actor.id.encode())
-    digest.update(actor_rows(snapshot.actors).tobytes())
+    digest.update(_actor_rows(snapshot.actors).tobytes())
     return digest.hexdigest()
 
 
@@ -110,9 +110,9 @@ def record_of(
         epoch=snapshot.epoch,
         tick=snapshot.tick,
         commands=np.array([(c.joystick.x, c.joystick.y) for c in commands]).reshape(-1, 2),
-        plants=np.array([plant_row(c.plant) for c in snapshot.clients]).reshape(-1, 15),
+        plants=np.array([_plant_row(c.plant) for c in snapshot.clients]).reshape(-1, 15),
         actor_ids=tuple(a.id for a in actors),
-        actors=actor_rows(actors),
+        actors=_actor_rows(actors),
         state_hash=snapshot.state_hash,
         time_s=snapshot.time_s,
         bodies=tuple(ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors),

@@ -18,8 +18,8 @@ from wcsim.core.reading import FileKind, opened, parse_json, shown
 from wcsim.errors import JournalError
 from wcsim.types import ActorKind
 
-MAX_SEATS = 64
-MAX_RATIO, FREE_BYTES = 100, 64 << 20  # unpacked against packed: traces come to 2 to 10
+_MAX_SEATS = 64
+_MAX_RATIO, FREE_BYTES = 100, 64 << 20  # unpacked against packed: traces come to 2 to 10
 _KIND = FileKind(what="a trace written by wcsim", limit_bytes=4 << 30, error=JournalError)
 _COMMAND, _PLANT, _ACTOR = 2, 15, 8  # numbers of each
 _LARGEST_INTEGER, _LARGEST = 1 << 62, 1e9
@@ -55,7 +55,7 @@ def _payloads(path: Path) -> Iterator[bytes]:
             raise JournalError(f"{shown(path)}: larger than {_KIND.limit_bytes} bytes; expected {_KIND.what}")
         for record in whole_records(file):
             unpacked, end = unpacked + len(record.payload), record.end
-            if unpacked > FREE_BYTES + MAX_RATIO * size:
+            if unpacked > FREE_BYTES + _MAX_RATIO * size:
                 raise JournalError(f"{shown(path)}: {size} bytes unpack to {unpacked}; expected {_KIND.what}")
             yield record.payload
         if end and torn_bytes(file, end) is None:
@@ -76,14 +76,14 @@ def _header(payload: bytes, where: str) -> TraceHeader:
         _is_number(header.origin_z_m),
     )
     _integer(header.seed, _LARGEST_INTEGER)
-    _integer(header.seats, MAX_SEATS)
+    _integer(header.seats, _MAX_SEATS)
     return header
 
 
 def _tick(payload: bytes, told: dict[str, ActorBody], where: str) -> TickRecord:
     line, _, raw = payload.partition(b"\n")
     head = parse_json(line.decode(), where, _KIND)
-    seats = _integer(head["seats"], MAX_SEATS)
+    seats = _integer(head["seats"], _MAX_SEATS)
     actors = tuple(map(_text, _list(head["actors"])))
     for body in _list(head.get("bodies", [])):
         name, kind, size_lwh_m, piece = body
@@ -96,7 +96,7 @@ def _tick(payload: bytes, told: dict[str, ActorBody], where: str) -> TickRecord:
     numbers = np.frombuffer(raw, "<f8")
     plants_at, actors_at = seats * _COMMAND, seats * (_COMMAND + _PLANT)
     _require(len(numbers) == actors_at + len(actors) * _ACTOR, bool((np.abs(numbers) <= _LARGEST).all()))
-    at = tuple(_integer(seat, MAX_SEATS) for seat in _list(head.get("at", [])))
+    at = tuple(_integer(seat, _MAX_SEATS) for seat in _list(head.get("at", [])))
     _require(len(at) in (0, seats), _is_number(head.get("time_s", 0.0)))
     return TickRecord(
         epoch=_integer(head["epoch"], _LARGEST_INTEGER),

@@ -18,8 +18,8 @@ from wcsim.core import frames
 from wcsim.types import F64, ActorKind, ActorLook, ActorState, SignalState
 
 FASTEST_MPS = {"v:": 70.0, "p:": 35.0}  # nobody and no chair together come nearer faster, but for a jump; people ride
-MOVED_M = 1.5  # a chair that is so far from where it was at the last question has been put there
-LONGEST_WAIT = 100  # steps
+_MOVED_M = 1.5  # a chair that is so far from where it was at the last question has been put there
+_LONGEST_WAIT = 100  # steps
 Place = tuple[float, float, float]
 LONG_M = 20.0  # longer vehicles' rears may be near while their fronts are far
 
@@ -115,7 +115,7 @@ class ActorReader:
             if gap_m < 2.0 * closing_m:
                 soon.append(name)
             else:
-                due.setdefault(self._step + min(int(gap_m / closing_m), LONGEST_WAIT), []).append(name)
+                due.setdefault(self._step + min(int(gap_m / closing_m), _LONGEST_WAIT), []).append(name)
         due.setdefault(self._step + 1, []).extend(soon)
         found.sort()
         return found
@@ -203,7 +203,7 @@ class SignalReader:
             self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
             out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
-            close = ((out_m**2).sum(-1) <= (radius_m + 2.0 * MOVED_M) ** 2).any(axis=0)
+            close = ((out_m**2).sum(-1) <= (radius_m + 2.0 * _MOVED_M) ** 2).any(axis=0)
             self._close = [self._names[i] for i in np.flatnonzero(close)]
         return tuple(self._state(name) for name in self._close)
 
@@ -216,7 +216,7 @@ class SignalReader:
 
 def _moved(now_W_m: F64, before_W_m: F64) -> bool:
     """Whether the places (n, 2) are others than before, by more than chairs drive in a step."""
-    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > MOVED_M).any())
+    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > _MOVED_M).any())
 
 
 def _box(libsumo: Any, tls_id: str) -> tuple[float, float, float, float]:

@@ -23,9 +23,9 @@ from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
-SUMO_FOLDER = "sumo"
-TRIAL_STEPS = 50
-BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
+_SUMO_FOLDER = "sumo"
+_TRIAL_STEPS = 50
+_BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
@@ -52,7 +52,7 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
 
 def try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
-    key = hashlib.sha256(f"{digest} {version('libsumo')} {TRIAL_STEPS} {BEGUN_ANEW}".encode()).hexdigest()[:32]
+    key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_BEGUN_ANEW}".encode()).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
@@ -62,11 +62,11 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
             run = _trial(staged.sumocfg, settings.step_s)
         except SumoError as error:
             raise TownError(
-                f"{town.sumocfg}: SUMO could not run its first {TRIAL_STEPS} steps ({error}); give it less to do: "
+                f"{town.sumocfg}: SUMO could not run its first {_TRIAL_STEPS} steps ({error}); give it less to do: "
                 "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
             ) from None
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
-    if run.died and BEGUN_ANEW in run.output:
+    if run.died and _BEGUN_ANEW in run.output:
         raise TownError(
             f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process ({run.reason()}); that is known "
             "of devices that send (btsender): remove them, here and from the routes"
@@ -80,8 +80,8 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
 
 
 def _trial(sumocfg: Path, step_s: float) -> ToolRun:
-    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(TRIAL_STEPS)]
-    command.append(BEGUN_ANEW)
+    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(_TRIAL_STEPS)]
+    command.append(_BEGUN_ANEW)
     env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
     return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
 
@@ -89,7 +89,7 @@ def _trial(sumocfg: Path, step_s: float) -> ToolRun:
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
     """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
     files = (*town.additional, *town.routes)
-    end_s = staged.begin_s + TRIAL_STEPS * settings.step_s
+    end_s = staged.begin_s + _TRIAL_STEPS * settings.step_s
 
     def fails(count: int) -> bool:
         words = ["-c", str(_with_fewer(staged.sumocfg, count)), "--end", repr(end_s)]
@@ -125,8 +125,8 @@ def _with_fewer(staged: Path, count: int) -> Path:
 
 def _fresh(run: Path) -> Path:
     """A folder for SUMO's files in a run; what an earlier sitting of the run left there stays."""
-    folder, number = run / SUMO_FOLDER, 1
+    folder, number = run / _SUMO_FOLDER, 1
     while folder.is_dir() and any(folder.iterdir()):
         number += 1
-        folder = run / f"{SUMO_FOLDER}-{number}"
+        folder = run / f"{_SUMO_FOLDER}-{number}"
     return folder

@@ -38,7 +38,7 @@ def refuse_second_world() -> None:
         )
 
 
-def pair_of(collider: str, victim: str) -> tuple[str, str]:
+def _pair_of(collider: str, victim: str) -> tuple[str, str]:
     """Who collided, the same whichever of them SUMO blames."""
     return (collider, victim) if collider <= victim else (victim, collider)
 
@@ -112,7 +112,7 @@ class SumoSession:
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
         self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
         self._teleports = len(jammed)
-        pairs = frozenset(pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+        pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
         self._collisions = len(pairs - self._colliding)
         self._colliding = pairs
         self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])

@@ -14,14 +14,14 @@ from typing import Any
 from wcsim.core.plugins import find_class
 from wcsim.errors import HookError
 
-METHODS = ("before_step", "after_step")
+_METHODS = ("before_step", "after_step")
 
 
 def find_hook(name: str) -> type:
     """The class that `module:Class` names. Raises HookError when there is none, or it has no method to call."""
     kind = find_class(name, "step hook", HookError)
-    if not any(callable(getattr(kind, method, None)) for method in METHODS):
-        raise HookError(f"step hook {name!r} has neither {' nor '.join(METHODS)}; expected a method (self, time_s)")
+    if not any(callable(getattr(kind, method, None)) for method in _METHODS):
+        raise HookError(f"step hook {name!r} has neither {' nor '.join(_METHODS)}; expected a method (self, time_s)")
     return kind
 
 

@@ -47,7 +47,7 @@ KIND_OF_CLASS = {
 SUMO reads a class name that it does not know as "ignoring", and draws and moves it like a car.
 """
 
-LOOK_OF_CLASS = {
+_LOOK_OF_CLASS = {
     "taxi": ActorLook.TAXI,
     "authority": ActorLook.POLICE,
     "emergency": ActorLook.AMBULANCE,
@@ -55,10 +55,10 @@ LOOK_OF_CLASS = {
     "coach": ActorLook.COACH,
     "moped": ActorLook.MOPED,
 }
-VAN_FROM_M = 2.0  # height from which on what drives like a car is a van
+_VAN_FROM_M = 2.0  # height from which on what drives like a car is a van
 
 # What SUMO's numbers are held to: PyBullet and the renderers need a box, and SUMO lets anybody write anything.
-LEAST_M, MOST_M, UNKNOWN_M = 0.1, 400.0, 1.0
+LEAST_M, MOST_M, _UNKNOWN_M = 0.1, 400.0, 1.0
 
 
 def kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) -> tuple[ActorKind, ActorLook]:
@@ -70,8 +70,8 @@ def kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) ->
     <ActorKind.OTHER: 'other'>
     """
     kind = KIND_OF_CLASS.get(vehicle_class, ActorKind.OTHER)
-    look = LOOK_OF_CLASS.get(vehicle_class, ActorLook.USUAL)
-    low = size_lwh_m[2] < VAN_FROM_M
+    look = _LOOK_OF_CLASS.get(vehicle_class, ActorLook.USUAL)
+    low = size_lwh_m[2] < _VAN_FROM_M
     if look is ActorLook.AMBULANCE:
         return (ActorKind.CAR, ActorLook.POLICE) if low else (ActorKind.TRUCK, look)
     if kind is ActorKind.CAR and look is ActorLook.USUAL and not low:
@@ -89,4 +89,4 @@ def sane_size(length_m: float, width_m: float, height_m: float) -> tuple[float, 
 
 
 def _side(side_m: float) -> float:
-    return min(max(float(side_m), LEAST_M), MOST_M) if math.isfinite(side_m) else UNKNOWN_M
+    return min(max(float(side_m), LEAST_M), MOST_M) if math.isfinite(side_m) else _UNKNOWN_M

@@ -16,11 +16,11 @@ from wcsim.core import frames
 
 log = logging.getLogger("wcsim.bridge.sumo.vehicle_control")
 
-NO_DECEL_BOUND = ~4  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
-ONLY_ORDERED = 512  # lane-change mode: none of SUMO's own, ordered ones only into gaps
-ONLY_ORDERED_PUSHY = 256  # the same, but into any gap that is not a collision
-LANE_HOLD_S = 1.0
-FURTHEST_LINKS = 12
+_NO_DECEL_BOUND = ~4  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
+_ONLY_ORDERED = 512  # lane-change mode: none of SUMO's own, ordered ones only into gaps
+_ONLY_ORDERED_PUSHY = 256  # the same, but into any gap that is not a collision
+_LANE_HOLD_S = 1.0
+_FURTHEST_LINKS = 12
 
 
 class VehicleControl:
@@ -61,7 +61,7 @@ class VehicleControl:
         name = actor_id.partition(":")[2]
         lanes = self._through_junction(self._api.vehicle.getLaneID(name), "")
         known_m = -float(self._api.vehicle.getLanePosition(name)) + sum(self.lane(lane).length_m for lane in lanes)
-        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:FURTHEST_LINKS]:
+        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:_FURTHEST_LINKS]:
             if known_m > ahead_m:
                 break
             if target in lanes:
@@ -141,16 +141,16 @@ class VehicleControl:
             modes = self._modes[name] = (vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name))
         speed_mode, lane_mode = modes
         if order.hard:
-            speed_mode &= NO_DECEL_BOUND
+            speed_mode &= _NO_DECEL_BOUND
         if order.keep_lane:
-            lane_mode = ONLY_ORDERED_PUSHY if order.pushy else ONLY_ORDERED
+            lane_mode = _ONLY_ORDERED_PUSHY if order.pushy else _ONLY_ORDERED
         vehicle.setSpeed(name, order.speed_mps)
         if vehicle.getSpeedMode(name) != speed_mode:
             vehicle.setSpeedMode(name, speed_mode)
         if vehicle.getLaneChangeMode(name) != lane_mode:
             vehicle.setLaneChangeMode(name, lane_mode)
         if order.lane_index is not None:
-            vehicle.changeLane(name, order.lane_index, LANE_HOLD_S)
+            vehicle.changeLane(name, order.lane_index, _LANE_HOLD_S)
         if order.aside_m is not None:
             vehicle.changeSublane(name, order.aside_m)
         if order.speed_mps == LET_GO and not order.keep_lane:
@@ -159,7 +159,7 @@ class VehicleControl:
     def _through_junction(self, lane_id: str, target: str) -> list[str]:
         """A lane and, when it lies inside a junction, those that follow it there and out of it."""
         lanes = [lane_id]
-        while lanes[-1].startswith(":") and len(lanes) < FURTHEST_LINKS:
+        while lanes[-1].startswith(":") and len(lanes) < _FURTHEST_LINKS:
             links = self._api.lane.getLinks(lanes[-1])
             if not links:
                 break

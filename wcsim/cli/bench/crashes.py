@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 MAX_CHAIRS = 64
 MAX_STEPS = 10_000_000
 LISTED = 60
-PER_STEPS = (8_000, 30_000)
+_PER_STEPS = (8_000, 30_000)
 
 
 @dataclass
@@ -103,7 +103,7 @@ def as_json(drive: CrashDrive) -> dict[str, Any]:
         "crashes_per_km": _rate(drive, len(drive.crashes)),
         "own_per_km": _rate(drive, sum(crash.fault == "own" for crash in drive.crashes)),
         "lost_share": drive.lost_steps / drive.steps,
-        "lost_per_steps": {str(steps): len(drive.lost) * steps / drive.steps for steps in PER_STEPS},
+        "lost_per_steps": {str(steps): len(drive.lost) * steps / drive.steps for steps in _PER_STEPS},
     }
 
 
@@ -124,7 +124,7 @@ def _config(options: CrashesOptions) -> RunConfig:
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
     from wcsim.agents.policies.baselines import baseline
-    from wcsim.bench.crashes.drives import drive_crashes
+    from wcsim.bench.crashes.drives import CrashOrder, drive_crashes
     from wcsim.core.seeding import derive
 
     found = find_town(town)
@@ -136,7 +136,8 @@ def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, 
         bar.update(task, completed=done)
 
     visible = policy == VISIBLE_BOUND
-    return drive_crashes(found, config, policy, drivers, options.profile, ticks, options.seed, visible, seen)
+    order = CrashOrder(policy=policy, profile=options.profile, ticks=ticks, seed=options.seed, visible=visible)
+    return drive_crashes(order, found, config, drivers, seen)
 
 
 def _rate(drive: CrashDrive, events: int) -> tuple[float, float, float] | None:
@@ -155,26 +156,35 @@ def _classes(drives: Sequence[CrashDrive]) -> Table:
     for kind in sorted({kind for count in counts for kind in count}):
         table.add_row(kind, *(str(count[kind]) for count in counts))
     table.add_section()
-    own = [sum(crash.fault == "own" for crash in drive.crashes) for drive in drives]
-    table.add_row("all", *(str(len(drive.crashes)) for drive in drives))
-    table.add_row("own fault", *(str(count) for count in own))
-    table.add_row("kilometres", *(f"{drive.km:.2f}" for drive in drives))
-    table.add_row("all per km", *(_per_km(drive, len(drive.crashes)) for drive in drives))
-    table.add_row("own per km", *(_per_km(drive, count) for drive, count in zip(drives, own, strict=True)))
-    table.add_row("after a fall", *(str(sum(crash.after_fall for crash in drive.crashes)) for drive in drives))
-    table.add_row("in the picture", *(_share([c.in_picture for c in drive.crashes]) for drive in drives))
-    table.add_row("user looked away", *(_share([_away(c) for c in drive.crashes]) for drive in drives))
-    table.add_row("a safe action 1 s before", *(_share([c.safe_before for c in drive.crashes]) for drive in drives))
-    table.add_row("falls off a kerb", *(str(drive.falls) for drive in drives))
+    columns = [_cells(drive) for drive in drives]
+    for row in columns[0]:
+        table.add_row(row, *(column[row] for column in columns))
     return table
+
+
+def _cells(drive: CrashDrive) -> dict[str, str]:
+    """What the table says of one drive below the classes: row -> cell."""
+    crashes, own = drive.crashes, sum(crash.fault == "own" for crash in drive.crashes)
+    return {
+        "all": str(len(crashes)),
+        "own fault": str(own),
+        "kilometres": f"{drive.km:.2f}",
+        "all per km": _per_km(drive, len(crashes)),
+        "own per km": _per_km(drive, own),
+        "after a fall": str(sum(crash.after_fall for crash in crashes)),
+        "in the picture": _share([crash.in_picture for crash in crashes]),
+        "user looked away": _share([_away(crash) for crash in crashes]),
+        "a safe action 1 s before": _share([crash.safe_before for crash in crashes]),
+        "falls off a kerb": str(drive.falls),
+    }
 
 
 def _control(drives: Sequence[CrashDrive]) -> Table:
     """Lost control of each policy and town."""
-    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in PER_STEPS), "of steps")
+    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in _PER_STEPS), "of steps")
     table = Table(*heads, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for drive in drives:
-        scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in PER_STEPS)
+        scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in _PER_STEPS)
         share = f"{drive.lost_steps / drive.steps:.2%}"
         table.add_row(f"{drive.policy}, {drive.town}", f"{drive.steps:,}", str(len(drive.lost)), *scaled, share)
     return table

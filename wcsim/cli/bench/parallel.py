@@ -23,7 +23,7 @@ from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, wr
 from wcsim.cli.training.clients import client_names
 from wcsim.errors import WcsimError
 
-SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "other_s", "elapsed_s")
+_SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "other_s", "elapsed_s")
 
 
 @dataclass
@@ -99,17 +99,17 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path) ->
     waited = {}
     for name in client_names(networks):
         times = json.loads((folder / name / "times.json").read_text(encoding="utf-8"))
-        waited[name] = {share: float(times[share]) for share in SHARES}
+        waited[name] = {share: float(times[share]) for share in _SHARES}
     told = json.loads(result.read_text(encoding="utf-8"))
     return Trained(wall_s=wall_s, ticks_per_s=float(told["ticks_per_s"]), waited=waited)
 
 
 def _print(console: Console, together: Trained, apart: dict[str, dict[str, float]], sequential_s: float) -> None:
-    titles = ("world", "barrier", "infer", "learn", "other", "all")  # seconds, in the order of SHARES
+    titles = ("world", "barrier", "infer", "learn", "other", "all")  # seconds, in the order of _SHARES
     table = Table("client", "run", *titles, box=box.SIMPLE_HEAD, pad_edge=False)
     for run_name, waited in (("together", together.waited), ("alone", apart)):
         for client, shares in waited.items():
-            table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in SHARES))
+            table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in _SHARES))
     console.print(table)
     console.print(
         f"together {together.wall_s:.1f} s, one after the other {sequential_s:.1f} s: "

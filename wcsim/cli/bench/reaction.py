@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.bench.reaction.battery import Battery, run_battery
+from wcsim.bench.reaction.battery import Battery, BatteryOrder, run_battery
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 
 
@@ -41,16 +41,17 @@ def run(options: ReactionOptions) -> int:
     in_bounds("--streets", options.streets, 1, 3)
     in_bounds("--places", options.places, 1, 20)
     console = Console()
+    order = BatteryOrder(
+        town=options.town,
+        seed=options.seed,
+        standing_s=60.0 * options.minutes,
+        trials=options.trials,
+        streets=options.streets,
+        places=options.places,
+    )
     with tempfile.TemporaryDirectory(prefix="wcsim-bench-") as work:
         battery = run_battery(
-            options.town,
-            Path(work),
-            seed=options.seed,
-            standing_s=60.0 * options.minutes,
-            trials=options.trials,
-            streets=options.streets,
-            places=options.places,
-            progress=lambda text: console.print(text, style="dim", highlight=False, markup=False),
+            order, Path(work), lambda text: console.print(text, style="dim", highlight=False, markup=False)
         )
     console.print(_table(battery))
     if options.json is not None:

@@ -19,7 +19,7 @@ from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.towns.scenario.town import find_town
 
-CLIENT_BAR_S, WORLD_BAR_S = 5.0, 30.0
+_CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 
 
 @dataclass
@@ -79,14 +79,14 @@ def result(facts: SoakFacts) -> dict[str, int | float | None]:
         "lost": facts.audit.lost,
         "doubled": facts.audit.doubled,
         "phantom": facts.audit.phantom,
-        "recovery_client_p99_s": _p99(facts.client_s),
-        "recovery_world_p99_s": _p99(facts.world_s),
-        "recovery_overlap_p99_s": _p99(facts.overlap_s),
-        "overlapping": len(facts.overlap_s),
-        "rejoin_p99_s": _p99(facts.rejoin_s),
+        "recovery_client_p99_s": _p99(facts.times.client_s),
+        "recovery_world_p99_s": _p99(facts.times.world_s),
+        "recovery_overlap_p99_s": _p99(facts.times.overlap_s),
+        "overlapping": len(facts.times.overlap_s),
+        "rejoin_p99_s": _p99(facts.times.rejoin_s),
         "alone": sum(not fault.others for fault in facts.faults),
         "unrecovered": sum(bool(fault.others) for fault in facts.faults)
-        - sum(map(len, (facts.client_s, facts.world_s, facts.overlap_s))),
+        - sum(map(len, (facts.times.client_s, facts.times.world_s, facts.times.overlap_s))),
         "orphans": facts.orphans,
         "leaked_shm": facts.leaked,
         "rss_slope_mb_per_h": facts.rss_slope_mb_per_h,
@@ -98,9 +98,9 @@ def faults_of(facts: SoakFacts) -> list[str]:
     found = result(facts)
     wrong = [key for key in ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered") if found[key]]
     slow = (
-        ("recovery_client_p99_s", CLIENT_BAR_S),
-        ("recovery_world_p99_s", WORLD_BAR_S),
-        ("recovery_overlap_p99_s", WORLD_BAR_S),  # any of them may be the world's
+        ("recovery_client_p99_s", _CLIENT_BAR_S),
+        ("recovery_world_p99_s", _WORLD_BAR_S),
+        ("recovery_overlap_p99_s", _WORLD_BAR_S),  # any of them may be the world's
     )
     return wrong + [key for key, bar_s in slow if (found[key] or 0.0) > bar_s]
 

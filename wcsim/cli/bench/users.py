@@ -21,9 +21,9 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 TINY_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
 LONGEST_S = 900.0
-PICTURE_S = 30.0
-CAREFREE = "inattentive"  # the profile that comes to the crossings
-PICTURE = "users.png"
+_PICTURE_S = 30.0
+_CAREFREE = "inattentive"  # the profile that comes to the crossings
+_PICTURE = "users.png"
 
 
 @dataclass
@@ -137,7 +137,7 @@ def _crossings(options: UsersOptions, towns: Sequence[Town], config: RunConfig) 
         for number, town in enumerate(towns):
             share = len(range(number, options.crossings, len(towns)))
             if share:
-                found += approach_crossings(town, config, CAREFREE, share, law_share, options.seed, tell)
+                found += approach_crossings(town, config, _CAREFREE, share, law_share, options.seed, tell)
         result[title] = colours(found)
     return result
 
@@ -198,5 +198,5 @@ def _draw(options: UsersOptions, driven: dict[str, list[DrivenRoute]]) -> None:
     if options.pictures is None:
         return
     hands = {name: max(routes, key=lambda route: len(route.log.speed_mps)).log.hand for name, routes in driven.items()}
-    write_sheet(options.pictures / PICTURE, hands, PICTURE_S)
-    print(f"wrote {options.pictures / PICTURE}")
+    write_sheet(options.pictures / _PICTURE, hands, _PICTURE_S)
+    print(f"wrote {options.pictures / _PICTURE}")

@@ -13,7 +13,7 @@ from rich.progress import track
 from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
 from wcsim.view.filming import open_stage
 
-MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
+_MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
 
 @dataclass
@@ -36,7 +36,7 @@ def run(words: list[str]) -> int:
     """Film it."""
     options = parse(Options, words, "video")
     check_output("--out", options.out, ".webm")
-    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
+    in_bounds("--seconds", options.seconds, _MIN_SECONDS, MAX_SECONDS)
     console = Console(stderr=True)
     quiet = not console.is_terminal
     missing = missing_folder(options.out)

@@ -35,9 +35,7 @@ def parse(options: type[T], words: list[str], command: str) -> T:
     Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
     hear of it before the work than after it.
     """
-    parsed = tyro.cli(
-        options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers()
-    )
+    parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers())
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
     check_output("--json", getattr(parsed, "json", None))
     return parsed

@@ -28,7 +28,7 @@ class Exit(IntEnum):
     TERMINATED = 143  # ended by SIGTERM with nothing to keep
 
 
-ON_THE_WAY = (DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError)
+_ON_THE_WAY = (DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError)
 
 
 class NothingKept(KeyboardInterrupt):
@@ -39,4 +39,4 @@ def exit_of(error: WcsimError) -> Exit:
     """How a command ends that met this error."""
     if isinstance(error, InterruptedRunError):
         return Exit.STOPPED
-    return Exit.FAILED if isinstance(error, ON_THE_WAY) else Exit.REFUSED
+    return Exit.FAILED if isinstance(error, _ON_THE_WAY) else Exit.REFUSED

@@ -103,9 +103,7 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
             f"--sumocfg takes a scenario as it is, and {', '.join(idle)} cannot be joined with it: leave one out"
         )
     if options.allow_outside:
-        print(
-            f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it"
-        )
+        print(f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it")
     town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
     try:
         report = checked(town, told=_stage)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 MANIFEST = "manifest.json"
 MAX_CHAIRS = 64
-TOLD_CRASHES = 5
+_TOLD_CRASHES = 5
 
 
 @dataclass
@@ -171,11 +171,11 @@ def _table(name: str, facts: TrafficFacts) -> Table:
 def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
     """Up to five crashes of wheelchairs, each with its reason, second and place."""
     lines = []
-    for crash in crashed[:TOLD_CRASHES]:
+    for crash in crashed[:_TOLD_CRASHES]:
         x_m, y_m = crash.at_m
         what = f"crash of wheelchair {crash.seat}: {crash.reason}"
         lines.append(f"{what}, at {crash.time_s:.1f} s, at x {x_m:.1f} y {y_m:.1f} in the net")
-    more = len(crashed) - TOLD_CRASHES
+    more = len(crashed) - _TOLD_CRASHES
     return [*lines, f"and {more} more crashes; all of them are in the manifest"] if more > 0 else lines
 
 

@@ -17,10 +17,10 @@ from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, Outlin
 
 U32 = npt.NDArray[np.uint32]
 
-STRIDE = 0.8  # length of two steps against a walker's height
-WALKING_MPS = 0.2  # slower than this, a pedestrian stands
-GAIT_HEADINGS = 16
-CHILD_BELOW_M = 1.45
+_STRIDE = 0.8  # length of two steps against a walker's height
+_WALKING_MPS = 0.2  # slower than this, a pedestrian stands
+_GAIT_HEADINGS = 16
+_CHILD_BELOW_M = 1.45
 _TEMPLATES = {kind: int(template_of(kind)) for kind in ActorKind}
 
 
@@ -72,7 +72,7 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
     )
     walks = template == Template.PEDESTRIAN
     speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])
-    stride_m = STRIDE * scale_m[walks, 2]
+    stride_m = _STRIDE * scale_m[walks, 2]
     template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
     template[walks] += POSTURES * figures(scale_m[walks, 2], seed[walks])
     return Instances(
@@ -130,9 +130,7 @@ def chosen(instances: Instances, rows: Bool) -> Instances:
 def transforms(instances: Instances) -> F64:
     """Unit model box to world, (n, 3, 4) float64: turn, size and place of every instance."""
     T_WM = np.empty((len(instances), 3, 4))
-    place_models(
-        instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM
-    )
+    place_models(instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM)
     return T_WM
 
 
@@ -167,15 +165,15 @@ def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F
     It comes from the place (n, 3) alone: one snapshot always gives one picture. The distance walked is read off along
     the nearest of 16 headings: a walker who turns a little does not skip phases. The seed lets people out of step.
     """
-    heading = np.rint(yaw_rad * (GAIT_HEADINGS / (2 * np.pi))) % GAIT_HEADINGS * (2 * np.pi / GAIT_HEADINGS)
+    heading = np.rint(yaw_rad * (_GAIT_HEADINGS / (2 * np.pi))) % _GAIT_HEADINGS * (2 * np.pi / _GAIT_HEADINGS)
     walked_m = p_W_m[:, 0] * np.cos(heading) + p_W_m[:, 1] * np.sin(heading)
     steps = np.floor((walked_m / stride_m + (seed & 255) / 256.0) * GAIT_PHASES)
-    return np.where(speed_mps < WALKING_MPS, STANDING, steps % GAIT_PHASES).astype(np.int32)
+    return np.where(speed_mps < _WALKING_MPS, STANDING, steps % GAIT_PHASES).astype(np.int32)
 
 
 def figures(height_m: F64, seed: U32) -> I32:
     """Which figure (n,) of `templates.FIGURES` each person is: a child, or one of two kinds of grown-ups."""
-    return np.where(height_m < CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
+    return np.where(height_m < _CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
 
 
 def _rows(vectors: Sequence[F64]) -> F64:

@@ -16,8 +16,8 @@ from wcsim.physics.renderer.models.special_vehicles import LAMP_APART_M, LAMP_DE
 from wcsim.types import F64, I32, SignalHead, SignalState
 
 AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep
-VEHICLE_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, 2 * (LAMP_APART_M + LAMP_RADIUS_M))
-WALKER_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, LAMP_APART_M + 2 * LAMP_RADIUS_M)
+_VEHICLE_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, 2 * (LAMP_APART_M + LAMP_RADIUS_M))
+_WALKER_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, LAMP_APART_M + 2 * LAMP_RADIUS_M)
 
 _VEHICLE_LETTERS = {
     "r": Template.SIGNAL_RED,
@@ -48,7 +48,7 @@ class SignalLamps:
         self._p_W_m = np.array([head.p_W_m for head in heads], np.float64).reshape(-1, 3)
         self._yaw_rad = np.array([head.yaw_rad for head in heads], np.float64)
         walker = np.array([head.pedestrian for head in heads], np.bool_)
-        self._size_m = np.where(walker[:, None], WALKER_SIZE_M, VEHICLE_SIZE_M).reshape(-1, 3)
+        self._size_m = np.where(walker[:, None], _WALKER_SIZE_M, _VEHICLE_SIZE_M).reshape(-1, 3)
         self._ahead_W = np.column_stack([np.cos(self._yaw_rad), np.sin(self._yaw_rad)])
         self._foot_W_m = self._p_W_m.copy()
         self._foot_W_m[:, :2] += (AHEAD_M + 0.5 * LAMP_DEPTH_M) * self._ahead_W

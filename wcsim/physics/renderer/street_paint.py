@@ -25,8 +25,8 @@ U32 = npt.NDArray[np.uint32]
 
 WELD_M = 0.02
 BAY_M = 2.8
-TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
-WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
+_TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
+_WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,10 +47,10 @@ def paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> SurfacePaint:
     foot, top = _extent(corners[:, :, 2], thing)
     steep = np.abs(normal[:, 2]) < 0.5
     east, north = (np.subtract(*_extent(corners[:, :, axis], thing)[::-1]) for axis in (0, 1))
-    colour = _colours(face_class, _dice(corners, thing), steep, np.maximum(east, north) < TRUNK_WIDE_M)
+    colour = _colours(face_class, _dice(corners, thing), steep, np.maximum(east, north) < _TRUNK_WIDE_M)
     shade = AMBIENT + DIFFUSE * np.maximum(normal @ SUN_W, 0.0)
     pattern = np.zeros(len(faces), np.uint8)
-    windows = (face_class == ClassId.BUILDING) & steep & (top - foot > WINDOW_WALL_MIN_M)
+    windows = (face_class == ClassId.BUILDING) & steep & (top - foot > _WINDOW_WALL_MIN_M)
     pattern[windows] = WINDOWS
     stripes = face_class == ClassId.CROSSWALK
     pattern[stripes] = STRIPES

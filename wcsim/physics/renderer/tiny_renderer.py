@@ -22,8 +22,8 @@ from wcsim.physics.renderer.instances import Instances, rotation_quaternion
 from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table, paint_table
 from wcsim.types import F64, U8, ClassId
 
-FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
-PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
+_FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
+_PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
 
 Corners = npt.NDArray[np.float64]  # (T, 3 corners, 3)
 
@@ -53,8 +53,8 @@ class TinyRenderer:
         corners = store.vertices_W_m[store.global_faces()].astype(np.float64)
         for class_id in np.unique(store.face_class):
             mine = corners[store.face_class == class_id]
-            for start in range(0, len(mine), FACES_PER_BODY):
-                self._body(mine[start : start + FACES_PER_BODY], int(class_id), class_paint_table()[class_id])
+            for start in range(0, len(mine), _FACES_PER_BODY):
+                self._body(mine[start : start + _FACES_PER_BODY], int(class_id), class_paint_table()[class_id])
 
     def __enter__(self) -> TinyRenderer:
         return self
@@ -119,7 +119,7 @@ class TinyRenderer:
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
                 for body in bodies:
-                    self._move(body, list(PARKED_M), [0.0, 0.0, 0.0, 1.0])
+                    self._move(body, list(_PARKED_M), [0.0, 0.0, 0.0, 1.0])
 
     def _move(self, body: int, p_W_m: list[float], q: list[float]) -> None:
         pybullet.resetBasePositionAndOrientation(body, p_W_m, q, physicsClientId=self._client)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from wcsim.core.jit import kernel
 from wcsim.types import I32
 
-STATED_PX = 320 * 240
+_STATED_PX = 320 * 240
 """The picture for which numbers of pixels are stated; in one of another size they are scaled by its share of this."""
 
 
@@ -32,7 +32,7 @@ def shown_px(instance: I32, names: Sequence[str]) -> dict[str, float]:
     """
     counts = np.zeros(len(names), np.int64)
     _count(instance, counts)
-    scale = STATED_PX / instance.size
+    scale = _STATED_PX / instance.size
     shown: dict[str, float] = {}
     for i in np.flatnonzero(counts).tolist():
         shown[names[i]] = shown.get(names[i], 0.0) + scale * float(counts[i])

@@ -3,7 +3,7 @@
 A picture's key comes from the seed tree by seat and camera, and from the tick; each pixel then has its own word of
 random bits. So noise is the same in whatever order pictures are taken, and whoever else takes some. The words are those
 of the generator splitmix64; a word becomes normal by a table of quantiles, which is many times faster than logarithm
-and sine. All that a kernel calls is in this file, see `renderer/kernels.py`.
+and sine. All that a kernel calls is in this file, see `physics/renderer/kernels.py`.
 """
 
 from __future__ import annotations

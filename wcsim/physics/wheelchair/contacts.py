@@ -13,7 +13,7 @@ from wcsim.types import Contact
 
 Vec3 = tuple[float, float, float]
 Cause = Literal["own", "other"]
-KEPT_TICKS: Final = 10
+_KEPT_TICKS: Final = 10
 _STEEP: Final = 0.8  # vertical part of a normal above which one body lies on the other
 _MOVING: Final = (Role.ACTOR, Role.CHAIR)
 
@@ -46,7 +46,7 @@ class ContactLog:
         if body not in self._tags:
             self._tags[body] = tag
             before = self._cause_before.get((body, tag.actor_id))
-            self._cause[body] = before[0] if before else cause_of(tag, touch)
+            self._cause[body] = before[0] if before else _cause_of(tag, touch)
 
     def close(self) -> tuple[Contact, ...]:
         """The contacts of the tick, sorted by kind, actor and part; the log is ready for the next tick."""
@@ -61,7 +61,7 @@ class ContactLog:
             for (body, part), impulse in self._impulse_Ns.items()
         ]
         kept = {key: (cause, ticks - 1) for key, (cause, ticks) in self._cause_before.items() if ticks > 1}
-        now = {(body, tag.actor_id): (self._cause[body], KEPT_TICKS) for body, tag in self._tags.items()}
+        now = {(body, tag.actor_id): (self._cause[body], _KEPT_TICKS) for body, tag in self._tags.items()}
         self._cause_before = {**kept, **now}
         self._impulse_Ns.clear()
         self._tags.clear()
@@ -78,7 +78,7 @@ class ContactLog:
         self._cause_before.clear()
 
 
-def cause_of(tag: BodyTag, touch: ContactPoint) -> Cause:
+def _cause_of(tag: BodyTag, touch: ContactPoint) -> Cause:
     """Who moved into whom: "other" when the body comes towards the chair faster than the chair towards it.
 
     Where one lies on the other the normal says nothing of who came; then the faster one did.

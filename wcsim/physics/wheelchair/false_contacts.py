@@ -17,7 +17,7 @@ from wcsim.core.rotations import Quat, Vec3, added, matrix, rotate_back, turned
 from wcsim.physics.bullet import pybullet
 
 SUSPECT_N: Final = 2000.0  # a wheel carries less than 1000 N; below this a ghost does no harm
-SLACK_M: Final = 0.02  # what a link moves in a step beside its body
+_SLACK_M: Final = 0.02  # what a link moves in a step beside its body
 MOST_IN_A_ROW: Final = 3
 
 
@@ -49,13 +49,13 @@ def off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
     (False, True)
     """
     x, y, z = point_m
-    if abs(y) > tyre.half_width_m + SLACK_M:
+    if abs(y) > tyre.half_width_m + _SLACK_M:
         return True
     radial = math.hypot(normal[0], normal[2])
     if radial < 0.5:  # it pushes on the side of the wheel, where any place will do
-        return math.hypot(x, z) > tyre.radius_m + SLACK_M
+        return math.hypot(x, z) > tyre.radius_m + _SLACK_M
     reach = tyre.radius_m / radial
-    return math.hypot(x + reach * normal[0], z + reach * normal[2]) > SLACK_M
+    return math.hypot(x + reach * normal[0], z + reach * normal[2]) > _SLACK_M
 
 
 def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, client: int) -> bool:

@@ -11,8 +11,8 @@ from wcsim.config.plant import CasterPart, PlantFile
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import GRAVITY_MPS2
 
-LEAST_FRAME_KG: Final = 30.0
-MOST_PUSH: Final = 0.8  # of the weight, by the springs of all casters
+_LEAST_FRAME_KG: Final = 30.0
+_MOST_PUSH: Final = 0.8  # of the weight, by the springs of all casters
 MARGIN_M: Final = 0.01  # by which the centre of mass must lie inside the wheels' support
 
 
@@ -32,10 +32,10 @@ def check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, nam
 
 
 def _masses(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float) -> Iterator[str]:
-    if frame_mass_kg < LEAST_FRAME_KG:
+    if frame_mass_kg < _LEAST_FRAME_KG:
         yield (
             f"wheels, casters, arms, beams and anti-tips leave {frame_mass_kg:.1f} kg for frame and user; expected at "
-            f"least {LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({file.mass.chair_kg:g} kg)"
+            f"least {_LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({file.mass.chair_kg:g} kg)"
         )
     elif frame_com_z_m <= 0.0:
         yield f"mass.com_z_m {file.mass.com_z_m:g} m puts the frame's centre of mass below the ground; expected higher"
@@ -58,10 +58,10 @@ def _springs(file: PlantFile) -> Iterator[str]:
     sprung = [(number, pair, pair.arm) for number, pair in enumerate(file.casters) if pair.arm is not None]
     push_N = sum(2.0 * arm.preload_N for _, _, arm in sprung)
     weight_N = (file.mass.chair_kg + file.mass.user_kg) * GRAVITY_MPS2
-    if push_N > MOST_PUSH * weight_N:
+    if push_N > _MOST_PUSH * weight_N:
         yield (
-            f"the arms' preload_N push with {push_N:.0f} N together; expected at most {MOST_PUSH:.0%} of the weight, "
-            f"{MOST_PUSH * weight_N:.0f} N, or the drive wheels hang in the air"
+            f"the arms' preload_N push with {push_N:.0f} N together; expected at most {_MOST_PUSH:.0%} of the weight, "
+            f"{_MOST_PUSH * weight_N:.0f} N, or the drive wheels hang in the air"
         )
     if len(sprung) < len(file.casters):  # the rigid ones hold it level
         return

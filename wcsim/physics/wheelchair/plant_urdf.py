@@ -111,9 +111,7 @@ def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
     )
 
 
-def _joint(
-    child: str, parent: str, at_m: Vec3, axis: str | None, kind: str = "continuous", limit: str = ""
-) -> str:
+def _joint(child: str, parent: str, at_m: Vec3, axis: str | None, kind: str = "continuous", limit: str = "") -> str:
     """A joint of one of URDF's kinds; fixed without an axis."""
     kind = "fixed" if axis is None else kind
     moves = f'<axis xyz="{axis}"/>{limit}' if axis else ""

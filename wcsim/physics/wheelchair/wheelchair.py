@@ -28,7 +28,7 @@ from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, c
 
 Vec3 = tuple[float, float, float]
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
-PLACE_LIFT_M: Final = 0.001  # the street's collision margin
+_PLACE_LIFT_M: Final = 0.001  # the street's collision margin
 _PARK_STEP_M: Final = 20.0
 _MOTORS_OFF: Final = (0.0, 0.0, 0.0, 0.0)
 _AWAKE: Final = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING | pybullet.ACTIVATION_STATE_WAKE_UP
@@ -135,7 +135,7 @@ class Wheelchair:
             raise PhysicsError(f"place({p_W_m}, {yaw_rad}) is not finite; expected a point on the ground and a heading")
         self.park()  # or it would stand on itself
         z_W_m, tilt = self._stance((x, y, z), yaw_rad)
-        self._pose((x, y, z_W_m + PLACE_LIFT_M), tilt)
+        self._pose((x, y, z_W_m + _PLACE_LIFT_M), tilt)
         self._wake(True)
         self._parked = False
 

@@ -26,8 +26,8 @@ from wcsim.server.transport.rate_limit import PeerLimits
 from wcsim.server.transport.shared_images import RingSink
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
 
-WAIT_MS = 50
-CLOCK_S = 0.1
+_WAIT_MS = 50
+_CLOCK_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,11 +78,11 @@ class ServerLoop:
     # --- a turn ---
 
     def _turn(self) -> None:
-        woken = self._doors.wait(WAIT_MS)
+        woken = self._doors.wait(_WAIT_MS)
         self._clock.look(time.monotonic())
         for heard in self._doors.messages():
             self._hear(heard)
-        due = self._clock.now_s - self._clock_s >= CLOCK_S
+        due = self._clock.now_s - self._clock_s >= _CLOCK_S
         if woken or due:
             lost, self._alone = self._lifelines.news()
             for session in lost:

@@ -19,7 +19,7 @@ from wcsim.server.protocol.messages import Act, failure_of
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldStatus, to_line
 
-EVERY_S = 0.25
+_EVERY_S = 0.25
 _STEPS = 100  # for the median
 _RATES = 20  # reports that the rate is taken over
 
@@ -31,7 +31,7 @@ class Reporter:
         """Use this descriptor; -1 says nothing to nobody."""
         self._pipe = pipe
         self.listening = ""  # the address for other machines
-        self._said_s = -EVERY_S
+        self._said_s = -_EVERY_S
         self._steps_s: deque[float] = deque(maxlen=_STEPS)
         self._counts: deque[tuple[float, int]] = deque(maxlen=_RATES)
         self._holdups = Stragglers()
@@ -60,7 +60,7 @@ class Reporter:
     def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
         """Say how things are, when it is time to."""
         real_s = time.monotonic()
-        if real_s - self._said_s < EVERY_S or self._pipe < 0:
+        if real_s - self._said_s < _EVERY_S or self._pipe < 0:
             return
         self._said_s = real_s
         self._counts.append((real_s, hub.ticks))

@@ -43,7 +43,7 @@ from wcsim.server.journal.records import (
 from wcsim.server.journal.torn import keep_torn
 
 JOURNAL = "journal"  # its name in a run folder
-SYNC_TICKS, SYNC_S = 50, 1.0
+_SYNC_TICKS, _SYNC_S = 50, 1.0
 _KIND = FileKind(what="a journal", limit_bytes=1 << 62, error=JournalError)  # read record by record, however long
 
 
@@ -138,7 +138,7 @@ class JournalWriter:
         """
         self._put(record_bytes(record))
         self._unsynced += 1
-        if self._unsynced >= SYNC_TICKS or time.monotonic() - self._synced_s >= SYNC_S:
+        if self._unsynced >= _SYNC_TICKS or time.monotonic() - self._synced_s >= _SYNC_S:
             self._sync()
 
     def close(self) -> None:

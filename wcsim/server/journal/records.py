@@ -17,7 +17,7 @@ from wcsim.types import Command, Joystick, SeatSpec
 
 MAGIC = "wcsim-journal"
 VERSION = 2  # of new journals
-CHAINED = 2  # the first version in which each record's CRC begins with that of the one before
+_CHAINED = 2  # the first version in which each record's CRC begins with that of the one before
 _CONTENT = 1  # of what the digest is over
 _TICK = b'["t",'
 
@@ -127,7 +127,7 @@ def header_of(payload: bytes) -> JournalHeader:
 
 def is_chained(payload: bytes) -> bool:
     """Whether the records of a journal with this sound header are chained, see `bridge/recording/framing.py`."""
-    return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= CHAINED
+    return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= _CHAINED
 
 
 def _bounded(header: JournalHeader) -> JournalHeader:

@@ -22,8 +22,8 @@ from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, 
 from wcsim.server.transport.shm_folder import RingFolder
 from wcsim.types import SeatSpec
 
-OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
-END_TIMEOUT_S = 5.0
+_OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
+_END_TIMEOUT_S = 5.0
 _LOOK_S = 0.2
 
 
@@ -74,7 +74,7 @@ class WorldChild:
             raise LinkClosedError(f"the world process ended with code {code}; its messages above say why")
 
     def _await_world(self) -> None:
-        deadline_s = time.monotonic() + OPEN_TIMEOUT_S
+        deadline_s = time.monotonic() + _OPEN_TIMEOUT_S
         rest = b""
         while time.monotonic() < deadline_s:
             ended = self.process.poll() is not None
@@ -84,7 +84,7 @@ class WorldChild:
             if ended:
                 self.require_alive()
             time.sleep(0.01)
-        raise LinkTimeoutError(f"the world process has no world after {OPEN_TIMEOUT_S:g} s; is the machine busy?")
+        raise LinkTimeoutError(f"the world process has no world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?")
 
     def _heard(self) -> bytes:
         try:
@@ -105,7 +105,7 @@ class ChildSeat(SocketSeat):
                 claim=secrets.token_hex(),
                 spec=spec,
                 seat=seat,
-                patience=Patience(reconnect_s=OPEN_TIMEOUT_S),
+                patience=Patience(reconnect_s=_OPEN_TIMEOUT_S),
             )
         )
 
@@ -153,7 +153,7 @@ def _end(
 ) -> None:
     process.terminate()
     try:
-        process.wait(END_TIMEOUT_S)
+        process.wait(_END_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

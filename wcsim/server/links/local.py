@@ -21,7 +21,7 @@ from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder
 from wcsim.types import SeatSpec
 
-NEVER_S = 1e12
+_NEVER_S = 1e12
 
 
 def local_rules(capacity: int, expected: int = 1) -> Rules:
@@ -29,10 +29,10 @@ def local_rules(capacity: int, expected: int = 1) -> Rules:
     return Rules(
         capacity=capacity,
         expected=expected,
-        gather_s=NEVER_S,
-        lease_s=NEVER_S,
-        tick_lease_s=NEVER_S,
-        notice_s=NEVER_S,
+        gather_s=_NEVER_S,
+        lease_s=_NEVER_S,
+        tick_lease_s=_NEVER_S,
+        notice_s=_NEVER_S,
         recordings=None,
     )
 
@@ -109,7 +109,7 @@ class LocalSeat(SeatLink):
     """One seat of a `LocalServer`."""
 
     def __init__(self, server: LocalServer, peer: Peer, ask: Ask) -> None:
-        patience = Patience(resend_s=NEVER_S, reconnect_s=NEVER_S, tick_s=NEVER_S)
+        patience = Patience(resend_s=_NEVER_S, reconnect_s=_NEVER_S, tick_s=_NEVER_S)
         super().__init__(ClientCore(ask, patience, new_session))
         self._server, self._peer = server, peer
 

@@ -25,8 +25,8 @@ from wcsim.server.transport.keys import client_keys, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.types import ClientSnapshot
 
-POLL_MS = 200
-BYE_S = 1.0
+_POLL_MS = 200
+_BYE_S = 1.0
 QUEUE = 64
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 
@@ -114,7 +114,7 @@ class SocketSeat(SeatLink):
 
     def _end(self) -> None:
         """Wait a moment for the server's goodbye, so that the seat is free when this returns."""
-        deadline_s = time.monotonic() + BYE_S
+        deadline_s = time.monotonic() + _BYE_S
         while self._said_leave and time.monotonic() < deadline_s:
             with contextlib.suppress(zmq.Again, ProtocolError):
                 if any(self._is_bye(m.decode_reply(part)) for part in self._socket.recv_multipart()):
@@ -153,7 +153,7 @@ def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> z
     socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REPLY_BYTES)
     socket.setsockopt(zmq.SNDHWM, QUEUE)
     socket.setsockopt(zmq.RCVHWM, QUEUE)
-    socket.setsockopt(zmq.RCVTIMEO, POLL_MS)
+    socket.setsockopt(zmq.RCVTIMEO, _POLL_MS)
     socket.setsockopt(zmq.RECONNECT_IVL, 50)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
     if order.keys:

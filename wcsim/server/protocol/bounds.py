@@ -13,9 +13,9 @@ MOST_SEATS = 64  # of a world
 MOST_CAMERAS = 64
 MOST_CONTACTS = 4096  # of a chair in a tick
 MOST_TEXT = 4000  # characters of a message for people
-MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
+_MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
 MAX_SEED = (1 << 63) - 1
-MAX_PROCESS = 1 << 22  # of Linux
+_MAX_PROCESS = 1 << 22  # of Linux
 MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
 MOST_METRES = 1e6
 MOST_PICTURE_BYTES = 2048 * 2048 * 4
@@ -23,13 +23,13 @@ MOST_PICTURE_BYTES = 2048 * 2048 * 4
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
 SessionOrNone = Annotated[bytes, msgspec.Meta(max_length=SESSION_BYTES)]  # b"" where it is not known
 Claim = Annotated[bytes, msgspec.Meta(max_length=128)]
-Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
-CountOrNone = Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=_MAX_COUNT)]
+CountOrNone = Annotated[int, msgspec.Meta(ge=-1, le=_MAX_COUNT)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=MAX_SEED)]
 Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
 SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
 Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
-Process = Annotated[int, msgspec.Meta(ge=0, le=MAX_PROCESS)]
+Process = Annotated[int, msgspec.Meta(ge=0, le=_MAX_PROCESS)]
 Steps = Annotated[int, msgspec.Meta(ge=1, le=MOST_STEPS)]
 Pixels = Annotated[int, msgspec.Meta(ge=0, le=2048)]
 Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks

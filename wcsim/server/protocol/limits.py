@@ -10,9 +10,9 @@ import resource
 from wcsim.errors import ConfigError
 
 NO_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-NO_FILES = frozenset((errno.EMFILE, errno.ENFILE))
-WANTED_FILES = 4096
-FILES, FILES_A_CLIENT = 40, 4  # that a world or its launcher opens by itself, and for each client
+_NO_FILES = frozenset((errno.EMFILE, errno.ENFILE))
+_WANTED_FILES = 4096
+_FILES, _FILES_A_CLIENT = 40, 4  # that a world or its launcher opens by itself, and for each client
 
 
 def told_limit(error: BaseException) -> str:
@@ -20,7 +20,7 @@ def told_limit(error: BaseException) -> str:
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
         return f"no room is left ({error}); make room, and go on with --resume"
-    if number in NO_FILES:
+    if number in _NO_FILES:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return f"{soft} files may be open at once, and that is too few ({error}); try again after: ulimit -n 1024"
     return ""
@@ -42,9 +42,9 @@ def require_files(clients: int) -> None:
         ConfigError: They may not.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = FILES + FILES_A_CLIENT * clients
-    if 0 <= soft < WANTED_FILES:
-        soft = WANTED_FILES if hard < 0 else min(hard, WANTED_FILES)
+    needed = _FILES + _FILES_A_CLIENT * clients
+    if 0 <= soft < _WANTED_FILES:
+        soft = _WANTED_FILES if hard < 0 else min(hard, _WANTED_FILES)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     if 0 <= soft < needed:
         raise ConfigError(

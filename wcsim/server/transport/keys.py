@@ -26,7 +26,7 @@ from wcsim.errors import ConfigError
 
 log = logging.getLogger("wcsim.server.transport.keys")
 
-CLIENTS = "clients"
+_CLIENTS = "clients"
 LOOK_S = 1.0
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
@@ -50,13 +50,13 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         if not _NAME.fullmatch(name):
             raise ConfigError(f"client name {name!r}: expected letters, digits, - and _, 64 at most")
     try:
-        (folder / CLIENTS).mkdir(mode=0o700, parents=True, exist_ok=True)
+        (folder / _CLIENTS).mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
         if not (folder / "server.secret").exists():
             _make_pair(folder, "server")
-        new = tuple(name for name in names if not (folder / CLIENTS / f"{name}.public").exists())
+        new = tuple(name for name in names if not (folder / _CLIENTS / f"{name}.public").exists())
         for name in new:
-            _make_pair(folder / CLIENTS, name)
+            _make_pair(folder / _CLIENTS, name)
     except OSError as error:
         raise ConfigError(f"{folder}: keys cannot be made ({error.strerror}); choose another folder") from None
     return new
@@ -69,10 +69,10 @@ def server_keys(folder: Path) -> KeyPair:
 
 def client_keys(folder: Path, name: str) -> KeyPair:
     """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
-    own = folder / CLIENTS / f"{name}.secret"
+    own = folder / _CLIENTS / f"{name}.secret"
     if _NAME.fullmatch(name) and own.exists():
         return _pair(own)
-    secrets = sorted((folder / CLIENTS).glob("*.secret"))
+    secrets = sorted((folder / _CLIENTS).glob("*.secret"))
     if len(secrets) != 1:
         raise ConfigError(f"{own}: not found, and {len(secrets)} other secrets; expected its own, or just one")
     return _pair(secrets[0])
@@ -80,7 +80,7 @@ def client_keys(folder: Path, name: str) -> KeyPair:
 
 def known_names(folder: Path) -> tuple[str, ...]:
     """The clients whose public keys are in a folder, sorted."""
-    return tuple(sorted(path.stem for path in (folder / CLIENTS).glob("*.public")))
+    return tuple(sorted(path.stem for path in (folder / _CLIENTS).glob("*.public")))
 
 
 def server_public(folder: Path) -> bytes:
@@ -125,7 +125,7 @@ class KnownKeys:
 
     def __init__(self, folder: Path) -> None:
         """Raises ConfigError when there is no key, or a file is none."""
-        self._folder = folder / CLIENTS
+        self._folder = folder / _CLIENTS
         self._names: dict[str, str] = {}  # by public key, in text form
         self._state: tuple[tuple[str, int], ...] = ()
         self._looked_s = 0.0

@@ -22,7 +22,7 @@ from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolErro
 from wcsim.physics.buffers import Images, SeatBuffers
 from wcsim.types.arrays import U8
 
-SLOTS = 2
+_SLOTS = 2
 MAGIC = b"wcsimpix"
 VERSION = 1
 MAX_CAMERAS = 64
@@ -85,7 +85,7 @@ class RingSink:
 
     def slot(self, tick: int) -> int:
         """Where those of a tick are."""
-        return tick % SLOTS
+        return tick % _SLOTS
 
     def buffers(self, seat: int, first: bool) -> SeatBuffers:
         """Where the next pictures of a seat go; see `ImageSink.buffers`."""
@@ -115,8 +115,8 @@ class RingView:
 
     def pictures(self, slot: int, first: bool) -> Sequence[Images]:
         """See `server.packed.Pictures`."""
-        if not 0 <= slot < SLOTS:
-            raise ProtocolError(f"pictures in slot {slot}; expected 0 to {SLOTS - 1}")
+        if not 0 <= slot < _SLOTS:
+            raise ProtocolError(f"pictures in slot {slot}; expected 0 to {_SLOTS - 1}")
         return self._sets[_set(slot, first)]
 
 
@@ -127,7 +127,7 @@ def _set(slot: int, first: bool) -> int:
 
 def _new_file(path: Path, pictures: tuple[Picture, ...]) -> mmap.mmap:
     """A file of its own under this name, as large as it will ever be: writing to it cannot fail later."""
-    size = _PAGE + 2 * SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
+    size = _PAGE + 2 * _SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     part = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
     try:
         number = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
@@ -161,7 +161,7 @@ def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
         raise PicturesError(f"{path}: is of {count} cameras; expected {MAX_CAMERAS} at most")
     rows = (_CAMERA.unpack_from(memory, _HEAD.size + number * _CAMERA.size) for number in range(count))
     pictures = tuple(Picture(width_px=w, height_px=h, rgb=bool(rgb)) for w, h, rgb in rows)
-    needed = _PAGE + 2 * SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
+    needed = _PAGE + 2 * _SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     if len(memory) != needed:
         raise PicturesError(f"{path}: has {len(memory)} bytes; expected {needed} for its cameras")
     fault = _fault(pictures)
@@ -182,7 +182,7 @@ def _sets(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> tuple[tuple[Image
     """All sets as arrays over the memory, writable when that is."""
     whole, at = np.frombuffer(memory, np.uint8), _PAGE
     found = []
-    for _ in range(2 * SLOTS):
+    for _ in range(2 * _SLOTS):
         row = []
         for picture in pictures:
             row.append(_images(whole[at:], picture))

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from wcsim.errors import DiskFullError
 
-PREFIX = "wcsim-ring-"
+_PREFIX = "wcsim-ring-"
 LOCK = ".lock"
 _SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
-_NAME = re.compile(re.escape(PREFIX) + r"(\d+)-\w+")  # the process number is for people to read
+_NAME = re.compile(re.escape(_PREFIX) + r"(\d+)-\w+")  # the process number is for people to read
 
 
 class RingFolder:
@@ -29,12 +29,12 @@ class RingFolder:
         """Make a folder; it appears under its name with its lock held. Raises DiskFullError when there is no room."""
         home = _home() if home is None else home
         try:
-            new = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=home))
+            new = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}", dir=home))
             self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            number = new.name.removeprefix(f".{PREFIX}")
-            self.path = new.rename(new.with_name(f"{PREFIX}{os.getpid()}-{number}"))
+            number = new.name.removeprefix(f".{_PREFIX}")
+            self.path = new.rename(new.with_name(f"{_PREFIX}{os.getpid()}-{number}"))
         except OSError as error:
             raise DiskFullError(f"{home}: no folder for pictures can be made ({error.strerror}); make room") from None
 
@@ -49,7 +49,7 @@ class RingFolder:
 def remove_stale_rings(home: Path | None = None) -> int:
     """Remove this user's folders whose owners have ended; returns how many."""
     removed = 0
-    for folder in (_home() if home is None else home).glob(f"{PREFIX}*"):
+    for folder in (_home() if home is None else home).glob(f"{_PREFIX}*"):
         if _NAME.fullmatch(folder.name) and _mine(folder):
             removed += _removed_if_stale(folder)
     return removed

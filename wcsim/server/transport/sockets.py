@@ -26,10 +26,10 @@ log = logging.getLogger("wcsim.server.transport.sockets")
 
 LOCAL, REMOTE = b"L", b"R"  # first byte of a peer's name: which door it came through
 QUEUE = 128  # messages of a peer that are not read yet: 1 MiB at most
-SEND_QUEUE = {LOCAL: 128, REMOTE: 16}  # to a peer that does not read; over the network pictures are inside
-LINGER_MS = 500
+_SEND_QUEUE = {LOCAL: 128, REMOTE: 16}  # to a peer that does not read; over the network pictures are inside
+_LINGER_MS = 500
 BATCH = 256  # messages that are taken in at a time
-HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
+_HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES = 107
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
@@ -125,7 +125,7 @@ class ServerSockets:
             self._guard.stop()
             self._guard = None
         for socket in self._sockets.values():
-            socket.close(LINGER_MS)
+            socket.close(_LINGER_MS)
         self._sockets.clear()
         self._context.term()
         self._wakes.close()
@@ -153,14 +153,14 @@ class ServerSockets:
     def _open(self, door: bytes, address: str, keys: Path | None) -> None:
         socket = self._context.socket(zmq.ROUTER)
         self._sockets[door] = socket
-        socket.setsockopt(zmq.LINGER, LINGER_MS)
+        socket.setsockopt(zmq.LINGER, _LINGER_MS)
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
-        socket.setsockopt(zmq.SNDHWM, SEND_QUEUE[door])
+        socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[door])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
         if door == REMOTE:  # a machine that vanished says nothing
             socket.setsockopt(zmq.HEARTBEAT_IVL, 5_000)
             socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 60_000)
-            socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+            socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
         if keys is not None:
             pair = server_keys(keys)
             socket.curve_server = True

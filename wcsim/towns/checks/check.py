@@ -33,10 +33,10 @@ from wcsim.towns.walking.overlaps import overlaps_of
 from wcsim.types import F64, ClassId, Street
 
 RAYS = 4000
-CHECKED_S = 600.0  # of the demand, from its begin
-SPOT_M = 0.002
-DRAWS = 50  # a net of a single street fills a small part of its surroundings
-HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
+_CHECKED_S = 600.0  # of the demand, from its begin
+_SPOT_M = 0.002
+_DRAWS = 50  # a net of a single street fills a small part of its surroundings
+_HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
 _HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
@@ -130,7 +130,7 @@ def unroutable_trips(town: Town) -> int:
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
-        options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + CHECKED_S:.12g}", "--ignore-errors"]
+        options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + _CHECKED_S:.12g}", "--ignore-errors"]
         options += ["-o", "out.rou.xml", "--no-step-log", "--xml-validation", "never"]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
     if run.returncode:
@@ -155,10 +155,10 @@ def mesh_faults(street: Street, rays: int = RAYS) -> int:
     faces = np.flatnonzero(np.isin(mesh.face_class, _GROUND))
     corners = mesh.vertices_W_m[mesh.faces[faces]].astype(np.float64)  # (F, 3, 3)
     tree = shapely.STRtree(shapely.polygons(corners[:, :, :2]))
-    spots = shapely.box(*(xy_m - SPOT_M).T, *(xy_m + SPOT_M).T)  # on a border both sides are right
+    spots = shapely.box(*(xy_m - _SPOT_M).T, *(xy_m + _SPOT_M).T)  # on a border both sides are right
     ray, face = tree.query(spots, predicate="intersects")
     good = mesh.face_class[faces[face]] == grid.class_at(xy_m[ray])
-    good &= np.abs(_height_on(corners[face], xy_m[ray]) - grid.height_at(xy_m[ray])) <= HEIGHT_SLACK_M
+    good &= np.abs(_height_on(corners[face], xy_m[ray]) - grid.height_at(xy_m[ray])) <= _HEIGHT_SLACK_M
     return len(xy_m) - len(np.unique(ray[good]))
 
 
@@ -167,7 +167,7 @@ def _places(street: Street, count: int) -> F64:
     corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
     rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
-    for _ in range(DRAWS):
+    for _ in range(_DRAWS):
         xy_m = np.floor(rng.uniform(low, high, (count, 2)) / CELL_M) * CELL_M + 0.5 * CELL_M
         found.append(xy_m[np.isin(street.grid.class_at(xy_m), _STREET)])
         number += len(found[-1])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -18,7 +19,7 @@ from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
 
-HOUR_S = 3600.0
+_HOUR_S = 3600.0
 FOR_ROUTES = frozenset(
     (
         "vType", "vTypeDistribution", "route", "routeDistribution", "include",
@@ -65,7 +66,7 @@ def walkers_cure(town: Town) -> str:
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
         f"make walkers.rou.xml, and add it to <route-files> in {_path(town.sumocfg)}: {tool} -n {_path(town.net)} "
-        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + HOUR_S):.12g} "
+        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
         f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
     )
 
@@ -75,7 +76,7 @@ def own_time(town: Town) -> tuple[float, float]:
     config = read_configuration(town.sumocfg)
     begin_s = seconds_of(config.value("begin") or "0", town.sumocfg)
     end_s = seconds_of(config.value("end") or "-1", town.sumocfg)
-    return begin_s, end_s if end_s > begin_s else begin_s + HOUR_S
+    return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
 
 def grade_cure(town: Town) -> str:
@@ -88,20 +89,24 @@ def grade_cure(town: Town) -> str:
 
 def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
     """The command that routes a town's demand again and drops what finds no way."""
-    routes = ",".join(str(path.resolve()) for path in town.routes) or "DEMAND"
     roots = {path: read_root(path) for path in town.additional}
     needed = [path for path, root in roots.items() if any(element.tag in FOR_ROUTES for element in root)]
-    more = f" -a {shlex.quote(','.join(str(path.resolve()) for path in needed))}" if needed else ""
     typed = [path.name for path in needed if _has_types(roots[path])]
-    both = typed and any(_has_types(read_root(path)) for path in town.routes)
+    twice = typed if any(_has_types(read_root(path)) for path in town.routes) else []
     deadly = [path.name for path in needed if roots[path].find(DEADLY) is not None]
-    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
-    first += f"take the types out of {', '.join(typed)}, for {name} will have them, " if both else ""
-    more += " --vtype-output /dev/null" if typed and not both else ""  # SUMO takes each type once
+    more = f" -a {_paths(needed)}" if needed else ""
+    more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
     return (
-        f"{first}make {name}, and name it in {_path(town.sumocfg)}: {_tool('duarouter')} -n {_path(town.net)} "
-        f"-r {shlex.quote(routes)}{more} --ignore-errors -o {_beside(town, name)}"
+        f"{_before_routing(deadly, twice, name)}make {name}, and name it in {_path(town.sumocfg)}: "
+        f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes) if town.routes else 'DEMAND'}{more} "
+        f"--ignore-errors -o {_beside(town, name)}"
     )
+
+
+def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
+    """What has to be done by hand to files of these names before a demand is routed into `name`."""
+    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
+    return first + (f"take the types out of {', '.join(twice)}, for {name} will have them, " if twice else "")
 
 
 def _has_types(root: Element) -> bool:
@@ -118,4 +123,9 @@ def _beside(town: Town, name: str) -> str:
 
 
 def _path(path: Path) -> str:
-    return shlex.quote(str(path.resolve()))
+    return _paths([path])
+
+
+def _paths(paths: Sequence[Path]) -> str:
+    """Several as SUMO's tools take them."""
+    return shlex.quote(",".join(str(path.resolve()) for path in paths))

@@ -16,12 +16,12 @@ from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, Net
 from wcsim.towns.walking.islands import CutOff
 from wcsim.towns.walking.overlaps import Overlap
 
-ENOUGH_SHARE = 0.95
+_ENOUGH_SHARE = 0.95
 LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
-MUCH = 0.1  # of the pavement, under carriageways of other levels
-TOLD_PARTS = 5  # of those that are cut off
+_MUCH = 0.1  # of the pavement, under carriageways of other levels
+_TOLD_PARTS = 5  # of those that are cut off
 _PROJECT = "build it again in metres: netconvert --osm-files EXTRACT --proj.utm -o {net}"
 
 
@@ -115,17 +115,17 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     lines = []
     if not found.crossings and net.lanes(LaneKind.MOTOR):
         lines.append(f"the net has no crossings, so nobody can cross a street; {pave}")
-    if found.walkable_largest_share < ENOUGH_SHARE:
+    if found.walkable_largest_share < _ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
         cure = larger if town.file.rebuild else f"join the parts: {netedit_cure(town)}"
-        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
+        lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
 
 
 def _parts(cut_off: tuple[CutOff, ...]) -> str:
     """Which parts of the walkable ground nobody can walk to."""
-    told = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:TOLD_PARTS])
-    more = f" and {len(cut_off) - TOLD_PARTS} more" if len(cut_off) > TOLD_PARTS else ""
+    told = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
+    more = f" and {len(cut_off) - _TOLD_PARTS} more" if len(cut_off) > _TOLD_PARTS else ""
     return f"cut off are the parts around {told}{more}; " if told else ""
 
 
@@ -152,7 +152,7 @@ def _again(town: Town, rebuild: str) -> str:
 
 def _large(net: Net, over: tuple[Overlap, ...]) -> bool:
     paved_m2 = sum(lane.length_m * lane.width_m for lane in net.lanes(*WALK_KINDS))
-    return sum(item.area_m2 for item in over) > MUCH * paved_m2
+    return sum(item.area_m2 for item in over) > _MUCH * paved_m2
 
 
 def _overlap(over: tuple[Overlap, ...]) -> str:

@@ -19,10 +19,10 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
 from wcsim.types import Street
 
-CHECK = 4  # raise it when the check becomes stricter
+_CHECK = 4  # raise it when the check becomes stricter
 _LIMITS = Limits(wall_s=60.0, cpu_s=50, memory_bytes=3 << 30, file_bytes=1 << 20)
-SMALLEST_M, LARGEST_M = 1.0, 500e3
-STRETCHED, STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
+_SMALLEST_M, LARGEST_M = 1.0, 500e3
+_STRETCHED, _STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
 _NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
 
 
@@ -37,7 +37,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
         TownError: it is not a net, or SUMO refuses it or dies of it; the message says why in one or two lines.
     """
     data = read_bytes(net, MAX_XML_BYTES)
-    verdict = cache_folder() / f"net-{hashlib.sha256(data + bytes([CHECK])).hexdigest()[:32]}.ok"
+    verdict = cache_folder() / f"net-{hashlib.sha256(data + bytes([_CHECK])).hexdigest()[:32]}.ok"
     if verdict.is_file():
         return
     scan_net(parse_root(data, str(net)), str(net))
@@ -95,7 +95,7 @@ def _refuse_degrees(edges: list[Element], where: str) -> None:
     places = [place.split(",") for shape in shapes for place in shape.split()]
     xs, ys = ([float(place[axis]) for place in places if len(place) > 1] for axis in (0, 1))
     span_m = max(max(side, default=0.0) - min(side, default=0.0) for side in (xs, ys))
-    if len(edges) > 1 and 0.0 < span_m < SMALLEST_M:
+    if len(edges) > 1 and 0.0 < span_m < _SMALLEST_M:
         raise TownError(
             f"{where}: reaches over {span_m:.4f} m only; its coordinates look like degrees, expected metres: build it "
             "again with a projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
@@ -113,7 +113,7 @@ def _refuse_stretched(edges: list[Element], where: str) -> None:
         points = [place.split(",") for place in lane.get("shape", "").split()]
         places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
         drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(places))
-        if drawn_m > max(STRETCHED_M, STRETCHED * float(lane.get("length") or 0.0)):
+        if drawn_m > max(_STRETCHED_M, _STRETCHED * float(lane.get("length") or 0.0)):
             raise TownError(
                 f"{where}: lane {lane.get('id')!r} is {lane.get('length')} m long and drawn over {drawn_m:.0f} m; "
                 "expected about the same: build it again with netconvert"
@@ -126,10 +126,10 @@ def _refuse_sprawling(root: Element, where: str) -> None:
         points = [place.split(",") for place in junction.get("shape", "").split()]
         places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
         reach_m = max((math.dist(places[0], place) for place in places), default=0.0)
-        if reach_m > STRETCHED_M:
+        if reach_m > _STRETCHED_M:
             raise TownError(
                 f"{where}: junction {junction.get('id')!r} reaches over {reach_m:.0f} m; expected at most "
-                f"{STRETCHED_M:.0f} m: build it again with netconvert"
+                f"{_STRETCHED_M:.0f} m: build it again with netconvert"
             )
 
 

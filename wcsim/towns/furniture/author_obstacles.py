@@ -21,10 +21,10 @@ from wcsim.types import F64, ClassId
 log = logging.getLogger("wcsim.towns")
 
 LARGEST_M = 100.0
-BOARD_M = 0.06  # thickness of the boards around roadworks
-BOARDS_M = ((0.1, 0.3), (0.75, 1.0))  # from and to: the lower one is what a white cane finds
+_BOARD_M = 0.06  # thickness of the boards around roadworks
+_BOARDS_M = ((0.1, 0.3), (0.75, 1.0))  # from and to: the lower one is what a white cane finds
 POST_STEP_M = 2.0
-CONE_IN_M = 0.3  # cones stand inside the boards
+_CONE_IN_M = 0.3  # cones stand inside the boards
 LONGEST_M = 4.0  # an outline that follows a hill has a corner at least this often
 
 
@@ -46,14 +46,18 @@ def _things(item: Item) -> list[StandingObject]:
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
         return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
-    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
-    if (item.filled or (closed and item.kind == "roadworks")) and len(points_m) > 2:
-        outline = shapely.make_valid(Polygon(points_m))
-    else:
-        outline = shapely.LineString(points_m).buffer((width_m or usual[1]) / 2, cap_style="flat", join_style="mitre")
+    outline = _outline(item, points_m, width_m or usual[1])
     areas = [part for part in _polygons(outline) if part.area > 1e-4]
     make = _fenced if item.kind == "roadworks" else _filled
     return [make(item.kind, area, height_m or usual[2]) for area in areas]
+
+
+def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
+    """The ground that several points (N, 2) mark: what they enclose, or a band along them."""
+    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
+    if (item.filled or (closed and item.kind == "roadworks")) and len(points_m) > 2:
+        return shapely.make_valid(Polygon(points_m))
+    return shapely.LineString(points_m).buffer(width_m / 2, cap_style="flat", join_style="mitre")
 
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
@@ -63,18 +67,18 @@ def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
 
 def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
     """Boards along the inner side of an outline, with posts between them and a cone at each corner."""
-    inner = area.buffer(-BOARD_M, join_style="mitre")
+    inner = area.buffer(-_BOARD_M, join_style="mitre")
     pieces: list[Solid] = []
-    share = height_m / BOARDS_M[-1][1]
+    share = height_m / _BOARDS_M[-1][1]
     for band in _polygons(shapely.segmentize(area, LONGEST_M).difference(inner)):
         pieces += [
             solid_shapes.prism(band, share * low_m, share * high_m, ClassId.FENCE, floor=True)
-            for low_m, high_m in BOARDS_M
+            for low_m, high_m in _BOARDS_M
         ]
-    rail = area.buffer(-0.6 * BOARD_M, join_style="mitre")
+    rail = area.buffer(-0.6 * _BOARD_M, join_style="mitre")
     for xy in _stations(rail):
         pieces.append(solid_shapes.post(xy, 0.04, FOOT_M, height_m, ClassId.FENCE, sides=5))
-    for xy in _corners(area.buffer(-CONE_IN_M, join_style="mitre")):
+    for xy in _corners(area.buffer(-_CONE_IN_M, join_style="mitre")):
         pieces.append(stood("cone", xy, 0.0).piece)
     return _thing(area, pieces or _filled(kind, area, height_m).piece)
 

@@ -16,12 +16,12 @@ from wcsim.towns.osm.levels import STOREY_M, number, rise_m
 from wcsim.towns.sumo.additional import Item
 
 GAP_M = 0.1  # between a wall and walkable ground or road
-SMALLEST_M2 = 3.0
-STANDS_M = 2.0  # what begins above this lets people pass below
+_SMALLEST_M2 = 3.0
+_STANDS_M = 2.0  # what begins above this lets people pass below
 PASSAGE_M = 4.2  # free height of a passage through a house: buses and trams fit
-MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
-OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
-HELD = 0.5  # what lies on other bodies to this share stands on them
+_MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
+_OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
+_HELD = 0.5  # what lies on other bodies to this share stands on them
 _OPEN_KINDS = {"roof", "carport", "canopy", "entrance", "underpass_entrance", "no", "ruins", "demolished", "proposed"}
 _LOW_KINDS = {"garage", "garages", "shed", "hut", "kiosk", "cabin", "toilets", "service", "bunker", "greenhouse"}
 _HOUSES = {"house", "detached", "bungalow", "terrace", "semidetached_house", "farm", "static_caravan"}
@@ -130,21 +130,21 @@ def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
         mine = [part for part in near if part.area.intersection(whole.area).area > 0.5 * part.area.area]
         bases.append(_base(whole, mine) if mine else whole)
     every = [*parts, *bases]
-    standing = [body for body in every if body.rise_m <= STANDS_M and not body.area.is_empty]
-    return standing, _supported(standing, [body for body in every if body.rise_m > STANDS_M])
+    standing = [body for body in every if body.rise_m <= _STANDS_M and not body.area.is_empty]
+    return standing, _supported(standing, [body for body in every if body.rise_m > _STANDS_M])
 
 
 def _base(whole: _Body, parts: list[_Body]) -> _Body:
     """What of a building its parts leave: nothing where they are all of it, so that people pass below raised ones."""
-    grounded = shapely.union_all([part.area for part in parts if part.rise_m <= STANDS_M])
-    raised = shapely.union_all([part.area for part in parts if part.rise_m > STANDS_M])
+    grounded = shapely.union_all([part.area for part in parts if part.rise_m <= _STANDS_M])
+    raised = shapely.union_all([part.area for part in parts if part.rise_m > _STANDS_M])
     left = _areas(whole.area.difference(grounded))
     open_below = left.intersection(raised).area
-    modelled = left.difference(raised).area <= (1.0 - MODELLED) * whole.area.area
-    if modelled and open_below <= OPEN_BELOW * whole.area.area:
+    modelled = left.difference(raised).area <= (1.0 - _MODELLED) * whole.area.area
+    if modelled and open_below <= _OPEN_BELOW * whole.area.area:
         return replace(whole, area=_areas(left.difference(raised)))
     over_m = [
-        part.rise_m for part in parts if part.rise_m > STANDS_M and part.area.intersection(left).area > SMALLEST_M2
+        part.rise_m for part in parts if part.rise_m > _STANDS_M and part.area.intersection(left).area > _SMALLEST_M2
     ]
     return replace(whole, area=left, height_m=min([whole.height_m, *(max(rise, STOREY_M) for rise in over_m)]))
 
@@ -158,9 +158,9 @@ def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
     for place, body in enumerate(upwards, start=len(standing)):
         under = [below[i] for i in sorted(tree.query(body.area).tolist()) if i < place]
         shares = [(other.area.intersection(body.area).area / body.area.area, other.height_m) for other in under]
-        if sum(share for share, _ in shares) > HELD:
-            lowest_m = min(height_m for share, height_m in shares if share > 0.1 * HELD)
-            body = replace(body, rise_m=min(body.rise_m, max(lowest_m, STANDS_M)))
+        if sum(share for share, _ in shares) > _HELD:
+            lowest_m = min(height_m for share, height_m in shares if share > 0.1 * _HELD)
+            body = replace(body, rise_m=min(body.rise_m, max(lowest_m, _STANDS_M)))
         found.append(body)
     return found
 
@@ -211,7 +211,7 @@ def _cleared(area: BaseGeometry) -> list[Polygon]:
         return []
     opened = shapely.set_precision(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1), 0.01)
     parts = [part for part in shapely.get_parts(opened) if part.geom_type == "Polygon" and part.is_valid]
-    return [part for part in parts if part.area >= SMALLEST_M2]
+    return [part for part in parts if part.area >= _SMALLEST_M2]
 
 
 def _areas(geometry: BaseGeometry) -> BaseGeometry:

@@ -11,7 +11,7 @@ from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, s
 from wcsim.towns.sumo.additional import Item
 from wcsim.types import F64
 
-SAME_STOP_M = 12.0  # a mapped stop so near to one of SUMO's is the same one
+_SAME_STOP_M = 12.0  # a mapped stop so near to one of SUMO's is the same one
 FARTHEST_M = 14.0  # from the middle of the lane to the pole
 STEP_M = 0.35
 ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
@@ -31,7 +31,7 @@ def stop_things(
     for item in items:
         if item.group == "highway" and item.kind == "bus_stop" and not item.author:
             here = shapely.Point(item.points_W_m.mean(axis=0))
-            if middles.is_empty or not shapely.dwithin(middles, here, SAME_STOP_M):
+            if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
                 found += _mapped(item, place, taken)
     return found
 

@@ -105,11 +105,11 @@ def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, 
     if size_lwh_m is not None:
         l0, w0, h0 = look.size_lwh_m
         piece = solid_shapes.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
-    footprint = footprint_of(kind, xy_m, yaw_rad, size_m)
+    footprint = _footprint_of(kind, xy_m, yaw_rad, size_m)
     return StandingObject(piece=solid_shapes.moved(piece, xy_m, yaw_rad), footprint=footprint, base_m=np.asarray(xy_m))
 
 
-def footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]) -> Polygon:
+def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]) -> Polygon:
     """The ground that a thing takes."""
     length_m, width_m, _ = size_lwh_m
     if LOOKS[kind].round and length_m == width_m:
@@ -119,7 +119,7 @@ def footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, 
 
 def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround, taken: Taken) -> StandingObject | None:
     """One thing of a kind, or None where there is no room for it."""
-    footprint = footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)
+    footprint = _footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)
     return stood(kind, xy_m, yaw_rad) if place.free(footprint) and taken.free(footprint) else None
 
 

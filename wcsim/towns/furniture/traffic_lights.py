@@ -21,25 +21,25 @@ from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_o
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes
 from wcsim.types import F64, ClassId, SignalHead
 
-HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
-WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
+_HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
+_WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
 HEAD_LOW_M = 2.3  # nobody hits it with the head
-HANGING_LOW_M = 4.8  # over a road without room for a post
-POST_M = 0.07
+_HANGING_LOW_M = 4.8  # over a road without room for a post
+_POST_M = 0.07
 APART_M = 0.4  # between two posts
-SIDE_BY_SIDE_M = 0.36
-ARM_M = 0.12  # thickness of an arm that reaches over the road
-ARM_REACH_M = (2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 11.0, 14.0, 18.0, 23.0, 30.0)
-PASSING_M = 0.45  # from the line that people walk on to the post of an arm, where there is no better place
-ARM_TURNS = 24  # directions in which its post is looked for
-BACK_M = (0.5, 1.5, 3.0, 5.0)  # how far before the stop line a post may stand
+_SIDE_BY_SIDE_M = 0.36
+_ARM_M = 0.12  # thickness of an arm that reaches over the road
+_ARM_REACH_M = (2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 11.0, 14.0, 18.0, 23.0, 30.0)
+_PASSING_M = 0.45  # from the line that people walk on to the post of an arm, where there is no better place
+_ARM_TURNS = 24  # directions in which its post is looked for
+_BACK_M = (0.5, 1.5, 3.0, 5.0)  # how far before the stop line a post may stand
 ASIDE_M = tuple(np.arange(0.3, 8.0, 0.35))  # how far beside the lane
 BEYOND_M = (0.4, 0.8, 1.3, 2.0)  # how far beyond the end of a crossing
 BESIDE_M = (0.3, -0.3, 0.7, -0.7, 1.2, -1.2, 1.8, -1.8)  # how far to the right of its edge, or to the left
 AT_ONCE = 8  # places that are looked at together
-SIGN_REACH_M = 20.0
+_SIGN_REACH_M = 20.0
 
-Groups = list[tuple[str, int]]
+_Groups = list[tuple[str, int]]
 """Heads of an approach: traffic light and the number of a link of it, from the kerb towards the middle of the road."""
 
 
@@ -80,7 +80,7 @@ def sign_things(
     tree = shapely.STRtree(shapely.points([approach.stop_m for approach in approaches]))
     found: list[StandingObject] = []
     for item in wanted:
-        nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=SIGN_REACH_M)
+        nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=_SIGN_REACH_M)
         for approach in (approaches[i] for i in nearest[:1].tolist()):
             facing = float(np.arctan2(-approach.ahead[1], -approach.ahead[0]))
             for xy_m in _beside(approach):
@@ -149,7 +149,7 @@ def _vehicle_signals(
             yield _at_kerb(approach, groups, place, taken)
 
 
-def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bool) -> Groups:
+def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bool) -> _Groups:
     """One link for each set of links that always show the same colour."""
     found: dict[tuple[str, str], tuple[str, int]] = {}
     for link in sorted(links, key=lambda link: (-link.start_lane if lefthand else link.start_lane, link.tls_link)):
@@ -159,42 +159,42 @@ def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bo
     return list(found.values())
 
 
-def _at_kerb(approach: Approach, groups: Groups, place: FreeGround, taken: Taken) -> StandingObject:
+def _at_kerb(approach: Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place, taken)
     if xy_m is not None:
-        post = solid_shapes.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M + 0.5 * HEAD_LWH_M[2], ClassId.POLE, sides=5)
-        front = xy_m - (POST_M + HEAD_LWH_M[1] / 2) * approach.ahead
+        post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M + 0.5 * _HEAD_LWH_M[2], ClassId.POLE, sides=5)
+        front = xy_m - (_POST_M + _HEAD_LWH_M[1] / 2) * approach.ahead
         pieces, heads = _heads(front, approach.ahead, approach.aside, groups, HEAD_LOW_M)
         return StandingObject(
             piece=solid_shapes.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads
         )
     over = approach.stop_m + 0.5 * approach.ahead
-    pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, HANGING_LOW_M)
-    last = over - (len(groups) - 1) * SIDE_BY_SIDE_M * approach.aside
+    pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, _HANGING_LOW_M)
+    last = over - (len(groups) - 1) * _SIDE_BY_SIDE_M * approach.aside
     foot_m = _foot_of_arm(over, place, taken)
     held_m = foot_m if foot_m is not None else _wall(over, place)
     pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
     if foot_m is None:
         return StandingObject(piece=solid_shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
     pieces.append(
-        solid_shapes.post(foot_m, POST_M, FOOT_M, HANGING_LOW_M + HEAD_LWH_M[2] + ARM_M, ClassId.POLE, sides=5)
+        solid_shapes.post(foot_m, _POST_M, FOOT_M, _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M, ClassId.POLE, sides=5)
     )
     return StandingObject(piece=solid_shapes.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
 
 
 def _foot_of_arm(over_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
     """Where the post of an arm stands: the nearest free place, else the nearest that people can pass, if any."""
-    turns = np.linspace(0.0, 2.0 * np.pi, ARM_TURNS, endpoint=False)
-    reach_m = np.repeat(np.array(ARM_REACH_M), ARM_TURNS)[:, None]
+    turns = np.linspace(0.0, 2.0 * np.pi, _ARM_TURNS, endpoint=False)
+    reach_m = np.repeat(np.array(_ARM_REACH_M), _ARM_TURNS)[:, None]
     ring = np.column_stack([np.cos(turns), np.sin(turns)])
-    places_m = over_m + reach_m * np.tile(ring, (len(ARM_REACH_M), 1))
+    places_m = over_m + reach_m * np.tile(ring, (len(_ARM_REACH_M), 1))
     found = _first_free(places_m, place, taken)
     if found is not None:
         return found
     points = shapely.points(places_m)
     tight = np.ones(len(points), dtype=bool)
-    for area, gap_m in ((place.low, POST_M), (place.solids, POST_M), (place.lines, PASSING_M)):
+    for area, gap_m in ((place.low, _POST_M), (place.solids, _POST_M), (place.lines, _PASSING_M)):
         tight[tight] = ~shapely.dwithin(area, points[tight], gap_m)
     return np.asarray(places_m[tight][0]) if tight.any() else None
 
@@ -202,22 +202,22 @@ def _foot_of_arm(over_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
 def _wall(over_m: F64, place: FreeGround) -> F64 | None:
     """The nearest place of a building, from which a light can hang; None where there is none near."""
     nearest = shapely.get_coordinates(shapely.shortest_line(shapely.Point(over_m), place.solids))
-    near = len(nearest) > 0 and float(np.hypot(*(nearest[-1] - over_m))) <= ARM_REACH_M[-1]
+    near = len(nearest) > 0 and float(np.hypot(*(nearest[-1] - over_m))) <= _ARM_REACH_M[-1]
     return np.asarray(nearest[-1]) if near else None
 
 
 def _arm(start_m: F64, end_m: F64) -> Solid:
     """An arm above the heads, from one place to another."""
     along = end_m - start_m
-    size_m = (float(np.hypot(*along)) + ARM_M, ARM_M, ARM_M)
+    size_m = (float(np.hypot(*along)) + _ARM_M, _ARM_M, _ARM_M)
     yaw_rad = float(np.arctan2(along[1], along[0]))
-    top_m = HANGING_LOW_M + HEAD_LWH_M[2]
+    top_m = _HANGING_LOW_M + _HEAD_LWH_M[2]
     return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
 
 
 def _beside(approach: Approach) -> F64:
     """Places (n, 2) for a post at the kerb, best first."""
-    back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(BACK_M, ASIDE_M, indexing="ij"))
+    back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(_BACK_M, ASIDE_M, indexing="ij"))
     return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)
 
 
@@ -226,7 +226,7 @@ def _first_free(places_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
     close: F64 | None = None
     for start in range(0, len(places_m), AT_ONCE):
         some = places_m[start : start + AT_ONCE]
-        for xy_m in some[place.free_spots(some, POST_M)]:
+        for xy_m in some[place.free_spots(some, _POST_M)]:
             if taken.free(_disc(xy_m), APART_M):
                 return np.asarray(xy_m)
             if close is None and taken.free(_disc(xy_m)):
@@ -235,20 +235,20 @@ def _first_free(places_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
 
 
 def _disc(xy_m: F64) -> Polygon:
-    return shapely.Point(xy_m).buffer(POST_M, quad_segs=2)
+    return shapely.Point(xy_m).buffer(_POST_M, quad_segs=2)
 
 
 def _heads(
-    first_m: F64, ahead: F64, aside: F64, groups: Groups, low_m: float
+    first_m: F64, ahead: F64, aside: F64, groups: _Groups, low_m: float
 ) -> tuple[list[Solid], tuple[SignalHead, ...]]:
     """Heads side by side that look against the traffic, the one for the lane at the kerb farthest aside."""
     yaw_rad = float(np.arctan2(-ahead[1], -ahead[0]))
     pieces: list[Solid] = []
     heads: list[SignalHead] = []
     for k, (tls_id, link) in enumerate(reversed(groups)):
-        middle = first_m + k * SIDE_BY_SIDE_M * aside
-        pieces.append(solid_shapes.box(middle, HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
-        p_W_m = np.array([*middle, low_m + HEAD_LWH_M[2] / 2])
+        middle = first_m + k * _SIDE_BY_SIDE_M * aside
+        pieces.append(solid_shapes.box(middle, _HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
+        p_W_m = np.array([*middle, low_m + _HEAD_LWH_M[2] / 2])
         heads.append(SignalHead(tls_id=tls_id, link=link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=False))
     return pieces, tuple(heads)
 
@@ -283,8 +283,8 @@ def _at_crossing(
     xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * right, place, taken)
     if xy_m is None:
         return None
-    post = solid_shapes.post(xy_m, POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
-    head = solid_shapes.box(xy_m, WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
-    p_W_m = np.array([*xy_m, HEAD_LOW_M + WALK_HEAD_LWH_M[2] / 2])
+    post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
+    head = solid_shapes.box(xy_m, _WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
+    p_W_m = np.array([*xy_m, HEAD_LOW_M + _WALK_HEAD_LWH_M[2] / 2])
     shown = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
     return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))

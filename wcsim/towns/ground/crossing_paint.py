@@ -17,7 +17,7 @@ from wcsim.types import F64
 
 GROUP, KIND = "crossing", "unmarked"  # of the points that say so in a town's files
 REACH_M = 12.0  # from a crossing of a map to the one that it is in the net
-ON_M = 1.0
+_ON_M = 1.0
 _PLAIN = frozenset(("unmarked", "no", "informal"))
 
 
@@ -40,7 +40,7 @@ def unmarked_crossings(items: Iterable[Item], net: Net) -> frozenset[str]:
     lanes, tree = _crossings(net)
     if not points or not lanes:
         return frozenset()
-    found = (tree.query_nearest(shapely.Point(at_m), max_distance=ON_M, all_matches=False) for at_m in points)
+    found = (tree.query_nearest(shapely.Point(at_m), max_distance=_ON_M, all_matches=False) for at_m in points)
     return frozenset(lanes[index].edge_id for near in found for index in near.tolist())
 
 

@@ -14,14 +14,14 @@ from wcsim.towns.ground.tiled_geometry import Patches, buffered
 from wcsim.towns.sumo.additional import Item
 from wcsim.types import F64
 
-RAMP_RUN = 12.6  # metres of ramp for one metre of height: 1:12 also where a ring cuts a corner
+_RAMP_RUN = 12.6  # metres of ramp for one metre of height: 1:12 also where a ring cuts a corner
 STEEPEST = 1.0 / 12.0
-RING_CHORD = 0.96  # the chords of a ring come this close to the middle of its arc
+_RING_CHORD = 0.96  # the chords of a ring come this close to the middle of its arc
 NEAR_M = 1.5  # a kerb that is mapped this far from ours is the same one
-AT_CROSSING_M = 3.0  # ... at a crossing, where there is no other: SUMO's roads are not as wide as the real ones
+_AT_CROSSING_M = 3.0  # ... at a crossing, where there is no other: SUMO's roads are not as wide as the real ones
 HALF_WIDTH_M = 0.75  # of a lowered place that is mapped as a point
 RAISED = -1.0
-LIP_M = {"flush": 0.0, "lowered": 0.02, "rolled": 0.03, "sloped": 0.03, "raised": RAISED, "regular": RAISED}
+_LIP_M = {"flush": 0.0, "lowered": 0.02, "rolled": 0.03, "sloped": 0.03, "raised": RAISED, "regular": RAISED}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class Kerbing:
             (index, _), far_m = low.tree.query_nearest(
                 places, max_distance=low.ramp_m, return_distance=True, all_matches=False
             )
-            share = np.clip(far_m / (RING_CHORD * low.ramp_m), 0.0, 1.0)
+            share = np.clip(far_m / (_RING_CHORD * low.ramp_m), 0.0, 1.0)
             height_m[index] = np.minimum(height_m[index], low.drop_m + (self.top_m - low.drop_m) * share)
         rounded: F64 = np.round(height_m, 5)
         return rounded
@@ -72,7 +72,7 @@ def kerbing_of(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[
     lowered = tuple(
         Lowered(
             drop_m=lip_m,
-            ramp_m=RAMP_RUN * (top_m - lip_m),
+            ramp_m=_RAMP_RUN * (top_m - lip_m),
             lines=shapely.MultiLineString(groups[lip_m]),
             tree=shapely.STRtree(groups[lip_m]),
         )
@@ -96,9 +96,9 @@ def _marks(items: Iterable[Item]) -> list[tuple[BaseGeometry, float]]:
 def _lip_m(item: Item) -> float | None:
     """Height of a mapped kerb, `RAISED` for one that is not lowered, or None for what is no kerb."""
     if item.group == "kerb":
-        return LIP_M.get(item.detail)
+        return _LIP_M.get(item.detail)
     if item.group == "barrier" and item.detail == "kerb":
-        return LIP_M.get(item.tags.get("kerb", ""))
+        return _LIP_M.get(item.tags.get("kerb", ""))
     return None
 
 
@@ -108,7 +108,7 @@ def _nearest_lips(mouths: list[BaseGeometry], marks: list[tuple[BaseGeometry, fl
     if marks and mouths:
         tree = shapely.STRtree([mark for mark, _ in marks])
         (which, mark), far_m = tree.query_nearest(
-            mouths, max_distance=AT_CROSSING_M, return_distance=True, all_matches=False
+            mouths, max_distance=_AT_CROSSING_M, return_distance=True, all_matches=False
         )
         for i, k, gap_m in zip(which.tolist(), mark.tolist(), far_m.tolist(), strict=True):
             if gap_m <= NEAR_M or marks[k][1] != RAISED:

@@ -15,10 +15,10 @@ from wcsim.towns.sumo.additional import Item
 
 BESIDE_M = 8.0  # of a building the ground is paved
 GAP_M = 6.0  # between such ground is paved too: yards
-SIMPLE_M = 0.3
+_SIMPLE_M = 0.3
 LEAST_M2 = 4.0
-BUILT_UP = frozenset(("residential", "commercial", "retail", "industrial", "construction", "railway", "civil"))
-GREEN = {
+_BUILT_UP = frozenset(("residential", "commercial", "retail", "industrial", "construction", "railway", "civil"))
+_GREEN = {
     "landuse": frozenset(
         (
             "grass", "forest", "meadow", "village_green", "recreation_ground", "cemetery", "allotments", "farmland",
@@ -38,9 +38,9 @@ def covered(surfaces: Surfaces, items: Iterable[Item]) -> Surfaces:
     items = [item for item in items if not item.author and len(item.points_W_m) > 3]
     parking = _area(item for item in items if _is_car_park(item))
     squares = _area(item for item in items if _is_square(item))
-    green = _area(item for item in items if item.kind in GREEN.get(item.group, ()))
+    green = _area(item for item in items if item.kind in _GREEN.get(item.group, ()))
     houses = _area(item for item in items if item.group == "building")
-    quarters = _area(item for item in items if item.group == "landuse" and item.kind in BUILT_UP)
+    quarters = _area(item for item in items if item.group == "landuse" and item.kind in _BUILT_UP)
     yards = buffered(buffered(houses, BESIDE_M + GAP_M, quad_segs=2), -GAP_M, quad_segs=2)
     paved = shapely.union_all([shapely.union_all([yards, quarters]).difference(green), squares]).difference(parking)
     return replace(surfaces, paved=_on_land(paved, surfaces), parking=_on_land(parking, surfaces))
@@ -64,7 +64,7 @@ def _area(items: Iterable[Item]) -> BaseGeometry:
 
 def _on_land(area: BaseGeometry, surfaces: Surfaces) -> BaseGeometry:
     """What of an area is terrain, on the grid of all ground points, without crumbs."""
-    rest = area.simplify(SIMPLE_M).intersection(surfaces.hull)
+    rest = area.simplify(_SIMPLE_M).intersection(surfaces.hull)
     rest = rest.difference(shapely.union_all([surfaces.low, surfaces.pavement]))
     return _polygons(shapely.set_precision(rest, GRID_M))
 

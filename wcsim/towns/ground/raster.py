@@ -14,8 +14,8 @@ from wcsim.towns.ground.triangulation import GroundMesh
 from wcsim.types import F64, U8, ClassId, Relief, StreetGrid
 
 CELL_M = 0.1
-FAR_DM = 255
-LOOK_M = 26.0  # solid things so far outside a piece still count for its clearances, which end at 25.5 m
+_FAR_DM = 255
+_LOOK_M = 26.0  # solid things so far outside a piece still count for its clearances, which end at 25.5 m
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
 Box = tuple[float, float, float, float]
@@ -58,20 +58,20 @@ class GridMaker:
 
     def _clearance_dm(self, box: Box, shape: tuple[int, int]) -> U8:
         """Distance (rows, cols) in whole decimetres, rounded down, from a cell's middle to something solid."""
-        wide = (box[0] - LOOK_M, box[1] - LOOK_M, box[2] + LOOK_M, box[3] + LOOK_M)
+        wide = (box[0] - _LOOK_M, box[1] - _LOOK_M, box[2] + _LOOK_M, box[3] + _LOOK_M)
         near = [self._footprints[i] for i in np.sort(self._tree.query(shapely.box(*wide)))]
         if not near:
-            return np.full(shape, FAR_DM, dtype=np.uint8)
-        edge = round(LOOK_M / CELL_M)
+            return np.full(shape, _FAR_DM, dtype=np.uint8)
+        edge = round(_LOOK_M / CELL_M)
         free = np.ones((shape[0] + 2 * edge, shape[1] + 2 * edge), dtype=np.uint8)
         for footprint in near:
             rings = [footprint.exterior, *footprint.interiors]
             cells = [(shapely.get_coordinates(ring) - wide[:2]) / CELL_M - 0.5 for ring in rings]
             cv2.fillPoly(free, [np.rint(ring * (1 << _SHIFT)).astype(np.int32) for ring in cells], 0, shift=_SHIFT)
         if free.all():
-            return np.full(shape, FAR_DM, dtype=np.uint8)
+            return np.full(shape, _FAR_DM, dtype=np.uint8)
         far_cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)[edge:-edge, edge:-edge]  # float32
-        far_dm = np.minimum(far_cells * np.float32(CELL_M * 10.0), FAR_DM)
+        far_dm = np.minimum(far_cells * np.float32(CELL_M * 10.0), _FAR_DM)
         return cast(U8, far_dm.astype(np.uint8))
 
 

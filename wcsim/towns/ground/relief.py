@@ -19,13 +19,13 @@ SHORTEST_M = 0.5  # shorter pieces say nothing about a grade: coordinates are ro
 
 CELL_M = 8.0  # a whole fraction of a ground chunk, so that both share their borders
 REACH_M = 48.0  # of the lattice beyond the outermost street
-SAMPLE_M = 4.0  # along lanes
+_SAMPLE_M = 4.0  # along lanes
 OVER_M = 2.5  # a way this much above another one at the same place is a bridge
 BESIDE_M = 3.0  # samples of two ways that cross come as near to each other
 BRIDGE_M = 40.0  # this far to both sides of where it passes over the other
-OFF_M = 2.0  # parts of bridges farther than this from the land are no ground
-ABSURD = 0.35  # no street is as steep: netconvert makes such heights on very short edges
-STIFF_M3 = 60.0  # weight of bending against a metre of lane
+_OFF_M = 2.0  # parts of bridges farther than this from the land are no ground
+_ABSURD = 0.35  # no street is as steep: netconvert makes such heights on very short edges
+_STIFF_M3 = 60.0  # weight of bending against a metre of lane
 LEVEL_M = 300.0  # the land turns level over this distance where no street holds it
 AT_ONCE = 100_000  # samples
 FAR_M = 1e6  # longer than any way
@@ -71,7 +71,7 @@ def on_land(net: Net, relief: Relief) -> Net:
     if relief is FLAT:
         return net
     samples = _samples(ways)
-    off = _on_bridge(samples) & (np.abs(samples.z_m - relief.at(samples.p_m)) > OFF_M)
+    off = _on_bridge(samples) & (np.abs(samples.z_m - relief.at(samples.p_m)) > _OFF_M)
     if not off.any():
         return net
     off_ways = set(samples.way[off].tolist())
@@ -80,7 +80,7 @@ def on_land(net: Net, relief: Relief) -> Net:
         replace(edge, lanes=tuple(piece for lane in edge.lanes for piece in pieces.get(id(lane), [lane])))
         for edge in net.edges
     )
-    high = [j.z_m.size > 0 and np.abs(j.z_m - relief.at(j.outline_m)).min() > OFF_M for j in net.junctions]
+    high = [j.z_m.size > 0 and np.abs(j.z_m - relief.at(j.outline_m)).min() > _OFF_M for j in net.junctions]
     junctions = tuple(
         replace(j, outline_m=j.outline_m[:0], z_m=j.z_m[:0]) if drop else j
         for j, drop in zip(net.junctions, high, strict=True)
@@ -99,9 +99,9 @@ def _samples(ways: list[Lane]) -> _Samples:
     for way in ways:
         step_m = np.hypot(*np.diff(way.points_m, axis=0).T)
         corner_m = np.r_[0.0, np.cumsum(step_m)]
-        at_m = np.linspace(0.0, corner_m[-1], 2 + int(corner_m[-1] // SAMPLE_M))
+        at_m = np.linspace(0.0, corner_m[-1], 2 + int(corner_m[-1] // _SAMPLE_M))
         grade = np.abs(np.diff(way.z_m)) / np.maximum(step_m, 1e-6)
-        absurd = grade[np.clip(np.searchsorted(corner_m, at_m) - 1, 0, len(grade) - 1)] > ABSURD
+        absurd = grade[np.clip(np.searchsorted(corner_m, at_m) - 1, 0, len(grade) - 1)] > _ABSURD
         columns = [np.interp(at_m, corner_m, column) for column in (*way.points_m.T, way.z_m)]
         weight_m = corner_m[-1] / len(at_m) * np.where(absurd, 0.02, 1.0) + 1e-3
         parts.append((np.stack([*columns, weight_m, at_m]), at_m))
@@ -158,7 +158,7 @@ def _fitted(z: F64, cell_m: float, corners: I32, share: F64, height_m: F64, weig
     def gradient(field: F64) -> F64:
         return spread((field.reshape(-1)[corners] * share).sum(axis=1)) + _stiffness(field, cell_m)
 
-    scale = 1.0 / (_counted(flat, weighted * share, z.shape) + 20.0 * STIFF_M3 / cell_m**2)
+    scale = 1.0 / (_counted(flat, weighted * share, z.shape) + 20.0 * _STIFF_M3 / cell_m**2)
     rest = spread(height_m) - gradient(z)
     step = scale * rest
     power = float((rest * step).sum())
@@ -183,7 +183,7 @@ def _counted(nodes: I32, values: F64, shape: tuple[int, ...]) -> F64:
 
 def _stiffness(z: F64, cell_m: float) -> F64:
     """How bending and, much weaker, slope pull at the lattice's nodes (rows, cols)."""
-    bend, level = STIFF_M3 / cell_m**2, STIFF_M3 / LEVEL_M**2
+    bend, level = _STIFF_M3 / cell_m**2, _STIFF_M3 / LEVEL_M**2
     pull = np.zeros_like(z)
     for field, out in ((z, pull), (z.T, pull.T)):
         slope = level * (field[1:] - field[:-1])

@@ -61,7 +61,7 @@ def prism(outline: Polygon, low_m: float, high_m: float, class_id: int, floor: b
     return _extruded(rings, _cover(outline, base), low_m, high_m, class_id, floor)
 
 
-def convex_prism(ring: F64, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Solid:
+def _convex_prism(ring: F64, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Solid:
     """An upright prism over a convex ring (N, 2), counter-clockwise and open; far cheaper to make than `prism`."""
     middle = np.arange(1, len(ring) - 1, dtype=np.int32)
     cover = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
@@ -90,7 +90,7 @@ def post(
     xy_m: F64, radius_m: float, low_m: float, high_m: float, class_id: int, sides: int = 6, floor: bool = False
 ) -> Solid:
     """An upright regular prism."""
-    return convex_prism(_ring(xy_m, radius_m, sides), low_m, high_m, class_id, floor)
+    return _convex_prism(_ring(xy_m, radius_m, sides), low_m, high_m, class_id, floor)
 
 
 def box(
@@ -98,7 +98,7 @@ def box(
 ) -> Solid:
     """An upright box turned about its middle."""
     ring = shapely.get_coordinates(rectangle(xy_m, size_lwh_m[0], size_lwh_m[1], yaw_rad))[:-1]
-    return convex_prism(ring, low_m, low_m + size_lwh_m[2], class_id, floor)
+    return _convex_prism(ring, low_m, low_m + size_lwh_m[2], class_id, floor)
 
 
 def disc(x_m: float, radius_m: float, thick_m: float, class_id: int, sides: int = 8) -> Solid:

@@ -14,14 +14,14 @@ from wcsim.towns.ground.tiled_geometry import Patches, buffered
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
 GRID_M = 0.01  # all ground points lie on this grid
-SIMPLIFY_M = 0.05
-CLOSE_M = 0.15  # gaps narrower than twice this are closed
-STRIP_M = 0.35  # half of the width below which a strip of road or between roads is not worth a kerb
-POCKET_M2 = 12.0
-HOLE_M2 = 150.0  # grass inside a turning loop
-CRUMB_M2 = 1.0
+_SIMPLIFY_M = 0.05
+_CLOSE_M = 0.15  # gaps narrower than twice this are closed
+_STRIP_M = 0.35  # half of the width below which a strip of road or between roads is not worth a kerb
+_POCKET_M2 = 12.0
+_HOLE_M2 = 150.0  # grass inside a turning loop
+_CRUMB_M2 = 1.0
 REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
-DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
+_DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
 MARGIN_M = 15.0  # terrain beyond the outermost street
 
 
@@ -59,8 +59,8 @@ def surfaces_of(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[str]
     inner = shapely.union_all([junctions, other]).difference(buffered(walk, GRID_M))
     low = shapely.union_all([motor, inner, crossing])
     both = _cleaned(shapely.union_all([low, walk]))
-    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * STRIP_M and not lane.internal]
-    low = shapely.union_all([_opened(_closed(low, STRIP_M), STRIP_M), *narrow])
+    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * _STRIP_M and not lane.internal]
+    low = shapely.union_all([_opened(_closed(low, _STRIP_M), _STRIP_M), *narrow])
     low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
     painted = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id not in unmarked]
@@ -93,17 +93,17 @@ def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> Ba
     if rail.is_empty:
         return MultiPolygon()
     others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
-    own = _opened(rail.difference(shapely.union_all([*others, *taken])), STRIP_M).simplify(SIMPLIFY_M)
+    own = _opened(rail.difference(shapely.union_all([*others, *taken])), _STRIP_M).simplify(_SIMPLIFY_M)
     parts = shapely.get_parts(_areas(shapely.set_precision(own.intersection(low), GRID_M)))
-    return MultiPolygon([part for part in parts if part.area > POCKET_M2])
+    return MultiPolygon([part for part in parts if part.area > _POCKET_M2])
 
 
 def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
     """Parts of junctions beside the pavement that no vehicle comes near: SUMO's walking areas leave them out."""
-    near = buffered(buffered(driven, DRIVEN_M, quad_segs=2), 0.5 - DRIVEN_M, quad_segs=2)
+    near = buffered(buffered(driven, _DRIVEN_M, quad_segs=2), 0.5 - _DRIVEN_M, quad_segs=2)
     corners = _opened(junctions.difference(walk).difference(near), 0.2)
     shapely.prepare(walk)
-    return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, CLOSE_M)])
+    return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, _CLOSE_M)])
 
 
 def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> list[BaseGeometry]:
@@ -169,7 +169,7 @@ def _polygon(points_m: np.ndarray) -> BaseGeometry:
 
 def _cleaned(area: BaseGeometry) -> BaseGeometry:
     """Gaps closed, points thinned and put on the grid."""
-    return _areas(shapely.set_precision(_closed(area, CLOSE_M).simplify(SIMPLIFY_M), GRID_M))
+    return _areas(shapely.set_precision(_closed(area, _CLOSE_M).simplify(_SIMPLIFY_M), GRID_M))
 
 
 def _closed(area: BaseGeometry, half_m: float) -> BaseGeometry:
@@ -190,14 +190,14 @@ def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:
     """Without small bits of junction that no vehicle drives on: they would be holes in the pavement."""
     parts = shapely.get_parts(low)
     shapely.prepare(motor)
-    return MultiPolygon([part for part in parts if part.area > POCKET_M2 or shapely.intersects(motor, part)])
+    return MultiPolygon([part for part in parts if part.area > _POCKET_M2 or shapely.intersects(motor, part)])
 
 
 def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
     """With small islands of grass in the road filled, as a lane that turns round at a dead end leaves one."""
     shapely.prepare(walk)
     holes = [Polygon(ring) for part in shapely.get_parts(low) for ring in part.interiors]
-    small = [hole for hole in holes if hole.area < HOLE_M2 and walk.intersection(hole).area < CRUMB_M2]
+    small = [hole for hole in holes if hole.area < _HOLE_M2 and walk.intersection(hole).area < _CRUMB_M2]
     return _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M)) if small else low
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-FINEST_M = 64.0
+_FINEST_M = 64.0
 BLOCK_M = 400.0
-LAP_M = 0.05  # of blocks: side by side they would part along cracks as thin as a number's last digit
+_LAP_M = 0.05  # of blocks: side by side they would part along cracks as thin as a number's last digit
 WHOLE_M = 1200.0  # areas up to this size are buffered as they are
-ARC = 16  # segments a quarter circle: shapely's own
+_ARC = 16  # segments a quarter circle: shapely's own
 
 
 def clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
@@ -29,9 +29,9 @@ class Patches:
     def __init__(self, area: BaseGeometry) -> None:
         self._area = area
         bounds = area.bounds if not area.is_empty else (0.0, 0.0, 1.0, 1.0)
-        size_m = max(bounds[2] - bounds[0], bounds[3] - bounds[1], FINEST_M)
+        size_m = max(bounds[2] - bounds[0], bounds[3] - bounds[1], _FINEST_M)
         self._left_m, self._bottom_m = bounds[0], bounds[1]
-        self._levels = int(np.ceil(np.log2(size_m / FINEST_M)))
+        self._levels = int(np.ceil(np.log2(size_m / _FINEST_M)))
         self._cut: dict[tuple[int, int, int], BaseGeometry] = {}
 
     def near(self, bounds: tuple[float, float, float, float]) -> BaseGeometry:
@@ -39,9 +39,9 @@ class Patches:
         x0, y0, x1, y1 = bounds
         if np.isnan(x0):
             return shapely.Polygon()
-        size_m = max(x1 - x0, y1 - y0, FINEST_M)
-        level = int(np.ceil(np.log2(size_m / FINEST_M)))
-        edge_m = FINEST_M * 2.0**level
+        size_m = max(x1 - x0, y1 - y0, _FINEST_M)
+        level = int(np.ceil(np.log2(size_m / _FINEST_M)))
+        edge_m = _FINEST_M * 2.0**level
         col = int((0.5 * (x0 + x1) - self._left_m) // edge_m)
         row = int((0.5 * (y0 + y1) - self._bottom_m) // edge_m)
         return clipped(self._square(level, col, row), bounds)
@@ -52,7 +52,7 @@ class Patches:
             return self._area
         key = (level, col, row)
         if key not in self._cut:
-            edge_m = FINEST_M * 2.0**level
+            edge_m = _FINEST_M * 2.0**level
             x0, y0 = self._left_m + (col - 0.5) * edge_m, self._bottom_m + (row - 0.5) * edge_m
             around = self._square(level + 1, col // 2, row // 2)
             self._cut[key] = clipped(around, (x0, y0, x0 + 2.0 * edge_m, y0 + 2.0 * edge_m))
@@ -65,7 +65,7 @@ def buffered(
     *,
     join_style: Literal["round", "mitre"] = "round",
     mitre_limit: float = 5.0,
-    quad_segs: int = ARC,
+    quad_segs: int = _ARC,
 ) -> BaseGeometry:
     """As shapely's own buffer, which takes the square of the time for an area with many parts or holes."""
 
@@ -75,12 +75,12 @@ def buffered(
     x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     if max(x1 - x0, y1 - y0) <= WHOLE_M:
         return buffer(area)
-    patches, beside_m = Patches(area), LAP_M + max(2.0, 8.0 * abs(distance_m))
+    patches, beside_m = Patches(area), _LAP_M + max(2.0, 8.0 * abs(distance_m))
     reach_m = max(0.0, distance_m) * max(1.0, mitre_limit)
     blocks: list[BaseGeometry] = []
     for x in np.arange(x0 - reach_m, x1 + reach_m, BLOCK_M):
         for y in np.arange(y0 - reach_m, y1 + reach_m, BLOCK_M):
             near = patches.near((x - beside_m, y - beside_m, x + BLOCK_M + beside_m, y + BLOCK_M + beside_m))
             if not near.is_empty:
-                blocks.append(clipped(buffer(near), (x, y, x + BLOCK_M + LAP_M, y + BLOCK_M + LAP_M)))
+                blocks.append(clipped(buffer(near), (x, y, x + BLOCK_M + _LAP_M, y + BLOCK_M + _LAP_M)))
     return shapely.union_all(blocks)

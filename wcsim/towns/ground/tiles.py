@@ -20,7 +20,7 @@ from wcsim.types.street import AROUND_M
 
 TILE_M = 3 * CHUNK_M
 RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
-KEPT_RASTERS = 36  # 2.5 MB each; a chair and those around it stand on about four
+_KEPT_RASTERS = 36  # 2.5 MB each; a chair and those around it stand on about four
 _RASTERS = ("height_cm", "ground_class", "clearance_dm")
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 
@@ -147,7 +147,7 @@ class TileStore:
         grid = self._kept.get(key)
         if grid is None:
             grid = self._kept[key] = self._guarded(lambda: self._unpacked(key))
-            if len(self._kept) > KEPT_RASTERS:
+            if len(self._kept) > _KEPT_RASTERS:
                 self._kept.popitem(last=False)
         else:
             self._kept.move_to_end(key)

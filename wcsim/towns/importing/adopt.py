@@ -19,7 +19,7 @@ from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
 from wcsim.towns.sumo.xml_io import content_digest
 
-MAX_FILES = 500
+_MAX_FILES = 500
 _SETTINGS = ("gui-settings-file",)  # not needed, but it makes the town look as its author likes it
 
 
@@ -115,8 +115,8 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
             if is_file(path):
                 require_root(path)
                 found.add(path)
-    if len(found) > MAX_FILES:
-        raise TownError(f"{config.path}: names {len(found)} files; expected at most {MAX_FILES}")
+    if len(found) > _MAX_FILES:
+        raise TownError(f"{config.path}: names {len(found)} files; expected at most {_MAX_FILES}")
     return tuple(sorted({Path(os.path.normpath(path.absolute())) for path in found}))
 
 

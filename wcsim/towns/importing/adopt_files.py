@@ -11,8 +11,8 @@ from wcsim.errors import TownError
 from wcsim.towns.scenario.border import require_file, require_inside
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, read_bytes, scan
 
-NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
-NOTICE_BYTES = 1 << 20
+_NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
+_NOTICE_BYTES = 1 << 20
 ROOTS = frozenset(
     (
         "net", "routes", "trips", "vehicles", "additional", "additionals", "add", "vTypes", "vss",
@@ -27,7 +27,7 @@ ROOTS = frozenset(
 _PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"BM")
 _SELECTED = ("edge:", "lane:")
 _SELECTION = FileKind(what="a list of edges", limit_bytes=16 << 20, error=TownError)
-_NOTICE = FileKind(what="a notice", limit_bytes=NOTICE_BYTES, error=TownError)
+_NOTICE = FileKind(what="a notice", limit_bytes=_NOTICE_BYTES, error=TownError)
 _COPIED = FileKind(what="a file of a scenario", limit_bytes=MAX_XML_BYTES, error=TownError)
 
 
@@ -40,7 +40,7 @@ def copy_file(path: Path, place: Path) -> None:
 def copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:
     """Copy the licence and the readme that lie beside a scenario, and not elsewhere; returns their names."""
     names = set()
-    for path in (path for mask in NOTICES for path in source.glob(mask)):
+    for path in (path for mask in _NOTICES for path in source.glob(mask)):
         try:
             require_inside(path, border, source)
             notice = read_plain(path, _NOTICE)

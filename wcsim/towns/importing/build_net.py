@@ -19,8 +19,8 @@ from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_l
 log = logging.getLogger("wcsim.towns")
 
 CHAIR_WAYS = ("sidewalk", "crossing", "shared")
-GOOD_SHARE = 0.965  # of the walkable ground in one part: below it roads on islands go too
-LEAST_LEFT = 0.3  # of the walkable area: a town is not cut down to less than this for the sake of the share
+_GOOD_SHARE = 0.965  # of the walkable ground in one part: below it roads on islands go too
+_LEAST_LEFT = 0.3  # of the walkable area: a town is not cut down to less than this for the sake of the share
 EXTRACT = "clean.osm.xml"
 
 
@@ -51,7 +51,7 @@ def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     if found.footways:
         net = _converted(order, root, folder, found.footways)
     parts = walkable_parts(net, CHAIR_WAYS)
-    if share_of(parts) < GOOD_SHARE:
+    if share_of(parts) < _GOOD_SHARE:
         ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
             smaller = _smaller(order, root, folder, ground)
@@ -70,7 +70,7 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
         parts = walkable_parts(net, CHAIR_WAYS)
     except TownError:  # nothing is left
         parts = []
-    if share_of(parts) > before.share and sum(part.area for part in parts) >= LEAST_LEFT * before.area_m2:
+    if share_of(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
         log.info("town %s: %d ways on islands were left out", order.name, len(dropped))
         return BuiltNet(net=net, share=share_of(parts))
     root[:] = everything

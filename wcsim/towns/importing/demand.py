@@ -23,11 +23,11 @@ from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
 END_S = 1_000_000  # eleven days: longer than any run
-WALK_END_S = 172_800
-SLICE_S = 600
-SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
-MOST_PER_HOUR = 100_000
-VTYPES = "vtypes.xml"
+_WALK_END_S = 172_800
+_SLICE_S = 600
+_SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
+_MOST_PER_HOUR = 100_000
+_VTYPES = "vtypes.xml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, 
 
 def vtypes_text(more: Sequence[str] = ()) -> str:
     """The vehicle and person types that the flows name, as a SUMO additional file, with `more` elements in it."""
-    text = (Path(__file__).parent / VTYPES).read_text(encoding="utf-8")
+    text = (Path(__file__).parent / _VTYPES).read_text(encoding="utf-8")
     return text.replace("</additional>", "".join(f"    {line}\n" for line in more) + "</additional>")
 
 
@@ -102,8 +102,8 @@ def check_rates(per_hour: Mapping[str, float]) -> None:
     for vclass, rate in per_hour.items():
         if vclass not in CLASSES:
             raise TownError(f"no traffic is known of class {vclass!r}; expected some of: {', '.join(CLASSES)}")
-        if not 0.0 <= rate <= MOST_PER_HOUR:
-            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {MOST_PER_HOUR}")
+        if not 0.0 <= rate <= _MOST_PER_HOUR:
+            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {_MOST_PER_HOUR}")
 
 
 def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[st
     return tuple(vclass for vclass, rate in per_hour.items() if rate > 0.0 and vclass not in found)
 
 
-def usable_km(net: Net, vclass: str) -> float:
+def _usable_km(net: Net, vclass: str) -> float:
     """Kilometres of street lane that a class may use."""
     return (
         sum(lane.length_m for edge in net.edges if not edge.function for lane in edge.lanes if lane.permits(vclass))
@@ -121,7 +121,7 @@ def usable_km(net: Net, vclass: str) -> float:
 
 
 def _wanted_flows(net: Net, traffic: Traffic) -> int:
-    km = usable_km(net, traffic.vclass)
+    km = _usable_km(net, traffic.vclass)
     return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
 
 
@@ -245,7 +245,7 @@ def flows_text(
 
 
 def _per_hour(net: Net, traffic: Traffic, per_hour: Mapping[str, float]) -> float:
-    usual = traffic.per_h_km * usable_km(net, traffic.vclass)
+    usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
     return per_hour.get(traffic.vclass, usual)
 
 
@@ -253,11 +253,11 @@ def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Gener
     if not ways:
         return []
     lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
-    used = max(1, round(SLICE_SHARE * len(ways)))
+    used = max(1, round(_SLICE_SHARE * len(ways)))
     rate = f'period="exp({per_s / used:.6f})"'
-    for number, begin in enumerate(range(0, WALK_END_S, SLICE_S)):
+    for number, begin in enumerate(range(0, _WALK_END_S, _SLICE_S)):
         for way in np.sort(rng.choice(len(ways), used, replace=False)):
-            span = f'begin="{begin}" end="{begin + SLICE_S}" {rate}'
+            span = f'begin="{begin}" end="{begin + _SLICE_S}" {rate}'
             head = f'id="{traffic.types}.{number}.{way}" type="{traffic.types}" {span}'
             walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
             lines.append(f'    <personFlow {head} departPos="random" departPosLat="random">{walk}</personFlow>')

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
 CELL_M = 10.0
-HIGHEST_M = 9000.0
+_HIGHEST_M = 9000.0
 MARGIN_M = 400.0  # around the box: streets reach out of it, and smoothing needs neighbours
 _PROJ_PLACES = ("PROJ_LIB", "PROJ_DATA")
 _DONE = "WCSIM_MAX_GRADE"  # tag of a file that this module wrote: it is taken as it is
-MAX_CELLS = 200_000_000
-MAX_OWN_CELLS = 10_000_000  # of a file that is taken as it is
-MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each of its cells
-MAX_BANDS = 8
+_MAX_CELLS = 200_000_000
+_MAX_OWN_CELLS = 10_000_000  # of a file that is taken as it is
+_MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each of its cells
+_MAX_BANDS = 8
 _GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=TownError)
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
@@ -139,10 +139,10 @@ def own_projections() -> Iterator[None]:
 def _require_usable(path: Path, file: DatasetReader) -> None:
     """Raise TownError for a grid that is too large to be read, or whose place on the globe another file must say."""
     cells, block = file.width * file.height, max(rows * cols for rows, cols in file.block_shapes)
-    if file.count > MAX_BANDS or cells > MAX_CELLS or block > MAX_BLOCK_CELLS:
+    if file.count > _MAX_BANDS or cells > _MAX_CELLS or block > _MAX_BLOCK_CELLS:
         raise TownError(
             f"--dem {path}: has {file.width} x {file.height} cells in {file.count} bands, {block} in a block; expected "
-            f"at most {MAX_CELLS} cells, {MAX_BANDS} bands, {MAX_BLOCK_CELLS} in a block: cut it with gdalwarp -te"
+            f"at most {_MAX_CELLS} cells, {_MAX_BANDS} bands, {_MAX_BLOCK_CELLS} in a block: cut it with gdalwarp -te"
         )
     if np.dtype(file.dtypes[0]).kind not in "iuf":
         raise TownError(f"--dem {path}: holds cells of {file.dtypes[0]}; {_WANTED}")
@@ -205,7 +205,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
         raise
     except Exception as error:  # GDAL's errors have no base in common
         raise TownError(f"--dem {path}: cannot be read ({_one_line(error)}); {_WANTED}") from None
-    height_m = np.where(np.isfinite(found) & (np.abs(found) < HIGHEST_M), found, np.nan).astype(np.float64)
+    height_m = np.where(np.isfinite(found) & (np.abs(found) < _HIGHEST_M), found, np.nan).astype(np.float64)
     known = float(np.isfinite(height_m).mean())
     if known < 0.5:
         raise TownError(
@@ -217,12 +217,12 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
 
 def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
     """The heights of a file that this module wrote, or that says so."""
-    if file.width * file.height > MAX_OWN_CELLS or min(file.width, file.height) < 2:
+    if file.width * file.height > _MAX_OWN_CELLS or min(file.width, file.height) < 2:
         raise TownError(
-            f"--dem {path}: has {file.width} x {file.height} cells; expected 2 x 2 to {MAX_OWN_CELLS} in all"
+            f"--dem {path}: has {file.width} x {file.height} cells; expected 2 x 2 to {_MAX_OWN_CELLS} in all"
         )
     height_m = file.read(1).astype(np.float64)
-    if not (np.abs(height_m) < HIGHEST_M).all():
+    if not (np.abs(height_m) < _HIGHEST_M).all():
         raise TownError(f"--dem {path}: holds heights that are none; {_WANTED}")
     return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
 

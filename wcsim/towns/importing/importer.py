@@ -268,13 +268,13 @@ def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet,
         origin_m=(round(float(middle_m[0])), round(float(middle_m[1]))),
         source=order.source,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
-        rebuild=rebuild_command(order, box, side.lefthand),
+        rebuild=_rebuild_command(order, box, side.lefthand),
         hashes=hashes_of(work, order.name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 
 
-def rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
+def _rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
     words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
     words += [f"--bbox={','.join(map(str, box))}", "--lefthand" if lefthand else "--righthand"]

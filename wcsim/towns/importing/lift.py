@@ -24,7 +24,7 @@ from wcsim.types import F64
 log = logging.getLogger("wcsim.towns")
 
 PIECE_M = 8.0  # the longest piece of a shape: between its ends the land is taken to be straight
-SIGMAS_M = (15.0, 30.0, 60.0)  # of the smoothing, one after the other; what is still too steep is made lower
+_SIGMAS_M = (15.0, 30.0, 60.0)  # of the smoothing, one after the other; what is still too steep is made lower
 
 
 def lift_net(path: Path, dem: Dem, relief: Heights) -> Dem:
@@ -43,7 +43,7 @@ def lift_net(path: Path, dem: Dem, relief: Heights) -> Dem:
         return steepest_run(np.split(heights_at(land, places), ends[:-1]), runs_m, driven)
 
     if relief.dem is None:  # the hill is as high as ordered where the streets are
-        height_m = float(np.ptp(heights_at(smoothed(dem, SIGMAS_M[0]), places)))
+        height_m = float(np.ptp(heights_at(smoothed(dem, _SIGMAS_M[0]), places)))
         dem = scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
     used = as_stored(_gentle(dem, relief, steepest))
     for (element, points_m), z_m in zip(found, np.split(heights_at(used, places), ends[:-1]), strict=True):
@@ -61,7 +61,7 @@ def _gentle(dem: Dem, relief: Heights, steepest: Callable[[Dem], float]) -> Dem:
     if dem.smooth:
         return dem
     land, grade = dem, 0.0
-    for sigma_m in SIGMAS_M:
+    for sigma_m in _SIGMAS_M:
         land = smoothed(dem, sigma_m)
         grade = steepest(land)
         if grade <= relief.max_grade:

@@ -16,9 +16,9 @@ from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
-STOP_M = 14.0  # a bus, and a little
-POLE_M = 12.0  # from a lane to the pole beside it
-ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
+_STOP_M = 14.0  # a bus, and a little
+_POLE_M = 12.0  # from a lane to the pole beside it
+_ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
 _SQUARES = ("place.square", "highway.pedestrian")
 
 
@@ -40,9 +40,7 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
         ground: What it made of groundtypes.xml.
     """
     root = read_root(ground)
-    marks = [
-        CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")
-    ]
+    marks = [CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")]
     plain = unpainted(net, marks)
     squares = [each for each in root.iterfind("poly") if each.get("type") in _SQUARES and _closed(each)]
     for square in squares:
@@ -61,17 +59,17 @@ def _stops(net: Net, poles: list[Element]) -> list[str]:
     taken: dict[str, list[float]] = {}
     for pole in poles:
         point = shapely.Point(_place(pole))
-        near = [int(index) for index in tree.query(point, predicate="dwithin", distance=POLE_M)]
+        near = [int(index) for index in tree.query(point, predicate="dwithin", distance=_POLE_M)]
         near = [index for index in near if _waits(lines[index], point, net.lefthand)]
         index = min(near, key=lambda index: (lines[index].distance(point), lanes[index].id), default=None)
         if index is None:
             continue
         lane = lanes[index]
         middle_m = float(lines[index].project(point, normalized=True)) * lane.length_m
-        middle_m = min(max(middle_m, STOP_M / 2), lane.length_m - STOP_M / 2)
-        if all(abs(middle_m - other_m) > STOP_M for other_m in taken.get(lane.id, [])):
+        middle_m = min(max(middle_m, _STOP_M / 2), lane.length_m - _STOP_M / 2)
+        if all(abs(middle_m - other_m) > _STOP_M for other_m in taken.get(lane.id, [])):
             taken.setdefault(lane.id, []).append(middle_m)
-            span = f'startPos="{middle_m - STOP_M / 2:.2f}" endPos="{middle_m + STOP_M / 2:.2f}"'
+            span = f'startPos="{middle_m - _STOP_M / 2:.2f}" endPos="{middle_m + _STOP_M / 2:.2f}"'
             name = _tags(pole).get("name", "")  # SUMO takes no empty one
             named = f"id={quoteattr('stop.' + pole.get('id', ''))}" + (f" name={quoteattr(name)}" if name else "")
             found.append(f"<busStop {named} lane={quoteattr(lane.id)} {span}/>")
@@ -81,7 +79,7 @@ def _stops(net: Net, poles: list[Element]) -> list[str]:
 def _bus_lane(edge: Edge) -> Lane | None:
     """The lane at the kerb where a bus may stop, of an edge that is long enough."""
     lanes = (lane for lane in edge.lanes if lane.kind is LaneKind.MOTOR and lane.permits("bus"))
-    return next((lane for lane in lanes if lane.length_m > STOP_M + 1.0 and len(lane.points_m) > 1), None)
+    return next((lane for lane in lanes if lane.length_m > _STOP_M + 1.0 and len(lane.points_m) > 1), None)
 
 
 def _waits(line: shapely.LineString, pole: shapely.Point, lefthand: bool) -> bool:
@@ -89,7 +87,7 @@ def _waits(line: shapely.LineString, pole: shapely.Point, lefthand: bool) -> boo
     at_m = line.project(pole)
     start, end = (line.interpolate(min(max(at_m + step_m, 0.0), line.length)) for step_m in (-0.5, 0.5))
     left_m = (end.x - start.x) * (pole.y - start.y) - (end.y - start.y) * (pole.x - start.x)
-    return bool((left_m > 0.0) == lefthand or line.distance(pole) < ON_LANE_M)
+    return bool((left_m > 0.0) == lefthand or line.distance(pole) < _ON_LANE_M)
 
 
 def _points(root: Element, kind: str) -> list[Element]:

@@ -23,17 +23,17 @@ from wcsim.towns.sumo.net import Lane, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
-SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
-PARALLEL_M = (5.6, 2.2)  # along it
-AISLE_M = 6.0
-MOST_SPACES = 150  # of a town: each parked car costs SUMO a little in every step
+_SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
+_PARALLEL_M = (5.6, 2.2)  # along it
+_AISLE_M = 6.0
+_MOST_SPACES = 150  # of a town: each parked car costs SUMO a little in every step
 NEAR_M = 60.0  # from a car park to the street that leads to it
-LEAST_LANE_M = 12.0
+_LEAST_LANE_M = 12.0
 FREE_M = 0.3  # between a space and what is driven or walked on
 INSIDE_M = 10.0  # beyond the outermost streets; the ground ends soon after
 CAR = "parked"
-CAR_NOSE_M = 2.4  # from the middle of a space
-STAY_S = 1_000_000
+_CAR_NOSE_M = 2.4  # from the middle of a space
+_STAY_S = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,24 +60,17 @@ class _Space:
 def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
     lots = sorted(_lots(poly))
-    if not lots or taken <= 0.0:
-        return Parking()
     lanes = [lane for edge in net.edges if not edge.function for lane in edge.lanes if _leads_there(lane)]
-    lines = [shapely.LineString(lane.points_m) for lane in lanes]
-    if not lines:
+    if not lots or taken <= 0.0 or not lanes:
         return Parking()
-    used = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
-    town = used.convex_hull.buffer(INSIDE_M)  # there is no ground far outside of the streets
-    used = used.union(_buildings(poly)).union(_junctions(net))
-    shapely.prepare(used)
-    shapely.prepare(town)
-    tree, left = shapely.STRtree(lines), MOST_SPACES
+    lines = [shapely.LineString(lane.points_m) for lane in lanes]
+    town, used = _town_and_used(net, poly)
+    tree, left = shapely.STRtree(lines), _MOST_SPACES
     rng = generator(seed, "parking")
     areas: list[str] = []
     vehicles: list[str] = []
     for lot_id, lot in lots:
-        marks = ((space, space.footprint()) for space in _spaces(lot))
-        spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
+        spaces = [space for space in _spaces(lot) if _is_free(space.footprint(), town, used)][:left]
         nearest = int(tree.nearest(lot))
         if not spaces or lines[nearest].distance(lot) > NEAR_M:
             continue
@@ -89,8 +82,20 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     return Parking(areas=tuple(areas), vehicles=tuple(vehicles))
 
 
+def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
+    """Where there is ground, which ends not far outside of the streets, and where something is on it."""
+    lanes = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
+    shapely.prepare([town, used])
+    return town, used
+
+
+def _is_free(mark: Polygon, town: BaseGeometry, used: BaseGeometry) -> bool:
+    return bool(town.contains(mark) and not used.intersects(mark))
+
+
 def _leads_there(lane: Lane) -> bool:
-    return lane.permits("passenger") and lane.length_m >= LEAST_LANE_M and len(lane.points_m) > 1
+    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
 
 
 def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
@@ -100,7 +105,7 @@ def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
         if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
             lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()
-            if lot.is_valid and lot.area > PARALLEL_M[0] * PARALLEL_M[1] and tags.get("layer", "0") == "0":
+            if lot.is_valid and lot.area > _PARALLEL_M[0] * _PARALLEL_M[1] and tags.get("layer", "0") == "0":
                 yield element.get("id", ""), lot
 
 
@@ -126,23 +131,23 @@ def _spaces(lot: Polygon) -> list[_Space]:
     if np.hypot(*sides[1]) > np.hypot(*sides[0]):
         corners, sides = np.roll(corners, -1, axis=0), np.array([sides[1], -sides[0]])
     long_m, wide_m = float(np.hypot(*sides[0])), float(np.hypot(*sides[1]))
-    if wide_m < PARALLEL_M[1] or long_m < PARALLEL_M[0]:
+    if wide_m < _PARALLEL_M[1] or long_m < _PARALLEL_M[0]:
         return []
     along, aside = sides[0] / long_m, sides[1] / wide_m
     yaw_rad = float(np.arctan2(along[1], along[0]))
     found: list[_Space] = []
-    if wide_m < SPACE_M[0]:
-        rows, size_m, turn_rad = [wide_m / 2], PARALLEL_M, 0.0
+    if wide_m < _SPACE_M[0]:
+        rows, size_m, turn_rad = [wide_m / 2], _PARALLEL_M, 0.0
     else:
-        rows, size_m, turn_rad = _rows(wide_m), (SPACE_M[1], SPACE_M[0]), np.pi / 2
+        rows, size_m, turn_rad = _rows(wide_m), (_SPACE_M[1], _SPACE_M[0]), np.pi / 2
     for number, across_m in enumerate(rows):
         facing_rad = yaw_rad + (turn_rad if number % 2 else -turn_rad)
         for k in range(int(long_m // size_m[0])):
             middle_m = corners[0] + (k + 0.5) * size_m[0] * along + across_m * aside
             space = (
-                _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=SPACE_M[0], width_m=SPACE_M[1])
+                _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=_SPACE_M[0], width_m=_SPACE_M[1])
                 if turn_rad
-                else _Space(middle_m=middle_m, yaw_rad=yaw_rad, length_m=PARALLEL_M[0], width_m=PARALLEL_M[1])
+                else _Space(middle_m=middle_m, yaw_rad=yaw_rad, length_m=_PARALLEL_M[0], width_m=_PARALLEL_M[1])
             )
             if lot.buffer(FREE_M).contains(space.footprint()):
                 found.append(space)
@@ -152,22 +157,22 @@ def _spaces(lot: Polygon) -> list[_Space]:
 def _rows(wide_m: float) -> list[float]:
     """Middles of the rows of spaces across a car park: row, aisle, row, and again."""
     rows, start_m = [], 0.0
-    while start_m + SPACE_M[0] <= wide_m:
-        rows.append(start_m + SPACE_M[0] / 2)
-        start_m += SPACE_M[0] + (AISLE_M if len(rows) % 2 else 0.0)
+    while start_m + _SPACE_M[0] <= wide_m:
+        rows.append(start_m + _SPACE_M[0] / 2)
+        start_m += _SPACE_M[0] + (_AISLE_M if len(rows) % 2 else 0.0)
     return rows
 
 
 def _area(name: str, lane: Lane, line: shapely.LineString, lot: Polygon, spaces: list[_Space]) -> list[str]:
     share = line.project(shapely.Point(lot.centroid)) / line.length
-    end_m = min(max(share * lane.length_m, LEAST_LANE_M - 1.0), lane.length_m - 0.5)
+    end_m = min(max(share * lane.length_m, _LEAST_LANE_M - 1.0), lane.length_m - 0.5)
     nearest = int(np.hypot(*(lane.points_m - np.array(lot.centroid.coords[0])).T).argmin())
     z_m = float(lane.z_m[nearest])
     head = f"<parkingArea id={quoteattr(name)} lane={quoteattr(lane.id)}"
     lines = [f'{head} startPos="{max(0.0, end_m - 10.0):.2f}" endPos="{end_m:.2f}" roadsideCapacity="0">']
     for space in spaces:
         nose = np.array([np.cos(space.yaw_rad), np.sin(space.yaw_rad)])
-        x_m, y_m = space.middle_m + CAR_NOSE_M * nose
+        x_m, y_m = space.middle_m + _CAR_NOSE_M * nose
         angle_deg = (90.0 + deg(space.yaw_rad)) % 360.0  # SUMO's spaces turn counter-clockwise from south
         size = f'width="{space.width_m}" length="{space.length_m}" angle="{angle_deg:.1f}"'
         lines.append(f'    <space x="{x_m:.2f}" y="{y_m:.2f}" z="{z_m:.2f}" {size}/>')
@@ -176,5 +181,5 @@ def _area(name: str, lane: Lane, line: shapely.LineString, lot: Polygon, spaces:
 
 def _vehicle(area: str, number: int, lane: Lane) -> str:
     head = f'<vehicle id={quoteattr(f"{CAR}.{area}.{number}")} type="cars" depart="0" departPos="stop"'
-    stop = f'<stop parkingArea={quoteattr(area)} duration="{STAY_S}"/>'
+    stop = f'<stop parkingArea={quoteattr(area)} duration="{_STAY_S}"/>'
     return f"{head}><route edges={quoteattr(lane.edge_id)}/>{stop}</vehicle>"

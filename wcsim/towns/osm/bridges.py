@@ -18,7 +18,7 @@ from wcsim.types import F64
 
 ALONG_M = 15.0  # a bridge that runs over another way for longer than this lies on top of it
 BESIDE_M = 2.5  # and as near to its line
-M_PER_DEG = 111_320.0
+_M_PER_DEG = 111_320.0
 _RAILS = {"rail", "narrow_gauge", "light_rail", "preserved", "tram"}
 _TRAINS = _RAILS - {"tram"}
 _NO_WAY = {"steps", "track", "proposed", "platform", "bus_stop", "raceway", "rest_area", "services", "razed"}
@@ -70,7 +70,7 @@ def _ways(root: Element, keep_service: bool) -> list[_Way]:
         node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
     }
     middle = np.mean(list(places.values()) or [(0.0, 0.0)], axis=0)
-    scale_m = M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
+    scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
     found: list[_Way] = []
     for element in root.iterfind("way"):
         tag = _tags(element)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-COURTYARD = "courtyard"
-PART = "part"
+_COURTYARD = "courtyard"
+_PART = "part"
 
 
 def mark_buildings(root: Element) -> None:
@@ -18,7 +18,7 @@ def mark_buildings(root: Element) -> None:
     ways = {way.get("id", ""): way for way in root.iterfind("way")}
     for thing in (*ways.values(), *root.iterfind("relation")):
         if _tag(thing, "building") is None and _tag(thing, "building:part") not in (None, "no"):
-            SubElement(thing, "tag", {"k": "building", "v": PART})
+            SubElement(thing, "tag", {"k": "building", "v": _PART})
     for relation in root.iterfind("relation"):
         if _tag(relation, "type") != "multipolygon":
             _drop(relation, "building")  # it only says which ways belong together
@@ -27,7 +27,7 @@ def mark_buildings(root: Element) -> None:
         ):
             for way in _ways(relation, "inner", ways):
                 if _tag(way, "building") is None:
-                    SubElement(way, "tag", {"k": "building", "v": COURTYARD})
+                    SubElement(way, "tag", {"k": "building", "v": _COURTYARD})
 
 
 def _ways(relation: Element, role: str, ways: dict[str, Element]) -> list[Element]:

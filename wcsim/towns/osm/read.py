@@ -195,19 +195,8 @@ def _bounds(root: Element) -> Box | None:
 
 def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> None:
     """Leave in `root` what lies around a box, in order and spelt in one way; users' names and time stamps go too."""
-    near, far = grown(box, MARGIN_M), grown(box, FAR_M)
-    inside = {key for key, place in places.items() if _within(place, near)}
-    reachable = {key for key, place in places.items() if _within(place, far)}
-    needed, ways, elsewhere = set(inside), set(), set()
-    for way in root.iterfind("way"):
-        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
-        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
-        if len(refs) < 2 or refs.isdisjoint(inside) or way.get("id") in ways or "id" not in way.attrib:
-            elsewhere.add(way)
-        else:
-            needed |= refs
-            ways.add(way.attrib["id"])
-    root[:] = [item for item in root if item not in elsewhere and _is_needed(item, needed, ways)]
+    nodes, ways, elsewhere = _needed(root, places, box)
+    root[:] = [item for item in root if item not in elsewhere and _is_needed(item, nodes, ways)]
     for item in root:
         for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
             item.attrib.pop(key, None)
@@ -218,6 +207,23 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
     root.attrib.clear()
     root.set("version", "0.6")
     ElementTree.indent(root, "")
+
+
+def _needed(root: Element, places: dict[str, tuple[float, float]], box: Box) -> tuple[set[str], set[str], set[Element]]:
+    """Ids of the nodes and ways around a box, and the ways that are not; all ways lose what is not within reach."""
+    near, far = grown(box, MARGIN_M), grown(box, FAR_M)
+    inside = {key for key, place in places.items() if _within(place, near)}
+    reachable = {key for key, place in places.items() if _within(place, far)}
+    nodes, ways, elsewhere = set(inside), set(), set()
+    for way in root.iterfind("way"):
+        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
+        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
+        if len(refs) < 2 or refs.isdisjoint(inside) or way.get("id") in ways or "id" not in way.attrib:
+            elsewhere.add(way)
+        else:
+            nodes |= refs
+            ways.add(way.attrib["id"])
+    return nodes, ways, elsewhere
 
 
 def _is_needed(item: Element, nodes: set[str], ways: set[str]) -> bool:

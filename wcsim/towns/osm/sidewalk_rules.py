@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import ways_of
 
-SLOWEST_KMH = 66  # just above netconvert's --crossings.guess.speed-threshold: nobody crosses a motorway on foot
+_SLOWEST_KMH = 66  # just above netconvert's --crossings.guess.speed-threshold: nobody crosses a motorway on foot
 _KMH = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "kph": 1.0, "mph": 1.609, "knots": 1.852}
 _SPEED = re.compile(r"^(\d+(?:\.\d+)?)\s*([a-z/]*)$")
 _SPEEDS = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
@@ -25,8 +25,8 @@ def quicken_motorways(root: Element) -> None:
         if not _is_motorway(_tags(way)):
             continue
         for tag in [tag for tag in way.findall("tag") if tag.get("k") in _SPEEDS]:
-            if _kmh(tag.get("v", "")) < SLOWEST_KMH:
-                tag.set("v", str(SLOWEST_KMH))
+            if _kmh(tag.get("v", "")) < _SLOWEST_KMH:
+                tag.set("v", str(_SLOWEST_KMH))
 
 
 def unpaved_ways(root: Element) -> frozenset[str]:

@@ -10,12 +10,12 @@ from xml.sax.saxutils import escape
 
 from wcsim.errors import TownError
 
-Edits = Mapping[int, Mapping[str, str]]  # number of the element in the order of the file -> attribute -> value
+_Edits = Mapping[int, Mapping[str, str]]  # number of the element in the order of the file -> attribute -> value
 _TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
 _DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""")
 
 
-def edited(data: bytes, edits: Edits, where: str) -> bytes:
+def edited(data: bytes, edits: _Edits, where: str) -> bytes:
     """XML text in which elements have other values of attributes that they have already.
 
     Args:

@@ -65,29 +65,38 @@ def edits_of(root: Element, paving: Paving) -> dict[int, dict[str, str]]:
 
 def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     """An element on a lane, on an edge, or one that names lanes."""
-    found: dict[str, str] = {}
-    for key in ("lanes", *(key for named, key in _IDS if named == tag)):
-        if value := element.get(key):
-            found[key] = _renamed(value, paving)
-    lanes = [part for part in (element.get("lane") or element.get("lanes", "").replace(",", " ")).split() if part]
+    named = ("lanes", *(key for owner, key in _IDS if owner == tag))
+    found = {key: _renamed(value, paving) for key in named if (value := element.get(key))}
+    lanes = _lanes_of(element, tag, paving)
     if element.get("lane"):
-        if lanes[0] not in paving.lanes.lines:
-            named = f"{tag} {element.get('id', '')!r}"
-            raise TownError(f"{named}: names lane {lanes[0]!r}, which the net does not have; correct that name first")
-        paving.placed += 1
+        _note_placed(element, tag, lanes[0], paving)
         found["lane"] = _renamed(element.get("lane", ""), paving)
-        if tag == "parkingArea" and paving.lanes.shift(_edge_of(lanes[0])):
-            paving.parking.append(element.get("id", ""))
-    elif element.get("edge") in paving.lanes.before and tag in ("stop", "calibrator"):
-        lanes = [paving.lanes.before[element.get("edge", "")][-1].id]
     if not lanes or lanes[0] not in paving.lanes.moved or lanes[-1] not in paving.lanes.moved:
         return found
     for key in _POSITIONS:
         if (pos_m := _number(element.get(key))) is not None:
             lane = lanes[-1] if key == "endPos" else lanes[0]
             found[key], along_m = _position(lane, pos_m, tag in _SPANS, paving.lanes)
-            _note(element, lane, along_m, paving)
+            _note_moved(element, lane, along_m, paving)
     return found | _whole(element, tag, lanes, found, paving)
+
+
+def _lanes_of(element: Element, tag: str, paving: Paving) -> list[str]:
+    """The lanes that an element lies on, in the old net; of an edge that it names instead, the leftmost."""
+    edge = element.get("edge", "")
+    if not element.get("lane") and edge in paving.lanes.before and tag in ("stop", "calibrator"):
+        return [paving.lanes.before[edge][-1].id]
+    return list(_words(element.get("lane") or element.get("lanes") or ""))
+
+
+def _note_placed(element: Element, tag: str, lane: str, paving: Paving) -> None:
+    """Count an element that lies on a lane. Raises TownError for a lane that there is not."""
+    name = element.get("id", "")
+    if lane not in paving.lanes.lines:
+        raise TownError(f"{tag} {name!r}: names lane {lane!r}, which the net does not have; correct that name first")
+    paving.placed += 1
+    if tag == "parkingArea" and paving.lanes.shift(lane.rpartition("_")[0]):
+        paving.parking.append(name)
 
 
 def _whole(element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving) -> dict[str, str]:
@@ -114,7 +123,7 @@ def _position(lane: str, pos_m: float, span: bool, lanes: LaneMap) -> tuple[str,
     return _text(pos_m if kept else found_m), along_m
 
 
-def _note(element: Element, lane: str, along_m: float, paving: Paving) -> None:
+def _note_moved(element: Element, lane: str, along_m: float, paving: Paving) -> None:
     if along_m > FAR_M:
         name = f"{_tag(element)} {element.get('id') or 'on ' + lane}"
         paving.moved_m[name] = max(along_m, paving.moved_m.get(name, 0.0))
@@ -183,10 +192,6 @@ def _renamed(value: str, paving: Paving) -> str:
 
 def _words(value: str) -> Iterable[str]:
     return value.replace(",", " ").split()
-
-
-def _edge_of(lane: str) -> str:
-    return lane.rpartition("_")[0]
 
 
 def _tag(element: Element) -> str:

@@ -11,7 +11,7 @@ import shapely
 
 from wcsim.errors import TownError
 
-NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it: SUMO's vehicles stand so far back
+_NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it: SUMO's vehicles stand so far back
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class LaneMap:
         place = old.point(at_m)
         found_m = new.nearest(place)
         if not span:
-            low_m, high_m = min(at_m, NEAR_END_M), new.length_m - min(old.length_m - at_m, NEAR_END_M)
+            low_m, high_m = min(at_m, _NEAR_END_M), new.length_m - min(old.length_m - at_m, _NEAR_END_M)
             found_m = min(max(found_m, min(low_m, high_m)), high_m)
         found_m = math.floor(found_m * 100.0 + 0.5) / 100.0
         found_m = max(0.0, min(found_m, math.floor(new.length_m * 100.0 + 1e-6) / 100.0))

@@ -22,7 +22,7 @@ from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip
 
-SLOWEST_MPS = 1.0  # of streets that get a pavement
+_SLOWEST_MPS = 1.0  # of streets that get a pavement
 TOLD = 5  # of each kind of thing in a note
 _LIMITS = Limits(wall_s=300.0, cpu_s=280)
 _PACKED = b"\x1f\x8b"
@@ -120,7 +120,7 @@ def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
         given, made = Path(folder) / "given.net.xml", Path(folder) / "made.net.xml"
         given.write_bytes(read_bytes(net))
         options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
-        options += ["--sidewalks.guess.min-speed", str(SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
+        options += ["--sidewalks.guess.min-speed", str(_SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
         options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
         options += ["--sidewalks.guess.exclude", ",".join(unpaved)] if unpaved else []
         run = run_tool("netconvert", [*options, "--xml-validation", "never"], Path(folder), _LIMITS)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
-SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
+_SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
 _RED = frozenset("rRs")
 _GREEN = frozenset("Gg")
 _OFF = frozenset("oO")
@@ -76,19 +76,38 @@ def padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLin
     changing = [_changes(state, duration_s) for state, duration_s in zip(states, durations_s, strict=True)]
     made = []
     for number, letters in enumerate(moved):
-        later = number
-        while changing[later] and (later + 1) % len(moved) != number:
-            later = (later + 1) % len(moved)
-        for link in links.crossings:
-            letters[link] = "G" if free[number][link] and free[later][link] else "r"
-            if all(letters[drive.link] in _OFF for drive in links.drives):
-                letters[link] = "o"
-        for drive in links.drives:
-            if letters[drive.link] == "G" and not drive.straight:
-                green = (edges for link, edges in links.crossings.items() if letters[link] == "G")
-                letters[drive.link] = "g" if any(drive.end in edges for edges in green) else "G"
-        made.append("".join(letters))
+        then = free[_settled(changing, number)]
+        green = {link for link, is_free in free[number].items() if is_free and then[link]}
+        made.append("".join(_with_yields(_with_crossings(letters, green, links), links)))
     return tuple(made)
+
+
+def _settled(changing: Sequence[bool], number: int) -> int:
+    """The first state from `number` on in which lights do not change; the last one before it where all do."""
+    later = number
+    while changing[later] and (later + 1) % len(changing) != number:
+        later = (later + 1) % len(changing)
+    return later
+
+
+def _with_crossings(letters: list[str], green: Set[int], links: SignalLinks) -> list[str]:
+    """A state with the light of each crossing; off where it is off for all vehicles."""
+    lit = list(letters)
+    for link in links.crossings:
+        lit[link] = "G" if link in green else "r"
+        if all(lit[drive.link] in _OFF for drive in links.drives):
+            lit[link] = "o"
+    return lit
+
+
+def _with_yields(letters: list[str], links: SignalLinks) -> list[str]:
+    """A state in which vehicles that turn into a street with a green crossing have to yield."""
+    lit = list(letters)
+    for drive in links.drives:
+        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+        if lit[drive.link] == "G" and not drive.straight and any(drive.end in edges for edges in crossed):
+            lit[drive.link] = "g"
+    return lit
 
 
 def _moved(state: str, links: SignalLinks) -> list[str]:
@@ -109,7 +128,7 @@ def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[Vehicl
 
 def _changes(state: str, duration_s: float) -> bool:
     letters = set(state)
-    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < SHORT_S)
+    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < _SHORT_S)
 
 
 def _key(link: Element, shifts: Mapping[str, int]) -> tuple[str, str, str, int, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from wcsim.core.reading import is_file, shown
 from wcsim.errors import TownError
 
-ALLOW = "--allow-outside"
+_ALLOW = "--allow-outside"
 
 
 def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
@@ -25,7 +25,7 @@ def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
         raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
     raise TownError(
         f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
-        f"correct the name, or trust the scenario with files elsewhere: {ALLOW} (of wcsim town import and run)"
+        f"correct the name, or trust the scenario with files elsewhere: {_ALLOW} (of wcsim town import and run)"
     )
 
 

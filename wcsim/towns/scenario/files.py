@@ -100,7 +100,7 @@ class FilteredFiles:
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
             return path
-        root = without_namespaces(parse_root(data, shown(path)))
+        root = _without_namespaces(parse_root(data, shown(path)))
         changes = [self._change(element, path, above) for element in root.iter()]
         if plain and not any(changes):
             return path
@@ -149,7 +149,7 @@ def _make_absolute(element: Element, path: Path) -> None:
             element.set(key, str((path.parent / value).absolute()))
 
 
-def without_namespaces(root: Element) -> Element:
+def _without_namespaces(root: Element) -> Element:
     """The same tree with the bare names that SUMO goes by; attributes of other namespaces are left out."""
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]

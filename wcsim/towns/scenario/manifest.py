@@ -15,7 +15,7 @@ from wcsim.towns.sumo.xml_io import content_digest
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
 BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
 _DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
-AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
+_AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ def own_work(folder: Path) -> tuple[str, ...]:
 def _by_hand(file: TownFile) -> bool:
     """True when `town.toml` says what no importer writes."""
     usual = TownFile(name=file.name, split=file.split)
-    return any(getattr(file, key) != getattr(usual, key) for key in AUTHORED_KEYS)
+    return any(getattr(file, key) != getattr(usual, key) for key in _AUTHORED_KEYS)
 
 
 def _now(path: Path) -> str:

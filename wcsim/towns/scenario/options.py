@@ -17,7 +17,7 @@ from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 
-MAX_CFG_BYTES = 1 << 20
+_MAX_CFG_BYTES = 1 << 20
 _LIMITS = Limits(wall_s=30.0, cpu_s=20, memory_bytes=4 << 30, file_bytes=1 << 24)
 _DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
 _DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
@@ -139,7 +139,7 @@ def read_configuration(sumocfg: Path) -> Configuration:
     Raises:
         TownError: it is no configuration, or it names an option that SUMO does not have.
     """
-    root = read_root(sumocfg, MAX_CFG_BYTES)
+    root = read_root(sumocfg, _MAX_CFG_BYTES)
     known = sumo_options()
     given: dict[str, GivenOption] = {}
     for element in root.iter():

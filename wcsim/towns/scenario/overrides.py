@@ -1,8 +1,8 @@
-"""What wcsim overrides of a scenario's own options: one list of rules, which also makes the table in the guide."""
+"""What wcsim overrides of a scenario's own options: one list of rules, which `tools/overrides_page.py` prints."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from wcsim.config import RunConfig
@@ -52,11 +52,11 @@ class Rule:
     value: str = ""
 
 
-STEP, ACTION_STEP = "step-length", "default.action-step-length"
+STEP, _ACTION_STEP = "step-length", "default.action-step-length"
 RULES = (
     Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
     Rule(
-        option=ACTION_STEP,
+        option=_ACTION_STEP,
         says="kept, unless `world.action_step_s` is set",
         why="the run says how often drivers decide",
     ),
@@ -81,7 +81,7 @@ RULES = (
 )
 _FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
 _WHY = {rule.option: rule.why for rule in RULES}
-FASTER = (
+_FASTER = (
     "; traffic that was calibrated with longer steps drives 10 to 20 % faster in these: world.action_step_s, 0.5 to "
     "0.7 of its author's step, brings it near to what it was"
 )
@@ -109,7 +109,7 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
     if settings.jam_teleport_s is not None:
         set_here.append(("time-to-teleport", repr(settings.jam_teleport_s)))
     if settings.action_step_s is not None:
-        set_here.append((ACTION_STEP, repr(settings.action_step_s)))
+        set_here.append((_ACTION_STEP, repr(settings.action_step_s)))
     return (*set_here, *_FIXED)
 
 
@@ -121,31 +121,44 @@ def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tu
         settings: What the world decides.
         outputs: Options of the author that write files, each with the value it gets.
     """
-    rows = []
+    files = [_override(config, name, value, OUTPUT_WHY) for name, value in outputs]
+    return (*_forced_rows(config, settings), *files, *_aggregated_rows(config), *_idle_rows(config))
+
+
+def _override(config: Configuration, name: str, value: str, why: str) -> Override:
+    return Override(option=name, author=config.value(name) or "", wcsim=value, why=why)
+
+
+def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override]:
+    """What a world sets, where that is another value than it would have been."""
     for name, value in forced(settings, author_scale(config)):
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
             told = f"{default} (default)" if author is None and name == STEP else author or ""
             why = _WHY[name] + _faster(author or default, config, settings) * (name == STEP)
-            rows.append(Override(option=name, author=told, wcsim=value, why=why))
-    for name, value in outputs:
-        rows.append(Override(option=name, author=config.value(name) or "", wcsim=value, why=OUTPUT_WHY))
+            yield Override(option=name, author=told, wcsim=value, why=why)
+
+
+def _aggregated_rows(config: Configuration) -> Iterator[Override]:
     if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
-        author = config.value(AGGREGATED) or ""
-        rows.append(Override(option=AGGREGATED, author=author, wcsim="true", why=UNASKED_WHY[AGGREGATED]))
+        yield _override(config, AGGREGATED, "true", UNASKED_WHY[AGGREGATED])
+
+
+def _idle_rows(config: Configuration) -> Iterator[Override]:
+    """Options of the author that do nothing in a world."""
     for item in config.given:
+        topic, name = item.option.topic, item.option.name
         if item.option.treatment is Treatment.DROP:
-            why = DROP_WHY.get(item.option.topic, PREFIX_WHY if item.option.topic == "output" else _WHY["no-step-log"])
-            rows.append(Override(option=item.option.name, author=item.value, wcsim="(left out)", why=why))
-        elif item.option.name == "end":
-            rows.append(Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY))
-    return tuple(rows)
+            why = DROP_WHY.get(topic, PREFIX_WHY if topic == "output" else _WHY["no-step-log"])
+            yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
+        elif name == "end":
+            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY)
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
     """What shorter steps than the author's do to the traffic, unless somebody says how often drivers decide."""
-    said = settings.action_step_s is not None or config.value(ACTION_STEP) is not None
-    return FASTER if _seconds(author) > settings.step_s and not said else ""
+    said = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    return _FASTER if _seconds(author) > settings.step_s and not said else ""
 
 
 def _seconds(text: str) -> float:
@@ -161,82 +174,6 @@ def author_scale(config: Configuration) -> float:
         return float(config.value("scale") or 1.0)
     except ValueError:
         return 1.0  # SUMO refuses it with a message of its own
-
-
-def overrides_markdown() -> str:
-    """The page `docs/overrides.md`."""
-    rows = [(f"`{rule.option}`", rule.says, rule.why) for rule in RULES]
-    rows += [
-        ("`end`", "kept, but it does not end the run", END_WHY),
-        ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they are the traffic"),
-        ("every option that writes a file", "a file of the same name in `RUN/sumo/`", OUTPUT_WHY),
-        *(
-            (f"`{name}`", told, UNASKED_WHY[name])
-            for name, told in (
-                ("device.ssm.file", "`RUN/sumo/ssm.xml`, unless the author names a file"),
-                ("save-state.prefix", "`RUN/sumo/state`, unless the author names one"),
-                (AGGREGATED, "true where there is such an output"),
-            )
-        ),
-        ("`output-prefix`, `output-suffix`", "left out", PREFIX_WHY),
-        ("options of sumo-gui", "left out", DROP_WHY["gui_only"]),
-        ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
-        ("`save-configuration`, `save-template`, ...", "left out", DROP_WHY["configuration"]),
-    ]
-    lines = [f"| {' | '.join(row)} |" for row in (("option", "in a run", "why"), ("---", "---", "---"), *rows)]
-    return _PAGE.format(table="\n".join(lines))
-
-
-_PAGE = """# What wcsim overrides of a SUMO scenario
-
-A `.sumocfg` and the files it names stay as they are. A world runs filtered copies of them from `RUN/sumo/`: a file that
-writes nothing is read where it lies; one that names outputs (detectors, `edgeData`, `timedEvent`, `<param>` of devices
-and signals, at any depth of `<include>`) is copied with those names led to `RUN/sumo/`. Everything else in it stays.
-
-Every file that SUMO reads because of a scenario is looked through first, whichever option or element names it. It must
-lie in the folder of the `.sumocfg`, or of the `town.toml`, links followed; `--allow-outside` of `wcsim town run` and
-`wcsim town import` trusts a scenario with files elsewhere. It must be XML 1.0 in UTF-8, ASCII or a relative of theirs
-(ISO-8859, Windows), plain or gzip, without a document type, of at most 200 MiB, nested at most 100 deep; a list of
-edges may be text. A file whose name SUMO may spell in another way, as one with an umlaut, is read from a copy.
-
-{table}
-
-What differs from the author's values is named when a run begins, shown with its reasons by `--verbose`, and kept in the
-manifest. The filtered
-`RUN/sumo/TOWN.sumocfg` opens in sumo and sumo-gui as it is. Without a run folder (a Gymnasium environment) everything
-that SUMO writes goes when the world closes. When a world is made anew, its outputs begin anew.
-
-## Steps shorter than the author's
-
-SUMO's drivers decide once a step, so a scenario that was written, and calibrated, for steps of 1 s drives faster in
-steps of 0.1 s: by some 10 % in one German town, by 20 % in Bologna (acosta, plain sumo, 1500 s, two seeds):
-
-| | mean speed in m/s | time loss in s | arrived |
-| --- | --- | --- | --- |
-| steps of 1 s, as the author's | 5.34, 5.34 | 177, 176 | 2571, 2584 |
-| steps of 0.1 s | 6.34, 6.46 | 132, 128 | 2853, 2853 |
-| steps of 0.1 s, `world.action_step_s=0.5` | 5.54, 5.53 | 167, 168 | 2591, 2638 |
-| steps of 0.1 s, `world.action_step_s=0.7` | 5.41, 5.32 | 175, 178 | 2552, 2568 |
-| steps of 0.1 s, `world.action_step_s=1` | 4.49, 4.65 | 233, 219 | 2265, 2333 |
-
-`--set world.action_step_s=0.7` is SUMO's `default.action-step-length`: drivers decide so often, and move in every step.
-The author's whole step overshot here, 0.7 of it came within 1 %; measure your own with `--chairs 0 --outputs tripinfo`.
-Drivers who decide less often also brake for a wheelchair later, when they next decide. It is off by default.
-
-## Traffic alone
-
-With `wcsim town run TOWN --chairs 0` no street is built, and the traffic is that of plain sumo with the same step
-length and seed (`sumo_seed` in the manifest): `--outputs fcd,tripinfo` writes the same bytes, but for the comment at
-their top.
-
-## Your own logic: a step hook
-
-`--hook module:Class` (`town run`, `train`, `test`) names a class of yours, in the current folder or on the Python path.
-It is made with the libsumo module for every epoch of the world; `before_step(time_s)` and `after_step(time_s)` are
-called around each step of SUMO, either may be missing. An example is `examples/own_signals.py`. Code is loaded from
-your own command line alone: a town cannot name a hook, because towns are made by others. What a hook does to vehicles
-and signals is up to you; do not step, load or close the simulation in it.
-"""
 
 
 def _same(author: str, value: str) -> bool:

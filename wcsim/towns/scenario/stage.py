@@ -32,7 +32,7 @@ from wcsim.towns.scenario.overrides import (
 )
 from wcsim.towns.scenario.town import Town
 
-COPIES = "inputs"
+_COPIES = "inputs"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,14 +62,14 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         ConfigError: there is no such output.
     """
     config = read_configuration(town.sumocfg)
-    refuse_mesoscopic(config)
+    _refuse_mesoscopic(config)
     names = OutputNames(folder.absolute())
-    for taken in (town.sumocfg.name, COPIES):
+    for taken in (town.sumocfg.name, _COPIES):
         names.unique(taken)
-    files = FilteredFiles(names, names.folder / COPIES, town.border)
+    files = FilteredFiles(names, names.folder / _COPIES, town.border)
     _make(folder)
     set_here = dict(forced(settings, author_scale(config)))
-    unasked = unasked_outputs(config, names)
+    unasked = _unasked_outputs(config, names)
     kept = [
         (item.option, _value(item, config, names, files))
         for item in config.given
@@ -124,7 +124,7 @@ def notes_of(config: Configuration) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def refuse_mesoscopic(config: Configuration) -> None:
+def _refuse_mesoscopic(config: Configuration) -> None:
     """Raise TownError for a scenario whose vehicles have no positions."""
     if (config.value("mesosim") or "false").lower() in ("true", "1", "yes", "on", "t", "x"):
         raise TownError(f"{config.path}: is mesoscopic (mesosim), where vehicles have no positions; remove that option")
@@ -168,7 +168,7 @@ def _value(item: GivenOption, config: Configuration, names: OutputNames, files: 
     return item.value
 
 
-def unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
+def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
     """Options, and their values, that lead what SUMO writes where its author names no file.
 
     Safety devices write beside the configuration or into the current folder; so do states; and electric vehicles write

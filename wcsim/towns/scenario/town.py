@@ -141,7 +141,7 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
     for item in (*nets, *routes, *additional):
         require_file(item, border, sumocfg)
     poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
-    file = town_file(folder, config)
+    file = _town_file(folder, config)
     return Town(
         name=file.name,
         split=file.split,
@@ -156,7 +156,7 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
     )
 
 
-def town_file(folder: Path, config: Configuration) -> TownFile:
+def _town_file(folder: Path, config: Configuration) -> TownFile:
     """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
     toml = folder / "town.toml"
     if toml.is_file():

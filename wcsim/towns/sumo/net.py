@@ -13,7 +13,7 @@ from wcsim.errors import TownError
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
-DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
+_DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
 WIDEST_M = 60.0  # a wider lane is a slip of the pen
 _NO_Z = np.zeros(1)
 _WALKERS = {"pedestrian", "wheelchair"}
@@ -198,8 +198,8 @@ def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, i
 
 def _width_m(element: Element) -> float:
     """A lane's width; SUMO writes -1 for one that was not set."""
-    width_m = float(element.get("width", DEFAULT_LANE_WIDTH_M))
-    return width_m if 0.0 < width_m < WIDEST_M else DEFAULT_LANE_WIDTH_M
+    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))
+    return width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M
 
 
 def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:

@@ -18,11 +18,11 @@ from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.towns.walking.visibility import shortest_inside
 from wcsim.types import F64, WalkEdge, WalkGraph, WayKind
 
-SOLID_M = 0.45  # from the middle of the way to a wall
+_SOLID_M = 0.45  # from the middle of the way to a wall
 KERB_M = 0.35  # ... to the edge of a kerb
-SOFT_M = 0.10  # ... to terrain or road at the same height
-SEAM_M = 0.05  # pavements and crossings may be this far apart and still count as one
-SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
+_SOFT_M = 0.10  # ... to terrain or road at the same height
+_SEAM_M = 0.05  # pavements and crossings may be this far apart and still count as one
+_SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
 SHORTEST_M = 3.0  # of the part of a lane that is kept when the whole cannot be passed
 REACH_M = 1.5  # how far a way may leave the lane or walking area that it belongs to
 
@@ -37,8 +37,8 @@ class _Port:
 
 def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
     """Where the middle of a wheelchair may be: walkable ground without the strips along kerbs and walls."""
-    space = buffered(buffered(walkable, SEAM_M, join_style="mitre"), -SEAM_M - SOFT_M, join_style="mitre")
-    for obstacle, gap_m in ((kerbs, KERB_M), (solids, SOLID_M)):
+    space = buffered(buffered(walkable, _SEAM_M, join_style="mitre"), -_SEAM_M - _SOFT_M, join_style="mitre")
+    for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
         if not obstacle.is_empty:
             space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
     areas = [part for part in shapely.get_parts(space.simplify(0.02)) if part.geom_type == "Polygon"]
@@ -57,7 +57,7 @@ def build_walk_graph(net: Net, space: BaseGeometry, chair_ways: tuple[str, ...])
     ends = _ends_at_areas(net)
     for area in net.lanes(LaneKind.WALKINGAREA):
         builder.link(area, ends[area.edge_id])
-    return largest_part(builder.nodes, builder.edges)
+    return _largest_part(builder.nodes, builder.edges)
 
 
 def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
@@ -167,7 +167,7 @@ class _Builder:
 def _snapped(space: BaseGeometry, p_m: F64) -> F64 | None:
     """The nearest point of `space`, or None when that is far."""
     point = shapely.Point(p_m)
-    if space.is_empty or not shapely.dwithin(space, point, SNAP_M):
+    if space.is_empty or not shapely.dwithin(space, point, _SNAP_M):
         return None
     nearest: F64 = shapely.get_coordinates(shapely.shortest_line(space, point))[0]
     return nearest
@@ -191,7 +191,7 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
     return None
 
 
-def largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
+def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     """Only the connected part with the greatest length; its nodes are numbered anew."""
     graph = networkx.Graph()
     for edge in edges:

@@ -13,10 +13,10 @@ from wcsim.towns.ground.plane import length_of
 from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
 
 SPACING_M = 1.0  # of a route's points
-START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
-CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
+_START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
+_CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
 SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do
-SPUR_M, SPUR_GAP_M, SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
+_SPUR_M, _SPUR_GAP_M, _SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
 
 XY = tuple[float, float]
 
@@ -36,7 +36,7 @@ class Router:
         )
         self._tree = shapely.STRtree(self._lines)
         self._graph = self._weighted()
-        starts = np.array([e.kind is WayKind.SIDEWALK for e in walk.edges]) & (self._length_m > 2 * START_MARGIN_M)
+        starts = np.array([e.kind is WayKind.SIDEWALK for e in walk.edges]) & (self._length_m > 2 * _START_MARGIN_M)
         self._starts = np.flatnonzero(starts if starts.any() else self._length_m > 0.0)
 
     def route(self, start_xy: XY, goal_xy: XY) -> Route:
@@ -60,7 +60,7 @@ class Router:
         weights = self._length_m[self._starts]
         index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
         length_m = float(self._length_m[index])
-        margin_m = min(START_MARGIN_M, 0.25 * length_m)
+        margin_m = min(_START_MARGIN_M, 0.25 * length_m)
         at_m = float(rng.uniform(margin_m, length_m - margin_m))
         here, ahead = self._at(index, at_m), self._at(index, min(length_m, at_m + 0.1))
         if np.allclose(here, ahead):
@@ -103,7 +103,7 @@ class Router:
     def _weighted(self) -> networkx.MultiGraph:
         graph = networkx.Graph()
         for index, edge in enumerate(self.walk.edges):
-            cost_m = float(self._length_m[index]) + CROSSING_COST_M * (edge.kind is WayKind.CROSSING)
+            cost_m = float(self._length_m[index]) + _CROSSING_COST_M * (edge.kind is WayKind.CROSSING)
             known = graph.get_edge_data(edge.start, edge.end)
             if known is None or cost_m < known["weight"]:
                 graph.add_edge(edge.start, edge.end, weight=cost_m, index=index)
@@ -209,10 +209,10 @@ def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
     kept, at, last = [], 0, len(points_m) - 1
     while at <= last:
         kept.append(at)
-        reach = int(np.searchsorted(arc_m, arc_m[at] + SPUR_M, side="right"))
+        reach = int(np.searchsorted(arc_m, arc_m[at] + _SPUR_M, side="right"))
         way_m = arc_m[at + 2 : reach] - arc_m[at]
         gap_m = np.linalg.norm(points_m[at + 2 : reach] - points_m[at], axis=1)
-        back = np.flatnonzero((gap_m > 1e-6) & (gap_m < SPUR_GAP_M) & (way_m > SPUR_RATIO * gap_m))
+        back = np.flatnonzero((gap_m > 1e-6) & (gap_m < _SPUR_GAP_M) & (way_m > _SPUR_RATIO * gap_m))
         at = at + 2 + int(back[-1]) if len(back) else at + 1
     return kept
 

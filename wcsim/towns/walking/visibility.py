@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.towns.ground.plane import cross_z
 from wcsim.types import F64
 
-MAX_CORNERS = 160  # above this the area is thinned first: the search looks at all pairs
+_MAX_CORNERS = 160  # above this the area is thinned first: the search looks at all pairs
 _SLACK_M = 1e-4
 
 
@@ -56,9 +56,9 @@ def _corners(part: Polygon) -> F64:
         oriented = shapely.orient_polygons(thinned)  # outline counter-clockwise, holes clockwise
         rings = [oriented.exterior, *oriented.interiors]
         found = np.concatenate([_inward(shapely.get_coordinates(ring)[:-1]) for ring in rings])
-        if len(found) <= MAX_CORNERS:
+        if len(found) <= _MAX_CORNERS:
             break
-    return found[:MAX_CORNERS]
+    return found[:_MAX_CORNERS]
 
 
 def _inward(ring: F64) -> F64:

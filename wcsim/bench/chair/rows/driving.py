@@ -16,9 +16,9 @@ from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import Joystick
 
-SLOPE_RAD: Final = rad(10.0)
-PULL_N: Final = 400.0
-ROAD_MPS: Final = PROFILE_SPEED_MPS["road"]
+_SLOPE_RAD: Final = rad(10.0)
+_PULL_N: Final = 400.0
+_ROAD_MPS: Final = PROFILE_SPEED_MPS["road"]
 _KMH: Final = 1.0 / 3.6
 
 
@@ -87,19 +87,19 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
         high=1.03 * speed,
         method="steady speed straight up a slope of 10 degrees at full stick",
         source="rated slope (EN 12184 class C), speed held within 3 %",
-        measure=partial(driving.climb_mps, slope_rad=SLOPE_RAD),
+        measure=partial(driving.climb_mps, slope_rad=_SLOPE_RAD),
     )
-    top = min(_top_speed_mps(plant_spec(setup.chair), PULL_N), ROAD_MPS)
+    top = min(_top_speed_mps(plant_spec(setup.chair), _PULL_N), _ROAD_MPS)
     yield Trial(
         name="pulling_400N",
         unit="m/s",
         low=0.92 * top,
         high=1.02 * top,
-        method=f"steady speed on level ground against a pull of {PULL_N:g} N, full stick, set to {ROAD_MPS} m/s",
+        method=f"steady speed on level ground against a pull of {_PULL_N:g} N, full stick, set to {_ROAD_MPS} m/s",
         source="where the declared torque curve of two motors meets the pull, less what steering takes of it",
-        measure=partial(at_speed, speed_mps=ROAD_MPS, measure=partial(driving.pulling_mps, pull_N=PULL_N)),
+        measure=partial(at_speed, speed_mps=_ROAD_MPS, measure=partial(driving.pulling_mps, pull_N=_PULL_N)),
     )
-    for name, ahead, left in (("up", SLOPE_RAD, 0.0), ("down", -SLOPE_RAD, 0.0), ("across", 0.0, SLOPE_RAD)):
+    for name, ahead, left in (("up", _SLOPE_RAD, 0.0), ("down", -_SLOPE_RAD, 0.0), ("across", 0.0, _SLOPE_RAD)):
         yield Trial(
             name=f"parked_10deg_{name}",
             unit="m",
@@ -116,7 +116,7 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
         high=0.1,
         method="way downhill in 8 m straight across a slope of 10 degrees, stick held straight",
         source="held: less than a degree aside",
-        measure=partial(driving.cross_slope_drift_m, slope_rad=SLOPE_RAD),
+        measure=partial(driving.cross_slope_drift_m, slope_rad=_SLOPE_RAD),
     )
 
 

@@ -13,8 +13,8 @@ from wcsim.core.frames import rad
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 
 RUN_UP_M: Final = 0.5
-FALL_MPS: Final = 1.5
-SHALLOW_DEG, STEEP_DEG = 25, 60
+_FALL_MPS: Final = 1.5
+_SHALLOW_DEG, _STEEP_DEG = 25, 60
 _MOST_MPS2: Final = 157.0  # what the sensor shows at most, 16 g
 _MEAN: Final = "mean of six runs"
 _SPAN: Final = "what both plants felt when they were made, a quarter to either side"
@@ -57,7 +57,7 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     )
     for name, most, how, where, measure in rows:
         yield _impact("event_" + name, 0.0, most, "largest low-passed acceleration: " + how, where + window, measure)
-    speed = kerb_speed_mps(spec)
+    speed = _kerb_speed_mps(spec)
     yield _impact(
         "event_kerb_40mm",
         low,
@@ -76,7 +76,7 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     )
 
 
-def kerb_speed_mps(spec: PlantSpec) -> float:
+def _kerb_speed_mps(spec: PlantSpec) -> float:
     """Speed at which the 40 mm kerb is judged: sprung casters take a kerb softly, so faster for a plant with them."""
     return 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
 
@@ -111,20 +111,20 @@ def _impact(name: str, low: float, high: float, method: str, source: str, measur
 
 
 def _falls(spec: PlantSpec) -> Iterator[Trial]:
-    cases = [(drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (SHALLOW_DEG, STEEP_DEG)]
+    cases = [(drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (_SHALLOW_DEG, _STEEP_DEG)]
     if any(pair.swivel_x_m < 0.0 for pair in spec.casters):
-        cases.remove((0.20, SHALLOW_DEG, 0.0))  # the experiment's chair had no wheels behind the driven ones
-    for drop_m, angle_deg, tips in [*cases, (0.30, 5, 1.0), (0.30, SHALLOW_DEG, 1.0), (0.30, STEEP_DEG, 0.0)]:
+        cases.remove((0.20, _SHALLOW_DEG, 0.0))  # the experiment's chair had no wheels behind the driven ones
+    for drop_m, angle_deg, tips in [*cases, (0.30, 5, 1.0), (0.30, _SHALLOW_DEG, 1.0), (0.30, _STEEP_DEG, 0.0)]:
         yield Trial(
             name=f"falls_off_{round(100 * drop_m)}cm_at_{angle_deg}deg",
             unit="tipped",
             low=tips,
             high=tips,
-            method=f"off a kerb at {FALL_MPS:g} m/s, {angle_deg} degrees between way and edge; 1 = lies on its side",
+            method=f"off a kerb at {_FALL_MPS:g} m/s, {angle_deg} degrees between way and edge; 1 = lies on its side",
             source=_FALL_SOURCE,
             measure=partial(_falls_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
         )
 
 
 def _falls_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
-    return kerbs.tips_off(setup.at_speed(FALL_MPS), drop_m, approach_rad)
+    return kerbs.tips_off(setup.at_speed(_FALL_MPS), drop_m, approach_rad)

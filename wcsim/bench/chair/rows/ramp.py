@@ -9,7 +9,7 @@ from wcsim.bench.chair import ramps
 from wcsim.bench.chair.row import Setup, Trial
 from wcsim.core.frames import deg
 
-LEAST_LOAD: Final = 0.2  # of the static load
+_LEAST_LOAD: Final = 0.2  # of the static load
 _RAMP: Final = f"ramp of {deg(ramps.FALL_RAD):.0f} degrees, twisted by {deg(ramps.TWIST_RAD):.0f} over the wheelbase"
 
 
@@ -18,7 +18,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="twisted_ramp_load",
         unit="",
-        low=LEAST_LOAD,
+        low=_LEAST_LOAD,
         high=1.2,
         method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, either way, over that on level ground",
         source="both drive wheels keep a fifth of their load",

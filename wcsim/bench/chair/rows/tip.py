@@ -13,7 +13,7 @@ from wcsim.bench.chair.tilt_table import expected_tip_rad, measured_tip_rad
 from wcsim.core.frames import deg
 from wcsim.physics.wheelchair.plant import plant_spec
 
-COM_HEIGHTS_M: Final = (0.50, 0.60)
+_COM_HEIGHTS_M: Final = (0.50, 0.60)
 _TOLERANCE_DEG: Final = 1.0
 _LEAST_LEFT, _MOST_LEFT = 0.5, 0.98
 _METHOD: Final = (
@@ -29,7 +29,7 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
     What is expected takes a moment to find, so rows whose names begin with none of the words of `only` are left out.
     """
     for name, downhill, antitips in _ways(setup):
-        for height_m in COM_HEIGHTS_M:
+        for height_m in _COM_HEIGHTS_M:
             if only and not _name(name, height_m).startswith(tuple(only)):
                 continue
             expected_deg = deg(expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
@@ -46,7 +46,7 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
 
 def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
     """Share of each tip angle that is left as the centre of mass is raised; the pivots of each way stay the same."""
-    low_m, high_m = COM_HEIGHTS_M
+    low_m, high_m = _COM_HEIGHTS_M
     for name, _, _ in _ways(setup):
         pair = rows.get(_name(name, low_m)), rows.get(_name(name, high_m))
         if pair[0] is None or pair[1] is None:

@@ -52,7 +52,7 @@ class Paint(IntEnum):
     BLUE_LIGHT = 27
 
 
-GROUND_RGB: tuple[tuple[ClassId, tuple[int, int, int]], ...] = (
+_GROUND_RGB: tuple[tuple[ClassId, tuple[int, int, int]], ...] = (
     (ClassId.ROAD, (104, 105, 110)),
     (ClassId.CROSSWALK, (108, 109, 113)),
     (ClassId.SIDEWALK, (178, 172, 164)),
@@ -144,6 +144,6 @@ def paint_table() -> F32:
 def class_paint_table() -> F64:
     """Plain colour (256, 3) in 0..255 of a standing surface, by class id; grey for a class without one."""
     table = np.full((256, 3), 150.0)
-    for class_id, colour in GROUND_RGB:
+    for class_id, colour in _GROUND_RGB:
         table[class_id] = colour
     return table

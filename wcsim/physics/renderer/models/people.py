@@ -32,10 +32,10 @@ class Posture:
     ankles: tuple[Point, Point]
 
 
-TORSO_M = 0.56  # hip to shoulders
+_TORSO_M = 0.56  # hip to shoulders
 HEAD_M = 0.19  # shoulders to the middle of the head
-HAIR_ALONG = (-0.6, 0.0, 0.8)
-CHILD_HEAD = 1.4  # a child of seven is six and a half heads high, a grown-up seven and a half; it is narrow besides
+_HAIR_ALONG = (-0.6, 0.0, 0.8)
+_CHILD_HEAD = 1.4  # a child of seven is six and a half heads high, a grown-up seven and a half; it is narrow besides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,13 +47,13 @@ class Build:
     helmet: bool = False
 
 
-GROWN, LONG_HAIRED, CHILD, HELMETED = Build(), Build(long_hair=True), Build(head=CHILD_HEAD), Build(helmet=True)
+GROWN, LONG_HAIRED, CHILD, HELMETED = Build(), Build(long_hair=True), Build(head=_CHILD_HEAD), Build(helmet=True)
 
 
 def figure(posture: Posture, class_id: ClassId, build: Build = GROWN) -> list[BodyPart]:
     """A person of about 1.75 m in a posture, 196 triangles, 216 with long hair; a rider 172."""
     hip_x, _, hip_z = posture.hip
-    shoulder_x, shoulder_z = hip_x + posture.lean_m, hip_z + TORSO_M
+    shoulder_x, shoulder_z = hip_x + posture.lean_m, hip_z + _TORSO_M
     torso = barrel(hip_z - 0.06, shoulder_z, (0.1, 0.135), (0.09, 0.18), hip_x, posture.lean_m, 6)
     k = build.head
     face = (shoulder_x + 0.02, 0.0, shoulder_z + HEAD_M + 0.135 * (k - 1.0))
@@ -64,7 +64,7 @@ def figure(posture: Posture, class_id: ClassId, build: Build = GROWN) -> list[Bo
     pieces = [
         BodyPart(torso, class_id, Paint.SHIRT),
         BodyPart(neck, class_id, Paint.SKIN),
-        BodyPart(head, class_id, Paint.SKIN, top=cap, top_along=HAIR_ALONG, top_from=0.1),
+        BodyPart(head, class_id, Paint.SKIN, top=cap, top_along=_HAIR_ALONG, top_from=0.1),
     ]
     if build.long_hair:
         hair = ball((shoulder_x - 0.06, 0.0, shoulder_z + HEAD_M - 0.05), (0.08, 0.105, 0.2), around=5, rings=2)

@@ -7,7 +7,7 @@ from wcsim.physics.renderer.models.people import BodyPart
 from wcsim.physics.renderer.models.primitives import Part, Point, box, decal, limb, prism, wheel
 from wcsim.types import ClassId
 
-SKIN_M = 0.01  # decals float this far above the body, enough for the depth buffer within a camera's range
+_SKIN_M = 0.01  # decals float this far above the body, enough for the depth buffer within a camera's range
 
 
 def car(paint: Paint = Paint.BODY) -> list[BodyPart]:
@@ -117,7 +117,7 @@ def rod(start: Point, end: Point, radius: float = 0.022) -> Part:
 
 def plate(x: float, y: float, z: float, half_width: float, half_height: float, facing: int) -> Part:
     """A rectangle across x that faces forward (1) or backward (-1)."""
-    x += SKIN_M * facing
+    x += _SKIN_M * facing
     near, far = y - half_width * facing, y + half_width * facing
     low, high = z - half_height, z + half_height
     return decal([(x, near, low), (x, far, low), (x, far, high), (x, near, high)])
@@ -125,6 +125,6 @@ def plate(x: float, y: float, z: float, half_width: float, half_height: float, f
 
 def pane(x0: float, x1: float, y: float, side: int, low: float, high: float) -> Part:
     """A rectangle along x on the left (1) or right (-1) side of a body of half width y."""
-    y = (y + SKIN_M) * side
+    y = (y + _SKIN_M) * side
     start, end = (x1, x0) if side > 0 else (x0, x1)
     return decal([(start, y, low), (end, y, low), (end, y, high), (start, y, high)])

@@ -1,0 +1,114 @@
+"""Print `docs/api.md`, the page of names that users may rely on, made from the code: `python tools/api_page.py`."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import get_args, get_origin
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
+
+import wcsim
+import wcsim.config
+import wcsim.errors
+import wcsim.types
+from wcsim.agents import policy_api
+from wcsim.agents.networks import registry
+from wcsim.bridge.sumo.step_hook import StepHook
+from wcsim.server.specs import Patience, SeatRequest
+from wcsim.supervisor.reward_terms import RewardTerm
+
+LONGEST_VALUE = 60
+HEAD = """# Names that you may rely on
+
+The changelog says when one of them changes. Whatever else can be imported is wcsim's own, and may move at any time.
+This page is made from the code: `python tools/api_page.py > docs/api.md`.
+"""
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    parts = (
+        ("`wcsim`: the environments", "See `docs/faces.md`.", _door(wcsim, wcsim.__all__)),
+        ("What an environment is made with", "Of `wcsim.WheelchairEnv`; the others take the same.", _options()),
+        ("`wcsim.types`: what is observed, judged and commanded", "", _door(wcsim.types, _shown(wcsim.types))),
+        ("`wcsim.config`: settings", "Keys are fields of these.", _door(wcsim.config, _shown(wcsim.config))),
+        ("`wcsim.agents.policy_api`: what can drive", "", _own(policy_api)),
+        ("A network", "`examples/own_network.py`; the contract is the text of its module.", _named(registry.register)),
+        ("A reward term", "`examples/own_reward.py`.", _with_methods(RewardTerm)),
+        ("A step hook", "`examples/own_signals.py`; either method may be missing.", _with_methods(StepHook)),
+        ("A seat in a running world", "`docs/clients.md`.", _named(SeatRequest, Patience)),
+        ("`wcsim.errors`: what is raised", "Their tree is at the top of `wcsim/errors.py`.", _errors()),
+    )
+    return "\n".join([HEAD, *(_section(title, said, rows) for title, said, rows in parts)])
+
+
+def _section(title: str, said: str, rows: Iterable[tuple[str, str]]) -> str:
+    table = ["| name | what |", "|---|---|", *(f"| `{name}` | {what} |" for name, what in rows)]
+    return "\n".join([f"## {title}", *([said] if said else []), "", *table, ""])
+
+
+def _door(module: ModuleType, names: Iterable[str]) -> Iterator[tuple[str, str]]:
+    for name in names:
+        what = "the version of wcsim" if name == "__version__" else _first_line(getattr(module, name))
+        if what:
+            yield name, what
+
+
+def _shown(module: ModuleType) -> list[str]:
+    """What a package hands out: what it imports under its own name."""
+    handed_out = re.findall(r"^from \S+ import (\w+) as \1$", inspect.getsource(module), re.MULTILINE)
+    return sorted(handed_out, key=str.lower)
+
+
+def _own(module: ModuleType) -> Iterator[tuple[str, str]]:
+    """Classes of a module with their methods, in its own order."""
+    for kind in vars(module).values():
+        if inspect.isclass(kind) and kind.__module__ == module.__name__:
+            yield from _with_methods(kind)
+
+
+def _with_methods(kind: type) -> Iterator[tuple[str, str]]:
+    yield f"{kind.__module__}.{kind.__name__}", _first_line(kind)
+    for name, member in vars(kind).items():
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
+            yield f".{name}", _first_line(member)
+
+
+def _named(*things: type | object) -> Iterator[tuple[str, str]]:
+    for thing in things:
+        yield f"{thing.__module__}.{thing.__name__}", _first_line(thing)  # type: ignore[attr-defined]
+
+
+def _options() -> Iterator[tuple[str, str]]:
+    """Name and text of the arguments in the docstring of `WheelchairEnv`."""
+    said = inspect.getdoc(wcsim.WheelchairEnv.__init__) or ""
+    block = said.partition("Args:\n")[2].partition("\n\n")[0]
+    for item in re.split(r"\n {4}(?=\w)", "\n" + block)[1:]:
+        name, _, text = item.partition(": ")
+        yield name, " ".join(text.split())
+
+
+def _errors() -> Iterator[tuple[str, str]]:
+    for name, kind in vars(wcsim.errors).items():
+        if inspect.isclass(kind):
+            yield name, _first_line(kind)
+
+
+def _first_line(thing: object) -> str:
+    """Of its docstring; a short plain value is told as it is, a long one not at all."""
+    if inspect.isclass(thing) or inspect.isfunction(thing) or isinstance(thing, property):
+        return (inspect.getdoc(thing) or "").partition("\n")[0]
+    if get_origin(thing) is np.ndarray:
+        return f"NumPy array of {get_args(get_args(thing)[1])[0].__name__}"
+    return f"`{thing}`" if len(str(thing)) < LONGEST_VALUE else ""
+
+
+if __name__ == "__main__":
+    print(page(), end="")
