@@ -1,4 +1,7 @@
-"""Network bodies by name, and the Q network made of them. A new network is a file here, a line in `names.py` and one in `registry.py`."""
+"""Network bodies by name, and the Q network made of them.
+
+A new network is a file here, a line in `names.py` and one in `registry.py`.
+"""
 
 from __future__ import annotations
 
