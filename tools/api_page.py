@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 import sys
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import get_args, get_origin
@@ -19,6 +21,7 @@ import wcsim.config
 import wcsim.errors
 import wcsim.types
 from wcsim.agents import policy_api
+from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.networks import registry
 from wcsim.bridge.sumo.step_hook import StepHook
 from wcsim.server.specs import Patience, SeatRequest
@@ -36,7 +39,7 @@ def page() -> str:
     """The page, in Markdown."""
     parts = (
         ("`wcsim`: the environments", "See `docs/faces.md`.", _door(wcsim, wcsim.__all__)),
-        ("What an environment is made with", "Of `wcsim.WheelchairEnv`; the others take the same.", _options()),
+        ("What an environment is made with", "`EnvOptions`, beside the town: all three take the same.", _options()),
         ("`wcsim.types`: what is observed, judged and commanded", "", _door(wcsim.types, _shown(wcsim.types))),
         ("`wcsim.config`: settings", "Keys are fields of these.", _door(wcsim.config, _shown(wcsim.config))),
         ("`wcsim.agents.policy_api`: what can drive", "", _own(policy_api)),
@@ -87,12 +90,11 @@ def _named(*things: type | object) -> Iterator[tuple[str, str]]:
 
 
 def _options() -> Iterator[tuple[str, str]]:
-    """Name and text of the arguments in the docstring of `WheelchairEnv`."""
-    said = inspect.getdoc(wcsim.WheelchairEnv.__init__) or ""
-    block = said.partition("Args:\n")[2].partition("\n\n")[0]
-    for item in re.split(r"\n {4}(?=\w)", "\n" + block)[1:]:
-        name, _, text = item.partition(": ")
-        yield name, " ".join(text.split())
+    """Name and text of the fields of `EnvOptions`: each is followed by what is said of it."""
+    (told,) = ast.parse(inspect.getsource(EnvOptions)).body
+    for field, said in pairwise(getattr(told, "body", [])):
+        if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
+            yield ast.unparse(field.target), " ".join(str(ast.literal_eval(said.value)).split())
 
 
 def _errors() -> Iterator[tuple[str, str]]:
