@@ -90,11 +90,16 @@ def _named(*things: type | object) -> Iterator[tuple[str, str]]:
 
 
 def _options() -> Iterator[tuple[str, str]]:
-    """Name and text of the fields of `EnvOptions`: each is followed by what is said of it."""
+    """Name and text of the fields of `EnvOptions`, each followed by what is said of it, and of `WheelchairEnv` alone."""
     (told,) = ast.parse(inspect.getsource(EnvOptions)).body
     for field, said in pairwise(getattr(told, "body", [])):
         if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
             yield ast.unparse(field.target), " ".join(str(ast.literal_eval(said.value)).split())
+    block = (inspect.getdoc(wcsim.WheelchairEnv.__init__) or "").partition("Args:\n")[2].partition("\n\n")[0]
+    for item in re.split(r"\n {4}(?=\w)", "\n" + block)[1:]:
+        name, _, text = item.partition(": ")
+        if name.isidentifier():
+            yield name, " ".join(text.split())
 
 
 def _errors() -> Iterator[tuple[str, str]]:
