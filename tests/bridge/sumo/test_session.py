@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wcsim.bridge.reaction.drivers import LET_GO, Order
+from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.town import find_town
@@ -68,12 +68,12 @@ def test_a_held_car_stops_and_goes_on_when_let_go(corner):
         for _ in range(20):
             sumo.step()
         car = next(a for a in sumo.actors(NEAR, 500.0) if a.kind is ActorKind.CAR)
-        sumo.pilot.apply(Order(actor_id=car.id, speed_mps=0.0))
+        sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=0.0))
         for _ in range(60):
             sumo.step()
         held = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
         assert np.linalg.norm(held.v_W_mps) < 0.01
-        sumo.pilot.apply(Order(actor_id=car.id, speed_mps=LET_GO))
+        sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=LET_GO))
         for _ in range(20):
             sumo.step()
         freed = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
