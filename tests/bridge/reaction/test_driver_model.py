@@ -166,6 +166,8 @@ def test_a_place_in_the_lane_that_is_too_narrow_or_too_near_to_reach_is_none():
     touching = replace(there, touch=replace(there.touch, at=(7, *there.touch.at[1:])))
     assert passing_in_lane(touching, 30.0, LANE_M) is None
     assert passing_in_lane(replace(touching, place=it.place), 30.0, LANE_M) is not None
+    turns_there = replace(encounter(), touch=it.touch)  # its straight body touches all the same, though far ahead
+    assert passing_in_lane(turns_there, 30.0, LANE_M) is None
 
 
 @pytest.mark.parametrize(
@@ -189,6 +191,7 @@ def test_a_junction_is_left_only_towards_a_chair_behind_it():
     assert junction_left_m(it, Junction()) == pytest.approx(12.0 + 0.5 - 2.25)
     assert junction_left_m(encounter(chair(8.0), actor(x=0.0), Junction()), Junction()) == 0.0
     assert junction_left_m(encounter(), StraightRoads()) == 0.0
+    assert junction_left_m(replace(it, here=replace(it.here, internal=False)), Junction()) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -234,6 +237,7 @@ def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
     one = considered(Plan(), near, roads, impatient=False)
     both = considered(one, far, roads, impatient=False)
     other = considered(considered(Plan(), far, roads, impatient=False), near, roads, impatient=False)
+    assert considered(Plan(), far, roads, impatient=False).keep_lane and not too_near_to_change_lanes(far)
     assert one.lane_index == 1 and one.could_pass and one.keep_lane and one.toward == ("E", 1)
     assert both == other and both.limit_mps == one.limit_mps and both.nearest_m == one.nearest_m < math.inf
     beside = considered(Plan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
