@@ -81,6 +81,7 @@ class Child:
             self._process.kill()
         if self._end_fd is not None:
             self._selector.unregister(self._end_fd)
+            os.close(self._end_fd)
             self._end_fd = None
         self._process.wait()
         self._stop_reading()

@@ -10,35 +10,28 @@ from typing import Protocol
 
 
 class ProcessHandle(Protocol):
-    """A process that a spawner has started."""
+    """A process that a spawner has started; to terminate or kill one that has ended does nothing."""
 
-    @property
-    def pid(self) -> int:
-        """What people know it by."""
-
-    @property
-    def end_fd(self) -> int | None:
-        """Readable as soon as it has ended, until `wait` closes it; None where it can only be polled."""
+    pid: int  # what people know it by
+    end_fd: int | None  # readable as soon as it has ended, for its holder to close; None where it can only be polled
 
     def poll(self) -> int | None:
         """The exit code, or the negative number of the signal that ended it; None while it runs."""
 
     def terminate(self) -> None:
-        """Ask it to end, as SIGTERM does; nothing happens when it has ended."""
+        """Ask it to end, as SIGTERM does."""
 
     def kill(self) -> None:
-        """End it now; nothing happens when it has ended."""
+        """End it now."""
 
     def wait(self) -> int:
-        """Wait for its end, let go of everything, and return what `poll` does."""
+        """Wait for its end and return what `poll` does."""
 
 
 class Spawner(Protocol):
     """Starts processes."""
 
-    def start(
-        self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int
-    ) -> ProcessHandle:  # fmt: skip
+    def start(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> ProcessHandle:
         """Start a process that nothing but its handle ends.
 
         Args:
@@ -50,51 +43,24 @@ class Spawner(Protocol):
         """
 
 
-class LocalProcess:
-    """A process of this machine, in a session of its own: Ctrl-C at the terminal reaches its launcher alone."""
-
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
-        self._process = process
-        self.pid = process.pid
-        self.end_fd: int | None = os.pidfd_open(process.pid)
-
-    def poll(self) -> int | None:
-        """See `ProcessHandle`."""
-        return self._process.poll()
-
-    def terminate(self) -> None:
-        """See `ProcessHandle`."""
-        self._process.terminate()
-
-    def kill(self) -> None:
-        """See `ProcessHandle`."""
-        self._process.kill()
-
-    def wait(self) -> int:
-        """See `ProcessHandle`."""
-        code = self._process.wait()
-        if self.end_fd is not None:
-            os.close(self.end_fd)
-            self.end_fd = None
-        return code
-
-
 class SubprocessSpawner:
-    """The usual one."""
+    """The usual one: a process in a session of its own, so that Ctrl-C at the terminal reaches its launcher alone."""
 
-    def start(
-        self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int
-    ) -> LocalProcess:  # fmt: skip
+    def start(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> ProcessHandle:
         """See `Spawner`. Raises OSError when there is no such program."""
+        return _LocalProcess(argv, env, log, status_fd)
+
+
+class _LocalProcess(subprocess.Popen[bytes]):
+    def __init__(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> None:
         with log.open("ab") as out:
-            return LocalProcess(
-                subprocess.Popen(
-                    argv,
-                    env=env,
-                    stdin=subprocess.DEVNULL,
-                    stdout=out,
-                    stderr=out,
-                    pass_fds=(status_fd,),
-                    start_new_session=True,
-                )
+            super().__init__(
+                argv,
+                env=env,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                pass_fds=(status_fd,),
+                start_new_session=True,
             )
+        self.end_fd: int | None = os.pidfd_open(self.pid)

@@ -32,17 +32,7 @@ class Supervised(ABC, Generic[Status]):
         spawner: Spawner,
         log: RunLog,
     ) -> None:
-        """Nothing runs before `start`.
-
-        Args:
-            name: In the log of events.
-            says: What its status lines are.
-            log_file: Where its output is appended.
-            rules: How patient to be with it.
-            selector: Wakes when it says something or ends.
-            spawner: Starts it.
-            log: The log of events.
-        """
+        """Nothing runs before `start`; `name` is for the `log` of events, what it `says` are its status lines."""
         self._name, self._log_file, self._log = name, log_file, log
         self._says: type[Status] = says
         self._selector, self._spawner = selector, spawner
@@ -123,8 +113,6 @@ class Supervised(ABC, Generic[Status]):
             self._child.close()
             self._child = None
 
-    # --- what a world or a client says to that ---
-
     @abstractmethod
     def _command(self, status_fd: int) -> Sequence[str]:
         """The command line of the life to come."""
@@ -144,8 +132,6 @@ class Supervised(ABC, Generic[Status]):
     @abstractmethod
     def _ended(self, code: int, words: str, now_s: float) -> None:
         """It has ended, with these last words."""
-
-    # --- what they need for it ---
 
     def _hangs(self, child: Child, **told: float) -> None:
         self._log.add("hang", who=self._name, **told)
