@@ -75,7 +75,7 @@ def at(*poses, left=0.0, speed=10.0, right_m=-0.31, left_m=0.31, on_road=True, *
     it = encounter(chair(9.0), actor(speed=speed))
     place = OnLane(lane_id="E_0", along_m=it.place.along_m, left_m=left)
     touch = SweptOverlap(at=poses, right_m=right_m, left_m=left_m)
-    return replace(it, touch=touch, place=place, on_road=on_road, **changes)
+    return it._replace(touch=touch, place=place, on_road=on_road, **changes)
 
 
 def test_a_driver_perceives_only_chairs_near_its_way_and_on_the_pavement_only_those_in_reach():
@@ -102,7 +102,7 @@ def test_a_conflict_is_the_usual_gap_ahead_and_only_a_touch_alongside(poses, exp
 def test_no_change_of_lanes_begins_within_braking_distance_or_its_own_time(speed, distance_m, expected):
     it = at(-1, -1, 7 + round(2 * distance_m), speed=speed)
     assert too_near_to_change_lanes(it) == expected
-    assert not too_near_to_change_lanes(replace(it, on_road=False))
+    assert not too_near_to_change_lanes(it._replace(on_road=False))
 
 
 def test_who_has_a_way_round_moves_over_first_and_drives_on_then():
@@ -135,8 +135,8 @@ def test_nobody_passes_on_rails_round_a_chair_that_crosses_from_a_junction_or_be
     crossing = encounter(chair(40.0, vy=0.5), roads=roads)
     straddling = encounter(vehicle=actor(y=0.9), roads=roads)
     usual = encounter(roads=roads)
-    inside = replace(usual, here=replace(usual.here, internal=True))
-    elsewhere = replace(usual, here=replace(usual.here, edge_id="D"))
+    inside = usual._replace(here=replace(usual.here, internal=True))
+    elsewhere = usual._replace(here=replace(usual.here, edge_id="D"))
     assert usual.straddles is False and straddling.straddles
     assert room_to_pass(usual, 30.0, roads).possible
     for it in (tram, crossing, straddling, inside, elsewhere):
@@ -161,12 +161,12 @@ def test_a_place_in_the_lane_that_is_too_narrow_or_too_near_to_reach_is_none():
     assert passing_in_lane(it, 30.0, LANE_M).aside_m == pytest.approx(-0.41, abs=0.3)
     assert passing_in_lane(it, 30.0, 2.6) is None
     left_m = passing_in_lane(it, 30.0, LANE_M).aside_m
-    there = replace(it, place=replace(it.place, left_m=left_m))
+    there = it._replace(place=replace(it.place, left_m=left_m))
     assert passing_in_lane(there, 30.0, LANE_M).aside_m == 0.0
-    touching = replace(there, touch=replace(there.touch, at=(7, *there.touch.at[1:])))
+    touching = there._replace(touch=replace(there.touch, at=(7, *there.touch.at[1:])))
     assert passing_in_lane(touching, 30.0, LANE_M) is None
-    assert passing_in_lane(replace(touching, place=it.place), 30.0, LANE_M) is not None
-    turns_there = replace(encounter(), touch=it.touch)  # its straight body touches all the same, though far ahead
+    assert passing_in_lane(touching._replace(place=it.place), 30.0, LANE_M) is not None
+    turns_there = encounter()._replace(touch=it.touch)  # its straight body touches all the same, though far ahead
     assert passing_in_lane(turns_there, 30.0, LANE_M) is None
 
 
@@ -191,7 +191,7 @@ def test_a_junction_is_left_only_towards_a_chair_behind_it():
     assert junction_left_m(it, Junction()) == pytest.approx(12.0 + 0.5 - 2.25)
     assert junction_left_m(encounter(chair(8.0), actor(x=0.0), Junction()), Junction()) == 0.0
     assert junction_left_m(encounter(), StraightRoads()) == 0.0
-    assert junction_left_m(replace(it, here=replace(it.here, internal=False)), Junction()) == 0.0
+    assert junction_left_m(it._replace(here=replace(it.here, internal=False)), Junction()) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_room_to_steer_out_is_kept_by_who_changes_lanes_straddles_or_leaves_a_ju
     half_way = Plan(toward=("E", 1))
     again = steering_out(straddling, half_way, Passing(), 20.0, 0.0)
     assert again == Steering(lane_index=1, limit_mps=kept_mps, resumed=True)
-    assert not steering_out(straddling, replace(half_way, lane_index=1), Passing(), 20.0, 0.0).resumed
+    assert not steering_out(straddling, half_way._replace(lane_index=1), Passing(), 20.0, 0.0).resumed
 
 
 def test_a_narrow_gap_is_driven_slowly_where_the_front_half_clears():
@@ -228,7 +228,7 @@ def test_a_narrow_gap_is_driven_slowly_where_the_front_half_clears():
     assert narrow_gap_mps(at(8, 3), 3) == 0.0  # its tail would touch at once
     assert narrow_gap_mps(at(-1, 12, on_road=False), 12) is None
     crossing = encounter(chair(40.0, vy=0.5))
-    assert narrow_gap_mps(replace(crossing, touch=at(-1, 12).touch), 12) is None
+    assert narrow_gap_mps(crossing._replace(touch=at(-1, 12).touch), 12) is None
 
 
 def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():

@@ -8,7 +8,7 @@ command (`command`). Nothing here remembers anything: what a driver knows from t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, ChairInStreet
 from wcsim.bridge.reaction.conflict import (
@@ -38,8 +38,7 @@ IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the nex
 RAIL = (ActorKind.TRAM,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Encounter:
+class Encounter(NamedTuple):  # as the rest, made in every tick: a frozen dataclass costs twice as much
     """One vehicle whose way leads past one wheelchair, as its driver perceives the two."""
 
     check: ConflictCheck
@@ -67,8 +66,7 @@ class Encounter:
         return reach_m > 0.5 * self.here.width_m + STRADDLE_M
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Passing:
+class Passing(NamedTuple):
     """How a driver gets past a wheelchair: beside it within the lane, by the next lane, or not at all."""
 
     speed_mps: float = 0.0  # that may be driven past it from here on; 0 where it has to stop first
@@ -81,11 +79,7 @@ class Passing:
         return self.aside_m is not None or self.lane_index is not None
 
 
-NO_PASSING = Passing()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Steering:
+class Steering(NamedTuple):
     """Out of the lane: to where, and how fast at most, so that there is room to do it."""
 
     lane_index: int | None = None
@@ -93,8 +87,7 @@ class Steering:
     resumed: bool = False  # it is half way there, and only told again
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class Plan(NamedTuple):
     """What a vehicle should do, over all chairs that its driver has looked at."""
 
     limit_mps: float = math.inf
@@ -106,8 +99,7 @@ class Plan:
     toward: tuple[str, int] | None = None  # edge and lane of the last change of lanes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Waiting:
+class Waiting(NamedTuple):
     """How long a driver has been kept by wheelchairs."""
 
     stands_s: float = 0.0
@@ -145,7 +137,7 @@ def considered(before: Plan, it: Encounter, roads: Roads, impatient: bool) -> Pl
     limit_mps = it.check.limit(it.touch, it.place.left_m, it.brake_mps2, it.tick_s)
     at = conflict_pose(it)
     if at < 0:
-        return replace(before, keep_lane=keep_lane, limit_mps=min(before.limit_mps, limit_mps))
+        return before._replace(keep_lane=keep_lane, limit_mps=min(before.limit_mps, limit_mps))
     distance_m = it.check.distance_m(at)
     passing = room_to_pass(it, distance_m, roads)
     steering = steering_out(it, before, passing, distance_m, junction_left_m(it, roads))
@@ -160,7 +152,7 @@ def considered(before: Plan, it: Encounter, roads: Roads, impatient: bool) -> Pl
         could_pass=before.could_pass or passing.possible or steering.resumed,
         toward=before.toward if steering.lane_index is None else (it.here.edge_id, steering.lane_index),
     )
-    return plan if narrow_mps is None else replace(plan, lane_index=None, aside_m=0.0)
+    return plan if narrow_mps is None else plan._replace(lane_index=None, aside_m=0.0)
 
 
 # --- is there a conflict, and how fast may it be ---
@@ -199,14 +191,14 @@ def passing_mps(it: Encounter, passing: Passing, limit_mps: float) -> float:
 def room_to_pass(it: Encounter, distance_m: float, roads: Roads) -> Passing:
     """The way round a chair that stands or rolls along: within the lane where that has room, else by the next lane."""
     if it.check.actor.kind in RAIL or not it.check.passable(it.touch.at[1]):
-        return NO_PASSING
+        return Passing()
     lane = roads.lane(it.check.tube.lane_at(it.check.front_of(it.touch.at[1])))
     within = passing_in_lane(it, distance_m, lane.width_m) if roads.sublanes else None
     if within is not None:
         return within
     # On the way between two lanes SUMO does not turn back.
     if lane.edge_id != it.here.edge_id or it.here.internal or it.straddles:
-        return NO_PASSING
+        return Passing()
     beyond_m = distance_m + 2.0 * (STOP_SHORT_M + it.length_m)
     return Passing(lane_index=free_lane(it, roads.lanes_beside(it.check.actor.id, beyond_m)))
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet, is_person
@@ -24,12 +25,11 @@ _Seen = tuple[ChairInStreet, F64]  # with its row
 COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Watch:
+class _Watch(NamedTuple):
     """What the reaction remembers of a vehicle that has a chair near its way."""
 
     brakes: Brakes
-    waiting: Waiting
+    waiting: Waiting = Waiting()
     seen_for_s: float = 0.0
     could_pass: bool = False
     held: bool = False
@@ -134,15 +134,29 @@ class StreetReaction:
         tube = self._tubes[actor.id] = way_ahead(actor, place, roads, self._tubes.get(actor.id))
         if self._swing is not None:
             tube = self._swing.line(actor, tube)
-        old = self._watched.get(actor.id) or _Watch(brakes=roads.brakes(actor.id), waiting=Waiting())
+        old = self._watched.get(actor.id) or _Watch(brakes=roads.brakes(actor.id))
         plan = self._plan(actor, place, tube, old, [(chairs[i], rows[i]) for i in near], roads)
         if plan is None:
             return None
         fresh = actor.id in self._come
         reaction_s = self._habits.reaction_s(actor)
         seen_for_s = old.seen_for_s + (reaction_s if fresh else self._config.tick_s)
-        watch = replace(old, seen_for_s=seen_for_s, toward=plan.toward)
-        return self._commanded(actor, watch, plan, roads, fresh, orders) if seen_for_s >= reaction_s else watch
+        if seen_for_s < reaction_s:
+            return old._replace(seen_for_s=seen_for_s, toward=plan.toward)
+        order, waiting = self._decided(actor, old, plan, roads, fresh)
+        if order is not None:
+            orders.append(order)
+        elif old.held:
+            orders.append(ActorCommand(actor_id=actor.id, speed_mps=LET_GO))
+        return _Watch(
+            brakes=old.brakes,
+            waiting=waiting,
+            seen_for_s=seen_for_s,
+            could_pass=plan.could_pass,
+            held=order is not None,
+            toward=plan.toward,
+            moves_over=old.moves_over if order is None else bool(order.aside_m),
+        )
 
     def _plan(
         self, actor: ActorState, place: OnLane, tube: Tube, watch: _Watch, near: Sequence[_Seen], roads: Roads
@@ -150,26 +164,19 @@ class StreetReaction:
         """What a driver wants to do about all chairs, each with its row; None when its way comes near none of them."""
         here, tick_s = roads.lane(place.lane_id), self._config.tick_s
         brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
-        met = [perceive(actor, place, here, tube, chair, row, brake_mps2, tick_s) for chair, row in near]
-        plan = Plan(toward=watch.toward)
-        for encounter in met:
+        plan = None
+        for chair, row in near:
+            encounter = perceive(actor, place, here, tube, chair, row, brake_mps2, tick_s)
             if encounter is not None:
-                plan = considered(plan, encounter, roads, watch.waiting.squeezes)
-        return plan if any(met) else None
+                plan = considered(plan or Plan(toward=watch.toward), encounter, roads, watch.waiting.squeezes)
+        return plan
 
-    def _commanded(
-        self, actor: ActorState, watch: _Watch, plan: Plan, roads: Roads, fresh: bool, orders: list[ActorCommand]
-    ) -> _Watch:
-        """Order what carries out a plan, or let the vehicle go where SUMO does it by itself."""
+    def _decided(
+        self, actor: ActorState, watch: _Watch, plan: Plan, roads: Roads, fresh: bool
+    ) -> tuple[ActorCommand | None, Waiting]:
+        """The command that carries out a plan, None where SUMO does it by itself, and how long a driver has waited."""
         speed_mps, tick_s = math.hypot(*actor.v_W_mps[:2].tolist()), self._config.tick_s
         waiting = waited(watch.waiting, plan, speed_mps, tick_s)
         brakes = replace(watch.brakes, emergency_mps2=math.inf) if fresh else watch.brakes  # it begins at any speed
         speed = braking(plan, speed_mps, roads.allowed_mps(actor.id), brakes, tick_s)
-        order = command(actor.id, plan, speed, waiting.pushy, watch.moves_over)
-        if order is not None:
-            orders.append(order)
-        elif watch.held:
-            orders.append(ActorCommand(actor_id=actor.id, speed_mps=LET_GO))
-        moves_over = watch.moves_over if order is None else bool(order.aside_m)
-        could_pass, held = plan.could_pass, order is not None
-        return replace(watch, waiting=waiting, could_pass=could_pass, held=held, moves_over=moves_over)
+        return command(actor.id, plan, speed, waiting.pushy, watch.moves_over), waiting
