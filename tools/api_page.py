@@ -90,7 +90,10 @@ def _named(*things: type | object) -> Iterator[tuple[str, str]]:
 
 
 def _options() -> Iterator[tuple[str, str]]:
-    """Name and text of the fields of `EnvOptions`, each followed by what is said of it, and of `WheelchairEnv` alone."""
+    """Name and text of the fields of `EnvOptions`, each followed by what is said of it.
+
+    And of `WheelchairEnv` alone.
+    """
     (told,) = ast.parse(inspect.getsource(EnvOptions)).body
     for field, said in pairwise(getattr(told, "body", [])):
         if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):

@@ -11,6 +11,8 @@ import pytest
 
 from tests.support.worlds import follow, open_world
 from tests.towns.made.big import make_big_town
+from wcsim.physics.engine import Engine
+from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.towns.ground.tiles import TILE_M
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -23,7 +25,7 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
     town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     with open_world(town) as world:
         follow(world)
-        near, everything = set(world._solid), set(world.street.tiles.keys)
+        near, everything = set(world._open.tiles), set(world.street.tiles.keys)
         assert 0 < len(near) < 0.6 * len(everything)
         here = world.snapshot.clients[0].plant.p_WB_m[:2]
         starts = [edge.points_W_m[0] for edge in world.street.walk.edges if edge.kind is WayKind.SIDEWALK]
@@ -32,8 +34,25 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
         assert far in everything - near
         world.put_chair(0, place, 0.0)
         follow(world)
-        assert far in world._solid
+        assert far in world._open.tiles
         assert abs(world.snapshot.clients[0].plant.p_WB_m[2] - 0.12) < 0.03  # it stands on the new tile's pavement
+
+
+def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypatch):
+    happened = []
+    place, add_street = Wheelchair.place, Engine.add_street
+    monkeypatch.setattr(Wheelchair, "place", lambda self, *at: happened.append(self.seat) or place(self, *at))
+    monkeypatch.setattr(Engine, "add_street", lambda self, *mesh: happened.append("tile") or add_street(self, *mesh))
+    town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+    with open_world(town, seats=2) as world:
+        assert happened[0] == "tile" and happened[-2:] == [0, 1] and happened.count(0) == happened.count(1) == 1
+        for begin in (lambda: world.respawn(1), lambda: world.put_chair(1, np.array((-250.0, -250.0)), 0.0)):
+            happened.clear()
+            begin()
+            assert happened[-1] == 1 and set(happened[:-1]) <= {"tile"}
+        happened.clear()
+        follow(world)
+        assert happened == []  # what a tick could need was there
 
 
 def _tile(p_W_m):

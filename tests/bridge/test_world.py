@@ -43,7 +43,7 @@ def test_every_actor_near_a_chair_has_a_body_and_no_other(corner):
         seen: set[ActorKind] = set()
         for _ in range(150):
             snapshot = follow(world)
-            bodies = world._bodies.poses()
+            bodies = world._open.bodies.poses()
             moved = {actor.id for actor in snapshot.actors}
             assert set(bodies) == moved
             for actor in snapshot.actors:

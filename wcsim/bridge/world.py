@@ -17,36 +17,27 @@ import numpy as np
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
-from wcsim.bridge.mirror_check import MirrorCheck
-from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.reaction.attention import street_habits
+from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import ChairInStreet, in_street, on_level
-from wcsim.bridge.reaction.drivers import StreetReaction
-from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.open_scenario import open_scenario
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
+from wcsim.bridge.tile_loader import TileLoader
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
-from wcsim.physics.engine import Engine
-from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot, TileKey
+from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot
 from wcsim.types.street import FLAT, joined_mesh
 
 SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
-TILE_REACH_M = 30.0  # the street so far around a chair is in the engine, and so far beyond its cameras' range in sight
-TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
 
 
 class World:
@@ -77,18 +68,21 @@ class World:
         self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
-        self._drawn: dict[TileKey, GeometryStore] = {}
-        self._engine: Engine | None = None
+        self._epoch: Epoch | None = None
+        self._tick = 0
+        self._chairs: tuple[ChairInStreet, ...] = ()  # as the street sees them in this tick
         self._actors: tuple[ActorState, ...] = ()
+        self._before: dict[str, ActorState] = {}  # the actors a tick ago, by id
         self._signals: tuple[SignalState, ...] = ()
-        self.snapshot: Snapshot
         self._held = ExitStack()
         try:
             rig = CameraRig(joined_mesh(()), config.cameras, max(1, len(specs)), self.street.signal_heads)
             self._rig = self._held.enter_context(rig)
+            range_m = max(camera.range_m for camera in config.cameras)
+            self._loader = TileLoader(self.street.tiles, rig, range_m)
             self.scenario = open_scenario(town, settings_of(config, seeding.derive(seed, "sumo")), place, self._held)
             self._sumo = self._held.enter_context(SumoSession(self._options(seed, place.hook)))
-            self._begin(seed)
+            self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
             raise
@@ -109,7 +103,7 @@ class World:
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """A new epoch: everything from its beginning, as a new world with this seed and these chairs would be."""
         self._sumo.rebuild(seeding.derive(seed, "sumo"))
-        self._begin(seed, out)
+        self.snapshot = self._begin(seed, out)
         return self.snapshot
 
     def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
@@ -124,7 +118,7 @@ class World:
 
         Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
         """
-        new = self._seating.admit(self._open_engine, seat, spec)
+        new = self._seating.admit(self._open.engine, seat, spec)
         actors, signals = self._actors, self._signals
         try:
             return self._joined(new, out)
@@ -137,7 +131,7 @@ class World:
         """Take a seat's chair out of the street, now. Raises ProtocolError when the seat is free or not there."""
         self._seating.dismiss(seat)
         self._rig.reset(seat)  # its last images may be in somebody's buffers
-        self._read_street()
+        self._read_actors()
         self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
     def counts(self) -> tuple[int, int]:
@@ -147,11 +141,11 @@ class World:
     def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
         """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
-        chair = self._seating.at(seat).chair
-        chair.place(p_W_m, yaw_rad)
-        self._reach_street()
-        chair.place(p_W_m, yaw_rad)  # tilted as the ground is that was not there before
-        self._read_street()
+        moved, places_W_m = self._seating.at(seat), self._places()
+        places_W_m[self.seats.index(moved)] = p_W_m[:2]
+        self._load_tiles(places_W_m)
+        moved.chair.place(p_W_m, yaw_rad)
+        self._read_actors()
 
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
@@ -164,9 +158,9 @@ class World:
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
         self._held.close()
-        if self._engine is not None:
-            self._engine.close()
-            self._engine = None
+        if self._epoch is not None:
+            self._epoch.engine.close()
+            self._epoch = None
 
     def __enter__(self) -> World:
         return self
@@ -177,43 +171,48 @@ class World:
     # --- the five lines ---
 
     def _react(self, commands: Sequence[Command]) -> None:
+        """The street sees the chairs of tick n: drivers brake or pass, people stop."""
         self._check(commands)
         with self.stopwatch.measure("react"):
             self._chairs = tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
             pilot = self._sumo.pilot
             here = self._level(self._actors)
-            orders = self._street.react(here, self._chairs, pilot)
-            for order in (*orders, *self._deflection.holds(here, self._chairs)):
+            orders = self._open.drivers.react(here, self._chairs, pilot)
+            for order in (*orders, *self._open.people.holds(here, self._chairs)):
                 pilot.apply(order)
 
     def _step(self) -> None:
+        """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
             self._sumo.step()
 
     def _mirror(self) -> None:
+        """The engine gets a body for every actor near a chair, and the street under and around the chairs."""
         with self.stopwatch.measure("read"):
             near = self._shown(self._admitted(self._near_chairs(), self._chairs))
         with self.stopwatch.measure("mirror"):
             self._before = {actor.id: actor for actor in self._actors}
-            self._deflection.update(self._level(near), self._chairs)
+            self._open.people.update(self._level(near), self._chairs)
             self._take(near)
-            self._bodies.place(mirror.moves(self._before, self._actors, self.config.world.tick_s))
+            self._open.bodies.place(mirror.moves(self._before, self._actors, self.config.world.tick_s))
+        self._load_tiles(self._places())
 
     def _drive(self, commands: Sequence[Command]) -> None:
-        self._reach_street()
+        """The chairs are driven, substep by substep."""
+        engine = self._open.engine
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
             for _ in range(self.config.world.substeps):
                 for seat in self.seats:
                     seat.chair.before_step()
-                self._open_engine.step()
+                engine.step()
                 for seat in self.seats:
                     seat.chair.after_step()
-        with self.stopwatch.measure("mirror"):
-            self._guard.check(self._actors)
 
     def _sense(self, out: ImageSink | None) -> Snapshot:
+        """Everything is measured at tick n + 1, users look and move their hands, and who has ended begins again."""
+        self._check_mirror()
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
@@ -226,34 +225,30 @@ class World:
 
     # --- what they need ---
 
-    def _begin(self, seed: int, out: ImageSink | None = None) -> None:
+    def _begin(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        self._actors, self._before = (), dict[str, ActorState]()
-        self._signals = ()
-        self._habits = street_habits(self.config.world, seeding.derive(seed, "street"))
-        self._swing = SwingOut(self.street.grid, self.config.world.tick_s)
-        self._street = StreetReaction(self.config.world, self._habits, self._swing)
-        self._deflection = PedestrianAvoidance(self.street.grid, self.config.world.tick_s, self._habits.people)
+        self._actors, self._before, self._signals = (), {}, ()
         for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
             self._sumo.step()
-        if self._engine is not None:
-            self._engine.close()
-        self._engine = Engine(self.config.world.tick_s / self.config.world.substeps)
-        self._solid: set[TileKey] = set()
-        self._bodies = BodyPool(self._engine)
-        self._guard = MirrorCheck(self._bodies)
-        self._articulation = Articulation()
+        if self._epoch is not None:
+            self._epoch.engine.close()
+        self._epoch = new_epoch(self.config, self.street.grid, seed)
         self._rig.begin(seed)
-        self._seating.build(self._engine, seed)
-        self.snapshot = self._published(self._open_episodes(self.seats, out))
+        self._seating.build(self._epoch.engine, seed)
+        return self._published(self._open_episodes(self.seats, out))
 
     def _check(self, commands: Sequence[Command]) -> None:
         """Refuse commands for another tick before anything has moved. Raises ProtocolError."""
         got = [(c.seat, c.tick) for c in commands]
         if got != [(seat.index, self._tick) for seat in self.seats]:
             raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
+
+    def _check_mirror(self) -> None:
+        """Raises PhysicsError when the bodies are not where the actors are."""
+        with self.stopwatch.measure("mirror"):
+            self._open.check.check(self._actors)
 
     def _joined(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """Begin a seat's next episode and show it in the snapshot of now."""
@@ -263,17 +258,19 @@ class World:
         return client
 
     def _open_episodes(self, seats: Sequence[Ego], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
-        """Begin the next episode of these seats: all are placed before any of them looks around."""
+        """Begin the next episode of these seats: all stand, once the street is there, before any looks around."""
         for seat in seats:
-            seat.spawn(self._taken, self._habits)
+            seat.spawn(self._taken, self._open.attention)
             self._rig.reset(seat.index)
             if seat.fitting is not None:
                 self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)
         if seats:
-            self._reach_street()
-            self._read_street()
+            self._load_tiles(self._places())
         for seat in seats:
             seat.stand()
+        if seats:
+            self._read_actors()
+        for seat in seats:
             seat.look(self._sumo.time_s(), self._others(seat), self._signals)
         return tuple(self._seen(seat, out, first=True) for seat in seats)
 
@@ -295,37 +292,22 @@ class World:
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
-    def _reach_street(self) -> None:
-        """Bring the street near every chair into memory: into the engine for good, into the pictures for now."""
-        tiles, here_W_m = self.street.tiles, self._places()
-        sight_m = max(camera.range_m for camera in self.config.cameras) + TILE_REACH_M
-        under = [key for key in tiles.near(here_W_m, TILE_REACH_M) if key not in self._solid]
-        drawn = self._drawn.keys() >= set(tiles.near(here_W_m, sight_m))
-        if drawn and not under:
-            return
-        with self.stopwatch.measure("street"):
-            for key in under:
-                self._open_engine.add_street(tiles.mesh(key))
-                self._solid.add(key)
-            if not drawn:
-                keys = tiles.near(here_W_m, sight_m + TILE_KEEP_M)
-                old = self._drawn
-                self._drawn = {key: old.get(key) or GeometryStore(tiles.mesh(key)) for key in keys}
-                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
+    def _load_tiles(self, places_W_m: F64) -> None:
+        self._loader.load(places_W_m, self._open.engine, self._open.tiles, self.stopwatch)
 
-    def _read_street(self) -> None:
-        """See the street again, after a chair has moved to another place."""
+    def _read_actors(self) -> None:
+        """See the actors near the chairs again, after a chair has moved to another place."""
         self._take(self._shown(self._near_chairs()))
 
     def _take(self, near: tuple[ActorState, ...]) -> None:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        there = mirror.on_ground(self._deflection.shifted(near), self.street.grid)
+        there = mirror.on_ground(self._open.people.shifted(near), self.street.grid)
         self._actors = mirror.walked(self._before, there, self.config.world.tick_s)
         self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
-        return self._articulation.bent(self._swing.shown(near, self._sumo.pilot))
+        return self._open.articulation.bent(self._open.wide_turns.shown(near, self._sumo.pilot))
 
     def _near_chairs(self) -> tuple[ActorState, ...]:
         """The actors near any chair as SUMO has them."""
@@ -333,7 +315,7 @@ class World:
 
     def _places(self) -> F64:
         """Where the chairs are, (n, 2)."""
-        return np.array([seat.chair.state().p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
+        return np.array([seat.plant.p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
@@ -346,7 +328,7 @@ class World:
 
     def _admitted(self, near: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """All but those that SUMO has just put on top of a chair; these leave the street again."""
-        away = self._street.turned_away(self._level(near), chairs, self._sumo.come)
+        away = self._open.drivers.turned_away(self._level(near), chairs, self._sumo.come)
         for actor_id in away:
             self._sumo.turn_away(actor_id)
         return tuple(actor for actor in near if actor.id not in away) if away else near
@@ -385,10 +367,10 @@ class World:
         return self.config.world.warmup_s if town_s is None else town_s
 
     @property
-    def _open_engine(self) -> Engine:
-        if self._engine is None:
+    def _open(self) -> Epoch:
+        if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
-        return self._engine
+        return self._epoch
 
 
 def as_users_wish(snapshot: Snapshot) -> tuple[Command, ...]:

@@ -25,7 +25,7 @@ def empty_world(corner: Path, *overrides: str, seats: int = 3, seed: int = 2, ep
 
 def bodies(world: World) -> int:
     """Bodies of PyBullet that are no pooled actors."""
-    return int(pybullet.getNumBodies(physicsClientId=world._open_engine.client)) - world._bodies.made
+    return int(pybullet.getNumBodies(physicsClientId=world._open.engine.client)) - world._open.bodies.made
 
 
 def present(world: World) -> list[int]:
@@ -150,8 +150,8 @@ def test_the_street_lets_go_of_whom_it_held_when_the_last_chair_leaves(corner):
         world.dismiss(0)
         assert world.snapshot.actors == ()
         follow_for(world, 2)
-        assert world._street.blocked() == () and world._deflection.blocked() == ()
-        assert world._bodies.count == 0
+        assert world._open.drivers.blocked() == () and world._open.people.blocked() == ()
+        assert world._open.bodies.count == 0
 
 
 def test_a_seat_goes_on_with_its_next_episode_and_another_start(corner):
@@ -165,7 +165,7 @@ def test_a_seat_goes_on_with_its_next_episode_and_another_start(corner):
             follow(world)
             world.dismiss(1)
         assert len(set(starts)) == 3
-        parked = world._seating.admit(world._open_engine, 1, SPEC)
+        parked = world._seating.admit(world._open.engine, 1, SPEC)
         assert (parked.begun, parked.spawned) == (6, False)  # it takes nobody's place before it has one
         world._seating.revoke(1)
         world.rebuild(2)

@@ -31,10 +31,8 @@ def straight_tube(length_m=4.5):
 def look(tube, x, y, vx=0.0, vy=0.0, left_m=0.0, skew=0.0, speed=10.0, length_m=4.5):
     now = (10.0 - tube.first_m) / STEP_M
     row = np.array([x, y, 1.0, 0.0, 0.57, 0.31, vx, vy])
-    half_m = (0.5 * length_m, 0.9)
-    return first_touches(
-        tube.poses, (int(now), len(tube.poses)), half_m, left_m, skew, GAPS_M, row, (now, STEP_M / speed)
-    )
+    body = 0.5 * length_m, 0.9, left_m, skew
+    return first_touches(tube.poses, (int(now), len(tube.poses)), body, GAPS_M, row, (now, STEP_M / speed))
 
 
 def test_a_straight_way_touches_where_the_front_meets_the_chair():

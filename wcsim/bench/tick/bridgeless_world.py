@@ -57,17 +57,20 @@ class Twin(World):
         self.engines_s = time.thread_time() - start_s
 
     def _mirror(self) -> None:
-        """Nothing is mirrored."""
+        """Nothing is mirrored; only the street is there."""
+        self._load_tiles(self._places())
+
+    def _check_mirror(self) -> None:
+        """There is none."""
 
     def _drive(self, commands: Sequence[Command]) -> None:
-        self._reach_street()
         for seat, command in zip(self.seats, commands, strict=True):
             seat.command(command.joystick)
         for _ in range(self.config.world.substeps):
             for seat in self.seats:
                 seat.chair.before_step()
             start_s = time.thread_time()
-            self._open_engine.step()
+            self._open.engine.step()
             self.engines_s += time.thread_time() - start_s
             for seat in self.seats:
                 seat.chair.after_step()

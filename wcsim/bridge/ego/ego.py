@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,13 +88,18 @@ class Ego:
         wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Randomization(config, index)
+        self.chair: Wheelchair  # of this epoch: from `build` on
+        self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
+        self.route: Route
+        self._start: Start
         self.fitting: DrawnChair | None = None
-        self.habits: AttentionModel | None = (
-            None  # of the others towards this chair in this episode, when they were drawn
-        )
-        self._seed = 0
+        self.habits: AttentionModel | None = None  # of the others towards this chair, when they were drawn
+        self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
+        self._obstacles = ObstacleWatch(street.grid)
+        self._crossing = CrossingWatch(street.grid, street.walk)
+        self._seed = self._imu_key = 0
         self._episode = -1
-        self._spawned = False
+        self._spawned = self._stands = False
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
@@ -103,8 +108,17 @@ class Ego:
 
     @property
     def spawned(self) -> bool:
-        """Whether this seat's chair stands in the street."""
+        """Whether this seat's chair has a place in the street."""
         return self._spawned
+
+    @property
+    def plant(self) -> PlantState:
+        """Where its chair is and how it moves; until it has been put at its start, at rest there."""
+        plant = self.chair.state()
+        if self._stands or not self._spawned:
+            return plant
+        start = self._start
+        return replace(plant, p_WB_m=start.p_W_m, yaw_rad=start.yaw_rad, v_B_mps=np.zeros(3))
 
     @property
     def begun(self) -> int:
@@ -115,22 +129,24 @@ class Ego:
         """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
         self._seed = seed
         self._episode = begun - 1
-        self._spawned = False
+        self._spawned = self._stands = False
         self._imu_key = seeding.key(seed, "imu", self.index)
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
-        """Begin the next episode: a clear start, a user and a route of its own; `habits` of the street."""
+        """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
+
+        `habits` of the street.
+        """
         self._vary()
         self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
         self._episode += 1
-        self._spawned = True
+        self._spawned, self._stands = True, False
         self._step = 0
         self._progress_m = 0.0
-        self._place = start
-        self.stand()
+        self._start = start
         self.user = self._new_user()
         self._obstacles = ObstacleWatch(self._street.grid)
         self._crossing = CrossingWatch(self._street.grid, self._street.walk)
@@ -153,8 +169,9 @@ class Ego:
         self.chair.command(self._waiting.popleft())
 
     def stand(self) -> None:
-        """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
-        self.chair.place(self._place.p_W_m, self._place.yaw_rad)
+        """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
+        self._stands = True
+        self.chair.place(self._start.p_W_m, self._start.yaw_rad)
         self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
 
     def end_tick(self, tick: int) -> None:
@@ -252,7 +269,7 @@ class Ego:
 
     def as_actor(self) -> ActorState:
         """This chair as other users and the street see it; made once for each state of the chair."""
-        plant = self.chair.state()
+        plant = self.plant
         if self._shown is None or self._shown[0] is not plant:
             self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
         return self._shown[1]
@@ -290,9 +307,9 @@ class Ego:
         )
 
     def _fixed_start(self, spec: StartSpec) -> Start:
-        return self._start(spec.p_W_m, spec.yaw_rad, spec.goal_W_m)
+        return self._start_at(spec.p_W_m, spec.yaw_rad, spec.goal_W_m)
 
-    def _start(self, xy: XY, yaw_rad: float, goal: XY) -> Start:
+    def _start_at(self, xy: XY, yaw_rad: float, goal: XY) -> Start:
         p_W_m = np.array([*xy, float(self._street.grid.height_at(np.array(xy)))])
         return Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
 
@@ -304,7 +321,7 @@ class Ego:
             if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
                 break
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
-        return self._start(xy, yaw_rad, self._draw_goal(rng, xy))
+        return self._start_at(xy, yaw_rad, self._draw_goal(rng, xy))
 
     def _draw_goal(self, rng: np.random.Generator, xy: XY) -> XY:
         return self._router.random_goal(rng, xy, *GOAL_RANGE_M, self._config.world.crossing_share)

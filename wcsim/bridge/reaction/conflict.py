@@ -71,12 +71,12 @@ class ConflictCheck:
         long_m, width_m, _ = self.actor.size_lwh_m
         last = min(len(self.tube.poses), self.now + int(look_m(self.speed_mps, 3.0) / STEP_M) + 2)
         pace = (self.front_m - self.tube.first_m) / STEP_M, STEP_M / max(self.speed_mps, 0.5)
-        half_m = 0.5 * long_m, 0.5 * width_m
-        span, skew = (max(0, self.now), last), 0.0 if straight else self.skew
-        careful = first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace, SOONER_S)
+        body = 0.5 * long_m, 0.5 * width_m, left_m, 0.0 if straight else self.skew
+        span = max(0, self.now), last
+        careful = first_touches(self.tube.poses, span, body, gaps_m, self.row, pace, SOONER_S)
         if self._stands or self._can_stop(careful.at[1]):
             return careful
-        return first_touches(self.tube.poses, span, half_m, left_m, skew, gaps_m, self.row, pace)
+        return first_touches(self.tube.poses, span, body, gaps_m, self.row, pace)
 
     def _can_stop(self, at: int) -> bool:
         """Whether there is room to brake, or nothing to brake for; who cannot stop may still be gone in time."""

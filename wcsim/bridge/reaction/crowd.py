@@ -77,7 +77,7 @@ def crowd_of(
     if not (chairs or offsets):
         return []
     places = [chair.p_W_m.tolist() for chair in chairs]
-    far: dict[str, tuple[float, float]] = {}  # aside, and away from the chairs by now
+    far: list[tuple[float, float]] = []  # of those aside, and away from the chairs by now
     crowd, others = [], []
     for actor in actors:
         if not is_person(actor):
@@ -86,25 +86,26 @@ def crowd_of(
         chair_m = min([math.hypot(x - px, y - py) for px, py in places], default=math.inf)
         offset = offsets.get(actor.id)
         if chair_m > CROWD_M and offset is None:
-            others.append((actor, x, y, chair_m))
+            others.append((actor, chair_m))
             continue
-        ox, oy = offset or (0.0, 0.0)
-        x, y = (x - ox, y - oy) if shifted else (x, y)
-        crowd.append(_walker(actor, x, y, ox, oy, chair_m))
+        walker = _walker(actor, offset or (0.0, 0.0), shifted, chair_m)
+        crowd.append(walker)
         if offset is not None and chair_m > CROWD_M - PEOPLE_AHEAD_M:
-            far[actor.id] = x + ox, y + oy
-    if far:
-        beside = [
-            _walker(actor, x, y, 0.0, 0.0, chair_m)
-            for actor, x, y, chair_m in others
-            if any(abs(x - fx) + abs(y - fy) < 2.0 * PEOPLE_AHEAD_M for fx, fy in far.values())
-        ]
-        crowd = sorted(crowd + beside, key=lambda walker: walker.id)
-    return crowd
+            far.append(walker.at)
+    if not far:
+        return crowd
+    beside = [_walker(actor, (0.0, 0.0), False, chair_m) for actor, chair_m in others if _is_beside(actor, far)]
+    return sorted(crowd + beside, key=lambda walker: walker.id)
 
 
-def _walker(actor: ActorState, x: float, y: float, ox: float, oy: float, chair_m: float) -> Walker:
-    vx, vy, _ = actor.v_W_mps.tolist()
+def _is_beside(actor: ActorState, places: Sequence[tuple[float, float]]) -> bool:
+    x, y, _ = actor.p_W_m.tolist()
+    return any(abs(x - px) + abs(y - py) < 2.0 * PEOPLE_AHEAD_M for px, py in places)
+
+
+def _walker(actor: ActorState, offset: tuple[float, float], shifted: bool, chair_m: float) -> Walker:
+    (x, y, _), (vx, vy, _), (ox, oy) = actor.p_W_m.tolist(), actor.v_W_mps.tolist(), offset
+    x, y = (x - ox, y - oy) if shifted else (x, y)
     return Walker(
         id=actor.id,
         x=x,

@@ -94,9 +94,7 @@ def _first_touches(
 def first_touches(
     poses: F64,
     span: tuple[int, int],
-    half_m: tuple[float, float],
-    left_m: float,
-    skew: float,
+    body: tuple[float, float, float, float],
     gaps_m: F64,
     chair: F64,
     pace: tuple[float, float],
@@ -107,26 +105,24 @@ def first_touches(
     Args:
         poses: (n, 4) x, y, cos, sin of the body's middle along the way.
         span: The poses to look at, first and one past the last.
-        half_m: Half the body's length and width.
-        left_m: How far left of the poses the front runs.
-        skew: Tangent of the angle by which the body is turned against its pose now, as in a change of lanes; its tail
-            comes in line again as it drives on.
+        body: Half its length and width, how far left of the poses its front runs, and its skew: the tangent of the
+            angle by which it is turned against its pose now, as in a change of lanes; its tail comes in line again as
+            it drives on.
         gaps_m: (g,) gaps kept to either side, rising, at least two; the chair's ends are those seen at the second.
         chair: (8,) x, y, cos, sin, half length, half width, velocity x and y.
         pace: Pose index of the body now, and seconds from pose to pose.
         sooner_s: A chair that comes across may be there this much sooner than it seems.
     """
     out = np.empty(len(gaps_m), np.int32)
-    low, high = _first_touches(
-        poses, *span, *half_m, left_m, skew, gaps_m, chair, *pace, sooner_s, out
-    )  # plain numbers: an array of them costs more than the look
+    # plain numbers: an array of them costs more than the look
+    low, high = _first_touches(poses, *span, *body, gaps_m, chair, *pace, sooner_s, out)
     return SweptOverlap(at=tuple(out.tolist()), right_m=low, left_m=high)
 
 
 def room_beside(touch: SweptOverlap, width_m: float, lane_width_m: float) -> tuple[float, ...]:
     """Places of the vehicle's middle, left of the lane's, at which it passes the chair within its lane; nearest first.
 
-    >>> room_beside(Touch(at=(9,), right_m=-1.6, left_m=-1.0), 0.6, 3.2)
+    >>> room_beside(SweptOverlap(at=(9,), right_m=-1.6, left_m=-1.0), 0.6, 3.2)
     (0.3,)
     """
     edge_m = 0.5 * lane_width_m

@@ -221,18 +221,23 @@ class PedestrianAvoidance:
         stand, drive = self._riders(walker, vehicles)
         people += stand + drive
         ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*blocks, *people)), default=0.0)
-        for left_m in ways_round((*blocks, *people), now_m):
-            if left_m == 0.0 or self._open_way(walker, left_m, ahead_m):
-                self._stuck.discard(walker.id)
-                return left_m
+        past_m = self._way_round(walker, (*blocks, *people), ahead_m)
+        if past_m is not None:
+            self._stuck.discard(walker.id)
+            return past_m
         if any(block.blocks(now_m) for block in blocks):
             self._stuck.add(walker.id)
         # No way past the chair: wait, but out of the way of those who have one.
-        for left_m in ways_round(people, now_m):
-            if left_m == 0.0 or self._open_way(walker, left_m, 0.0):
-                return left_m
+        away_m = self._way_round(walker, people, 0.0)
+        if away_m is not None:
+            return away_m
         run_over = any(block.beside and block.blocks(now_m) for block in drive)
         return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
+
+    def _way_round(self, walker: Walker, blocks: Sequence[Block], ahead_m: float) -> float | None:
+        """The nearest place left of its line that no block covers, with walkable ground so far ahead; None if none."""
+        ways_m = ways_round(blocks, walker.left_m)
+        return next((m for m in ways_m if m == 0.0 or self._open_way(walker, m, ahead_m)), None)
 
     def _blocks(self, walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[Block]:
         seen = [

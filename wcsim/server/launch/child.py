@@ -1,23 +1,24 @@
-"""A child process as its launcher holds it: output in a log file, status lines in a pipe, its end in a pidfd."""
+"""A child process as its launcher holds it: output in a log file, status lines in a pipe, its end from its handle."""
 
 from __future__ import annotations
 
 import os
 import selectors
 import signal
-import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
+
+from wcsim.server.launch.spawner import Spawner
 
 _READ_BYTES = 1 << 16
 _MOST_BYTES = 1 << 20  # of a line that does not end
 
 
 class Child:
-    """A running process in a session of its own, so that Ctrl-C at the terminal reaches its launcher alone."""
+    """A running process, whoever has started it."""
 
     def __init__(
-        self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector
+        self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector, spawner: Spawner
     ) -> None:
         """Start it.
 
@@ -25,6 +26,7 @@ class Child:
             argv_of: The command line, given the number of the pipe's end that status lines go to.
             log: Where its output is appended.
             selector: Wakes when there is something to read, or the process has ended.
+            spawner: Starts it.
         """
         log.parent.mkdir(parents=True, exist_ok=True)
         self.log = log
@@ -32,27 +34,21 @@ class Child:
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         try:
-            with log.open("ab") as out:
-                self.log_begin = out.tell()
-                self._process = subprocess.Popen(
-                    argv_of(theirs),
-                    stdin=subprocess.DEVNULL,
-                    stdout=out,
-                    stderr=out,
-                    pass_fds=(theirs,),
-                    start_new_session=True,
-                )
+            log.touch()
+            self.log_begin = log.stat().st_size
+            self._process = spawner.start(argv_of(theirs), None, log, theirs)
         except BaseException:
             os.close(self._pipe)
             raise
         finally:
             os.close(theirs)
         self.pid = self._process.pid
-        self._pidfd = os.pidfd_open(self.pid)
+        self._end_fd = self._process.end_fd
         self._rest = b""
         self._reads = True
         selector.register(self._pipe, selectors.EVENT_READ)
-        selector.register(self._pidfd, selectors.EVENT_READ)
+        if self._end_fd is not None:
+            selector.register(self._end_fd, selectors.EVENT_READ)
 
     def lines(self) -> list[bytes]:
         """The whole status lines that have come since the last call; does not wait."""
@@ -71,20 +67,24 @@ class Child:
         """The exit code, or the negative number of the signal that ended it; None while it runs."""
         return self._process.poll()
 
-    def send(self, number: signal.Signals) -> None:
-        """Send a signal; nothing happens when it has ended."""
-        self._process.send_signal(number)
+    def terminate(self) -> None:
+        """Ask it to end; nothing happens when it has ended."""
+        self._process.terminate()
+
+    def kill(self) -> None:
+        """End it now; nothing happens when it has ended."""
+        self._process.kill()
 
     def close(self) -> None:
         """Kill it if it still runs, and let go of its pipe."""
         if self._process.poll() is None:
             self._process.kill()
+        if self._end_fd is not None:
+            self._selector.unregister(self._end_fd)
+            os.close(self._end_fd)
+            self._end_fd = None
         self._process.wait()
         self._stop_reading()
-        if self._pidfd >= 0:
-            self._selector.unregister(self._pidfd)
-            os.close(self._pidfd)
-            self._pidfd = -1
 
     def last_words(self) -> str:
         """What it said of itself in the end: the last `wcsim: ...` line that it wrote, or the last line of all."""

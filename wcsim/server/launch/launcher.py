@@ -14,11 +14,12 @@ from enum import Enum
 from pathlib import Path
 
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.launch.client_process import ClientRun
 from wcsim.server.launch.event_log import RunLog
+from wcsim.server.launch.spawner import Spawner, SubprocessSpawner
 from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.launch.world_process import WORLD_ARGV, WorldRun
+from wcsim.server.launch.supervised_client import SupervisedClient
+from wcsim.server.launch.supervised_world import SupervisedWorld
 from wcsim.server.specs import WorldSpec
 
 LOOK_S = 0.1
@@ -49,7 +50,7 @@ class Launcher:
         workplace: Path,
         rules: LaunchRules | None = None,
         show: Show | None = None,
-        world_argv: Sequence[str] = WORLD_ARGV,
+        spawner: Spawner | None = None,
         signals: StopSignals | None = None,
     ) -> None:
         """Prepare a launch.
@@ -61,7 +62,7 @@ class Launcher:
             workplace: A folder that only its owner can enter, for the order to the world.
             rules: How long to wait for what.
             show: Called a few times a second.
-            world_argv: The world's program; the path of its order is added.
+            spawner: Starts the processes; None for processes of this machine.
             signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
         """
         self._rules = rules if rules is not None else LaunchRules()
@@ -69,10 +70,12 @@ class Launcher:
         self._selector = selectors.DefaultSelector()
         log = RunLog(folder)
         self._log = log
-        self._clients = [ClientRun(plan, self._rules, self._selector, log) for plan in clients]
+        spawner = SubprocessSpawner() if spawner is None else spawner
+        self._clients = [SupervisedClient(plan, self._rules, self._selector, spawner, log) for plan in clients]
         self._serves = not self._clients
-        self._world = WorldRun(
-            world, workplace / "world.json", folder / "logs" / "world.log", self._rules, self._selector, log, world_argv
+        world_log = folder / "logs" / "world.log"
+        self._world = SupervisedWorld(
+            world, workplace / "world.json", world_log, self._rules, self._selector, spawner, log
         )
         self._step = LaunchStep.RUN
         self._since_s = 0.0  # of this step
@@ -91,7 +94,7 @@ class Launcher:
             with nullcontext() if self._given is not None else self._heard:
                 self._world.start(clock.now_s)
                 for client in self._clients:
-                    client.start()
+                    client.start(clock.now_s)
                 while self._step is not LaunchStep.OVER:
                     self._selector.select(LOOK_S)
                     self._look(clock.look(time.monotonic()))
@@ -124,7 +127,8 @@ class Launcher:
     def _look(self, now_s: float) -> None:
         self._world.look(now_s)
         for client in self._clients:
-            client.look(now_s, self._world.status if self._world.running else None)
+            client.see(self._world.status if self._world.running else None)
+            client.look(now_s)
         if self._signals > 1:
             self._kill_all()
         if self._step is LaunchStep.RUN:

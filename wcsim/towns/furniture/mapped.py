@@ -153,8 +153,8 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     if band.is_empty:
         return []
     near = band.buffer(2.0).bounds
-    lines, low, solids = (patches.near(near) for patches in site.near)
-    blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solids])
+    lines, low, solid = (patches.near(near) for patches in site.near)
+    blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
     return [
         StandingObject(
             piece=solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),

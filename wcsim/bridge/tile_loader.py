@@ -1,0 +1,41 @@
+"""Brings the street near the wheelchairs into memory: tiles for the engine, for good, and for the pictures, for now."""
+
+from __future__ import annotations
+
+from wcsim.bridge.stage_timer import Stopwatch
+from wcsim.physics.engine import Engine
+from wcsim.physics.renderer.geometry import GeometryStore
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.types import F64, TileKey
+from wcsim.types.street import StreetTiles
+
+TILE_REACH_M = 30.0  # the street so far around a chair is in the engine, and so far beyond its cameras' range in sight
+TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
+
+
+class TileLoader:
+    """Knows which tiles the cameras have; what an engine has, it is told."""
+
+    def __init__(self, tiles: StreetTiles, rig: CameraRig, range_m: float) -> None:
+        """Nothing is loaded yet; cameras see `range_m` far."""
+        self._tiles, self._rig = tiles, rig
+        self._sight_m = range_m + TILE_REACH_M
+        self._drawn: dict[TileKey, GeometryStore] = {}
+
+    def load(self, places_W_m: F64, engine: Engine, loaded: set[TileKey], stopwatch: Stopwatch) -> None:
+        """Have the street around these places (n, 2) there; `loaded` are the tiles in the engine, and grows with it.
+
+        What there is to do is measured as "street".
+        """
+        under = [key for key in self._tiles.near(places_W_m, TILE_REACH_M) if key not in loaded]
+        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
+        if drawn and not under:
+            return
+        with stopwatch.measure("street"):
+            for key in under:
+                engine.add_street(self._tiles.mesh(key))
+                loaded.add(key)
+            if not drawn:
+                keys, old = self._tiles.near(places_W_m, self._sight_m + TILE_KEEP_M), self._drawn
+                self._drawn = {key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys}
+                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
