@@ -24,9 +24,9 @@ import json, sys
 import {client.__name__}, {seated_env.__name__}
 from wcsim import WheelchairEnv
 from wcsim.config import RunConfig
-from wcsim.server.specs import JoinOrder, of_line
+from wcsim.server.specs import SeatRequest, of_line
 config = RunConfig.model_validate_json(sys.argv[2])
-env = WheelchairEnv(config=config, join=of_line(JoinOrder, sys.argv[1].encode()))
+env = WheelchairEnv(config=config, join=of_line(SeatRequest, sys.argv[1].encode()))
 env.reset()
 for _ in range(3):
     step = env.step(40)

@@ -251,7 +251,6 @@ SAME_FILE_NAME = {
     "build": "a scene's folder, and a learner of its settings",
     "camera": "the sensor, and the command of its bench",
     "chair": "its section of a run file, what crosses borders of it, and the command of its bench",
-    "client_process": "a client as its launcher sees it, and from inside",
     "command": "the commands of a group",
     "compare": "plants, and pictures with an oracle's",
     "drives": "of the users' bench, and of the crashes'",

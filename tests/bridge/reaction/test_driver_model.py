@@ -11,11 +11,11 @@ from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.conflict import approach_mps
 from wcsim.bridge.reaction.driver_model import (
+    DriverPlan,
     Encounter,
     Passing,
-    Plan,
     Steering,
-    Waiting,
+    WaitingTimes,
     braking,
     command,
     conflict_pose,
@@ -205,17 +205,17 @@ def test_who_is_half_way_into_a_lane_is_told_again(left, toward, expected):
 def test_room_to_steer_out_is_kept_by_who_changes_lanes_straddles_or_leaves_a_junction():
     it, kept_mps = at(-1, 47), approach_mps(20.0 - 2.0 - 4.5, BRAKE_MPS2, TICK_S)
     straddling = at(-1, 47, left=0.9)
-    assert steering_out(it, Plan(), Passing(), 20.0, 0.0) == Steering()
-    changes = steering_out(it, Plan(), Passing(lane_index=1), 20.0, 0.0)
+    assert steering_out(it, DriverPlan(), Passing(), 20.0, 0.0) == Steering()
+    changes = steering_out(it, DriverPlan(), Passing(lane_index=1), 20.0, 0.0)
     assert changes == Steering(lane_index=1, limit_mps=kept_mps)
-    assert steering_out(it, Plan(lane_index=2), Passing(), 20.0, 0.0).lane_index == 2
-    assert steering_out(it, Plan(lane_index=2), Passing(lane_index=1), 20.0, 0.0).lane_index == 1
-    assert steering_out(straddling, Plan(), Passing(), 20.0, 0.0) == Steering(limit_mps=kept_mps)
-    assert steering_out(straddling, Plan(), Passing(speed_mps=1.0), 20.0, 0.0) == Steering()
-    assert steering_out(at(30, FRONT, left=0.9), Plan(), Passing(), 20.0, 0.0) == Steering()
-    leaves = steering_out(it, Plan(), Passing(), 20.0, 15.0)
+    assert steering_out(it, DriverPlan(lane_index=2), Passing(), 20.0, 0.0).lane_index == 2
+    assert steering_out(it, DriverPlan(lane_index=2), Passing(lane_index=1), 20.0, 0.0).lane_index == 1
+    assert steering_out(straddling, DriverPlan(), Passing(), 20.0, 0.0) == Steering(limit_mps=kept_mps)
+    assert steering_out(straddling, DriverPlan(), Passing(speed_mps=1.0), 20.0, 0.0) == Steering()
+    assert steering_out(at(30, FRONT, left=0.9), DriverPlan(), Passing(), 20.0, 0.0) == Steering()
+    leaves = steering_out(it, DriverPlan(), Passing(), 20.0, 15.0)
     assert leaves == Steering(limit_mps=approach_mps(15.0, BRAKE_MPS2, TICK_S))
-    half_way = Plan(toward=("E", 1))
+    half_way = DriverPlan(toward=("E", 1))
     again = steering_out(straddling, half_way, Passing(), 20.0, 0.0)
     assert again == Steering(lane_index=1, limit_mps=kept_mps, resumed=True)
     assert not steering_out(straddling, half_way._replace(lane_index=1), Passing(), 20.0, 0.0).resumed
@@ -234,13 +234,13 @@ def test_a_narrow_gap_is_driven_slowly_where_the_front_half_clears():
 def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
     roads = StraightRoads(lanes=2)
     near, far = encounter(chair(30.0), roads=roads), encounter(chair(55.0), roads=roads)
-    one = considered(Plan(), near, roads, impatient=False)
+    one = considered(DriverPlan(), near, roads, impatient=False)
     both = considered(one, far, roads, impatient=False)
-    other = considered(considered(Plan(), far, roads, impatient=False), near, roads, impatient=False)
-    assert considered(Plan(), far, roads, impatient=False).keep_lane and not too_near_to_change_lanes(far)
+    other = considered(considered(DriverPlan(), far, roads, impatient=False), near, roads, impatient=False)
+    assert considered(DriverPlan(), far, roads, impatient=False).keep_lane and not too_near_to_change_lanes(far)
     assert one.lane_index == 1 and one.could_pass and one.keep_lane and one.toward == ("E", 1)
     assert both == other and both.limit_mps == one.limit_mps and both.nearest_m == one.nearest_m < math.inf
-    beside = considered(Plan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
+    beside = considered(DriverPlan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
     assert beside.nearest_m == math.inf and beside.limit_mps < 20.0  # passes it, but not fast
     assert beside.keep_lane and not beside.could_pass
 
@@ -248,7 +248,7 @@ def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
 def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
     roads = StraightRoads(sublanes=False)
     it = encounter(chair(4.5, 1.45), actor(speed=0.0), roads)
-    patient, impatient = (considered(Plan(aside_m=0.3), it, roads, impatient=is_so) for is_so in (False, True))
+    patient, impatient = (considered(DriverPlan(aside_m=0.3), it, roads, impatient=is_so) for is_so in (False, True))
     assert patient.limit_mps < 0.8 and patient.aside_m == 0.3
     assert (impatient.limit_mps, impatient.aside_m, impatient.lane_index) == (0.8, 0.0, None)
 
@@ -258,24 +258,24 @@ def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
     [(0.0, 5.9, 0.0, 1.1), (0.21, 5.9, 0.0, 0.0), (0.0, 6.0, 0.0, 0.0), (0.0, 5.9, 0.1, 0.0)],
 )
 def test_only_who_stands_near_a_chair_because_of_it_is_counted_as_standing(limit, nearest, speed, stands_s):
-    plan = Plan(limit_mps=limit, nearest_m=nearest)
-    assert waited(Waiting(stands_s=1.0), plan, speed, 0.1).stands_s == pytest.approx(stands_s)
+    plan = DriverPlan(limit_mps=limit, nearest_m=nearest)
+    assert waited(WaitingTimes(stands_s=1.0), plan, speed, 0.1).stands_s == pytest.approx(stands_s)
 
 
 def test_waiting_for_a_way_round_makes_pushy_and_standing_makes_ready_to_squeeze():
-    there_is_one, stands = Plan(could_pass=True), Plan(limit_mps=0.0, nearest_m=1.0)
-    waits = waited(Waiting(waits_s=8.0), there_is_one, 0.9, 0.1)
-    assert waits.pushy and not Waiting(waits_s=8.0).pushy
+    there_is_one, stands = DriverPlan(could_pass=True), DriverPlan(limit_mps=0.0, nearest_m=1.0)
+    waits = waited(WaitingTimes(waits_s=8.0), there_is_one, 0.9, 0.1)
+    assert waits.pushy and not WaitingTimes(waits_s=8.0).pushy
     assert waited(waits, there_is_one, 1.0, 0.1).waits_s == 0.0
-    assert waited(waits, Plan(), 0.0, 0.1).waits_s == 0.0
-    assert not waited(Waiting(stands_s=7.8), stands, 0.0, 0.1).squeezes
-    squeezes = waited(Waiting(stands_s=8.0), stands, 0.0, 0.1)
+    assert waited(waits, DriverPlan(), 0.0, 0.1).waits_s == 0.0
+    assert not waited(WaitingTimes(stands_s=7.8), stands, 0.0, 0.1).squeezes
+    squeezes = waited(WaitingTimes(stands_s=8.0), stands, 0.0, 0.1)
     assert squeezes.squeezes and waited(squeezes, there_is_one, 5.0, 0.1).squeezes
 
 
 def test_the_service_brake_is_exceeded_only_where_it_does_not_do():
     def ordered(limit, nearest, speed, brakes=BRAKES):
-        return braking(Plan(limit_mps=limit, nearest_m=nearest), speed, 13.9, brakes, TICK_S)
+        return braking(DriverPlan(limit_mps=limit, nearest_m=nearest), speed, 13.9, brakes, TICK_S)
 
     assert ordered(13.9, 3.0, 10.0) == (LET_GO, False)
     assert ordered(9.0, math.inf, 10.0) == (9.0, False)
@@ -292,12 +292,12 @@ def test_a_command_is_given_only_where_sumo_would_do_something_else():
     def told(plan, speed=(LET_GO, False), moved_over=False):
         return command("v:car", plan, speed, False, moved_over)
 
-    assert told(Plan()) is None
-    assert told(Plan(), (3.0, True)).hard
-    assert told(Plan(keep_lane=True)).keep_lane
-    assert told(Plan(lane_index=0)).lane_index == 0
-    assert told(Plan(aside_m=0.3)).aside_m == 0.3
-    assert told(Plan(aside_m=0.01)).aside_m is None
-    assert told(Plan(aside_m=0.01), moved_over=True).aside_m == 0.0
-    assert told(Plan(lane_index=1), moved_over=True).aside_m is None
-    assert command("v:car", Plan(keep_lane=True), (LET_GO, False), True, False).pushy
+    assert told(DriverPlan()) is None
+    assert told(DriverPlan(), (3.0, True)).hard
+    assert told(DriverPlan(keep_lane=True)).keep_lane
+    assert told(DriverPlan(lane_index=0)).lane_index == 0
+    assert told(DriverPlan(aside_m=0.3)).aside_m == 0.3
+    assert told(DriverPlan(aside_m=0.01)).aside_m is None
+    assert told(DriverPlan(aside_m=0.01), moved_over=True).aside_m == 0.0
+    assert told(DriverPlan(lane_index=1), moved_over=True).aside_m is None
+    assert command("v:car", DriverPlan(keep_lane=True), (LET_GO, False), True, False).pushy

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.config import CameraConfig, ChairConfig
+from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
 from wcsim.physics.sensors.camera import camera_matrix, mount, pinhole, pose_of
@@ -38,7 +39,7 @@ class NaiveLoop:
         self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
         self.actors: dict[str, tuple[int, float]] = {}
         self.substeps = substeps
-        pybullet.setGravity(0, 0, -9.81, physicsClientId=self.client)
+        pybullet.setGravity(0, 0, -GRAVITY_MPS2, physicsClientId=self.client)
         pybullet.setTimeStep(tick_s / substeps, physicsClientId=self.client)
         for vertices, indices in things(mesh):
             self._solid(vertices, indices)

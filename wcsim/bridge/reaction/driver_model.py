@@ -87,7 +87,7 @@ class Steering(NamedTuple):
     resumed: bool = False  # it is half way there, and only told again
 
 
-class Plan(NamedTuple):
+class DriverPlan(NamedTuple):
     """What a vehicle should do, over all chairs that its driver has looked at."""
 
     limit_mps: float = math.inf
@@ -99,7 +99,7 @@ class Plan(NamedTuple):
     toward: tuple[str, int] | None = None  # edge and lane of the last change of lanes
 
 
-class Waiting(NamedTuple):
+class WaitingTimes(NamedTuple):
     """How long a driver has been kept by wheelchairs."""
 
     stands_s: float = 0.0
@@ -128,7 +128,7 @@ def perceive(
     )
 
 
-def considered(before: Plan, it: Encounter, roads: Roads, impatient: bool) -> Plan:
+def considered(before: DriverPlan, it: Encounter, roads: Roads, impatient: bool) -> DriverPlan:
     """The plan of a driver who has thought of one chair more: the least speed, and the last way round that was found.
 
     One who is `impatient` has stood so long that a gap that just clears will do.
@@ -143,7 +143,7 @@ def considered(before: Plan, it: Encounter, roads: Roads, impatient: bool) -> Pl
     steering = steering_out(it, before, passing, distance_m, junction_left_m(it, roads))
     limit_mps = min(passing_mps(it, passing, limit_mps), steering.limit_mps)
     narrow_mps = narrow_gap_mps(it, at) if impatient else None
-    plan = Plan(
+    plan = DriverPlan(
         limit_mps=min(before.limit_mps, limit_mps if narrow_mps is None else max(limit_mps, narrow_mps)),
         nearest_m=min(before.nearest_m, distance_m),
         keep_lane=keep_lane or passing.possible,
@@ -241,7 +241,7 @@ def free_lane(it: Encounter, beside: tuple[int, ...]) -> int | None:
 # --- steering out ---
 
 
-def steering_out(it: Encounter, before: Plan, passing: Passing, distance_m: float, enters_m: float) -> Steering:
+def steering_out(it: Encounter, before: DriverPlan, passing: Passing, distance_m: float, enters_m: float) -> Steering:
     """The lane that a vehicle steers for, and the speed at which it stops before there is no room left to steer.
 
     A vehicle that is half way into another lane, or still inside a junction, keeps that room though it knows no way
@@ -294,19 +294,19 @@ def narrow_gap_mps(it: Encounter, at: int) -> float | None:
 # --- which command ---
 
 
-def waited(before: Waiting, plan: Plan, speed_mps: float, tick_s: float) -> Waiting:
+def waited(before: WaitingTimes, plan: DriverPlan, speed_mps: float, tick_s: float) -> WaitingTimes:
     """How long a driver has waited when this tick is counted too."""
     stands = speed_mps < 0.1 and plan.limit_mps <= SIDLE_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
     waits = plan.could_pass and speed_mps < CREEP_MPS
     stands_s = before.stands_s + tick_s if stands else 0.0
-    return Waiting(
+    return WaitingTimes(
         stands_s=stands_s,
         waits_s=before.waits_s + tick_s if waits else 0.0,
         squeezes=before.squeezes or stands_s > IMPATIENT_S,
     )
 
 
-def braking(plan: Plan, speed_mps: float, free_mps: float, brakes: Brakes, tick_s: float) -> tuple[float, bool]:
+def braking(plan: DriverPlan, speed_mps: float, free_mps: float, brakes: Brakes, tick_s: float) -> tuple[float, bool]:
     """The speed that is commanded, and whether it takes more than the service brake.
 
     SUMO drives at `free_mps` by itself.
@@ -320,7 +320,9 @@ def braking(plan: Plan, speed_mps: float, free_mps: float, brakes: Brakes, tick_
     return max(0.0, floor_mps, min(plan.limit_mps, speed_mps)), True
 
 
-def command(actor_id: str, plan: Plan, speed: tuple[float, bool], pushy: bool, moved_over: bool) -> ActorCommand | None:
+def command(
+    actor_id: str, plan: DriverPlan, speed: tuple[float, bool], pushy: bool, moved_over: bool
+) -> ActorCommand | None:
     """What carries out a plan with this speed from `braking`; None when SUMO does it by itself.
 
     It is `pushy` who takes smaller gaps in the next lane; who `moved_over` was told to do so a tick ago: SUMO remembers

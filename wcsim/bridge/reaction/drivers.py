@@ -17,7 +17,7 @@ from typing import NamedTuple
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet, is_person
 from wcsim.bridge.reaction.conflict import lands_on, look_m
-from wcsim.bridge.reaction.driver_model import Plan, Waiting, braking, command, considered, perceive, waited
+from wcsim.bridge.reaction.driver_model import DriverPlan, WaitingTimes, braking, command, considered, perceive, waited
 from wcsim.bridge.reaction.swept_path import Brakes, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
 from wcsim.config import WorldConfig
@@ -31,7 +31,7 @@ class _Watch(NamedTuple):
     """What the reaction remembers of a vehicle that has a chair near its way."""
 
     brakes: Brakes
-    waiting: Waiting = Waiting()
+    waiting: WaitingTimes = WaitingTimes()
     seen_s: Mapping[AttentionModel, float] = MappingProxyType({})  # since chairs are near, by its habits towards them
     could_pass: bool = False
     held: bool = False
@@ -171,7 +171,7 @@ class StreetReaction:
         near: Sequence[_Seen],
         roads: Roads,
         fresh: bool,
-    ) -> tuple[Plan | None, tuple[str, int] | None, dict[AttentionModel, float]]:
+    ) -> tuple[DriverPlan | None, tuple[str, int] | None, dict[AttentionModel, float]]:
         """What a driver wants to do about the chairs that it has had time to notice, each with its row.
 
         None when there are none; then the lane that it was told to change to, and since when it sees chairs near its
@@ -179,8 +179,8 @@ class StreetReaction:
         """
         here, tick_s = roads.lane(place.lane_id), self._config.tick_s
         brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
-        heeded: Plan | None = None
-        early, toward = Plan(), watch.toward
+        heeded: DriverPlan | None = None
+        early, toward = DriverPlan(), watch.toward
         seen_s: dict[AttentionModel, float] = {}
         for chair, row in near:
             encounter = perceive(actor, place, here, tube, chair, row, brake_mps2, tick_s)
@@ -190,7 +190,7 @@ class StreetReaction:
             reaction_s = habits.reaction_s(actor)
             seen_s[habits] = watch.seen_s.get(habits, 0.0) + (reaction_s if fresh else tick_s)
             notices = seen_s[habits] >= reaction_s
-            before = (heeded or Plan() if notices else early)._replace(toward=toward)
+            before = (heeded or DriverPlan() if notices else early)._replace(toward=toward)
             plan = considered(before, encounter, roads, watch.waiting.squeezes)
             toward = plan.toward
             if notices:
@@ -200,8 +200,8 @@ class StreetReaction:
         return heeded, toward, seen_s
 
     def _decided(
-        self, actor: ActorState, watch: _Watch, plan: Plan, roads: Roads, fresh: bool
-    ) -> tuple[ActorCommand | None, Waiting]:
+        self, actor: ActorState, watch: _Watch, plan: DriverPlan, roads: Roads, fresh: bool
+    ) -> tuple[ActorCommand | None, WaitingTimes]:
         """The command that carries out a plan, None where SUMO does it by itself, and how long a driver has waited."""
         speed_mps, tick_s = math.hypot(*actor.v_W_mps[:2].tolist()), self._config.tick_s
         waiting = waited(watch.waiting, plan, speed_mps, tick_s)
