@@ -58,7 +58,7 @@ def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Pat
     shutil.copytree(ROOT, tmp_path / "wcsim", ignore=shutil.ignore_patterns("__pycache__"))
 
     def answers() -> list[object]:
-        words = [sys.executable, "-c", CODE]
+        words = [sys.executable, "-B", "-c", CODE]  # a .pyc does not notice two edits within a second
         run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True, env={"PYTHONPATH": ""})
         return json.loads(run.stdout)
 
