@@ -125,7 +125,7 @@ class World:
 
         Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
         """
-        new = self._seating.admit(self._open_engine, seat, spec)
+        new = self._seating.admit(self._open_engine, self._rig, seat, spec)
         actors, signals = self._actors, self._signals
         try:
             return self._joined(new, out)
@@ -247,7 +247,7 @@ class World:
         self._guard = MirrorCheck(self._bodies)
         self._articulation = Articulation()
         self._rig.begin(seed)
-        self._seating.build(self._engine, seed)
+        self._seating.build(self._engine, self._rig, seed)
         self.snapshot = self._published(self._open_episodes(self.seats, out))
 
     def _check(self, commands: Sequence[Command]) -> None:
@@ -267,7 +267,6 @@ class World:
         """Begin the next episode of these seats: all are placed before any of them looks around."""
         for seat in seats:
             seat.spawn(self._taken)
-            self._rig.reset(seat.index)
             if seat.fitting is not None:
                 self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)
         if seats:
@@ -291,7 +290,7 @@ class World:
         with self.stopwatch.measure("render"):
             poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
             buffers = None if out is None else out.buffers(seat.index, first)
-            sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals, buffers)
+            sensors = seat.observe(self._tick, self._actors, poses, self._signals, buffers)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)

@@ -19,6 +19,7 @@ from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
+from wcsim.physics.sensors.base import Scene
 from wcsim.physics.sensors.camera import CameraRig, SeatBuffers
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -106,13 +107,15 @@ class Ego:
         """How many episodes of this seat have begun in this epoch, those before it was taken among them."""
         return self._episode + 1
 
-    def build(self, engine: Engine, seed: int, begun: int = 0) -> None:
+    def build(self, engine: Engine, rig: CameraRig, seed: int, begun: int = 0) -> None:
         """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
         self._seed = seed
         self._episode = begun - 1
         self._spawned = False
-        self._imu_key = seeding.key(seed, "imu", self.index)
-        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
+        self._rig = rig
+        others = {"cameras": self._config.cameras, **self._config.sensors.on()}
+        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig)
+        self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors}
 
     def spawn(self, taken: TakenNear) -> None:
         """Begin the next episode: a start clear of everything, a user and a route of its own."""
@@ -149,11 +152,12 @@ class Ego:
     def stand(self) -> None:
         """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
         self.chair.place(self._place.p_W_m, self._place.yaw_rad)
-        self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
+        names, at = self.chair.sensors, (self.index, "start", self._episode)
+        self.chair.switch_on({name: seeding.key(self._seed, name, *at) for name in names})
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
-        self.chair.end_tick(child(self._imu_key, tick))
+        self.chair.end_tick({name: child(key, tick) for name, key in self._keys.items()})
         world = self._config.world
         self.user.hand(world.substeps, world.tick_s / world.substeps)
 
@@ -173,18 +177,25 @@ class Ego:
     def observe(
         self,
         tick: int,
-        rig: CameraRig,
         actors: Sequence[ActorState],
         chairs: Sequence[ChairPose],
         signals: Sequence[SignalState],
         buffers: SeatBuffers | None = None,
     ) -> SensorFrame:
-        """Cameras and IMU of this tick; the images are made in `buffers` when they are given."""
-        counted = self.spec.truth_visible
-        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals, counted)
-        if counted:
-            self._shown_actors.see(tick, rig.shown_px(self.index))
-        return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
+        """All sensors of this tick; the images are made in `buffers` when they are given."""
+        scene = Scene(
+            tick=tick,
+            plant=self.chair.state(),
+            actors=actors,
+            chairs=chairs,
+            signals=signals,
+            buffers=buffers,
+            counted=self.spec.truth_visible,
+        )
+        frame = self.chair.observe(scene)
+        if scene.counted:
+            self._shown_actors.see(tick, self._rig.shown_px(self.index))
+        return frame
 
     def events(self, jam_teleports: int, first: bool) -> Events:
         """What this tick did to the episode; the first frame of an episode has no events."""

@@ -7,6 +7,7 @@ then `state`, `imu` and `contacts` answer.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +16,10 @@ from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
-from wcsim.physics.engine import GRAVITY_MPS2, PARK_Z_M, BodyTag, Engine, Role
-from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
+from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Scene
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.registry import fitted, sensor_frame
 from wcsim.physics.wheelchair import drive_controller
 from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
 from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
@@ -24,7 +27,7 @@ from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body
 from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.physics.wheelchair.wheel_track import WheelTrack
-from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
+from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, SensorFrame, chair_actor_id
 
 Vec3 = tuple[float, float, float]
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
@@ -36,30 +39,41 @@ _ASLEEP: Final = pybullet.ACTIVATION_STATE_ENABLE_SLEEPING | pybullet.ACTIVATION
 
 
 class Wheelchair:
-    """One chair with its controllers and IMU.
+    """One chair with its controllers and sensors.
 
     Args:
         engine: Where it lives.
         chair: Plant and limits of the drive.
-        imu: The sensor.
+        imu: The sensor that every chair has.
         seat: Number of the seat; its actor id in contacts of other chairs is `chair_actor_id(seat)`.
+        others: Sections of its other sensors, by their names in `physics/sensors/registry.py`.
+        rig: Which draws the pictures of its cameras, when it has some.
 
     Raises:
         ConfigError: `chair.plant` is unknown, cannot stand, or does not go with the limits in `chair` or the step.
         PhysicsError: PyBullet refused the body.
     """
 
-    def __init__(self, engine: Engine, chair: ChairConfig, imu: ImuConfig, seat: int) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        chair: ChairConfig,
+        imu: ImuConfig,
+        seat: int,
+        others: Mapping[str, object] | None = None,
+        rig: CameraRig | None = None,
+    ) -> None:
         self.seat: Final = seat
         self._engine = engine
         self._chair = chair
-        self._imu_config = imu
+        self._sections: Mapping[str, object] = {"imu": imu, **(others or {})}
+        self._rig = rig
         self._coasted = self._ghosts = 0
         self._log = ContactLog()
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
         self._state: PlantState | None = None
-        spec = plant_spec(chair)
+        spec = self._configured = plant_spec(chair)
         self._take(spec, load_body(engine, spec, chair.v_max_mps))
         self.park()
 
@@ -107,7 +121,16 @@ class Wheelchair:
         self._outline = spec.outline
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        self._imu = Imu(self._imu_config, self._com_B_m, engine.step_s, GRAVITY_MPS2)
+        nominal = self._configured.wheel
+        mount = Mount(
+            seat=self.seat,
+            engine=engine,
+            com_B_m=self._com_B_m,
+            wheel_radius_m=nominal.radius_m,
+            track_m=nominal.track_m,
+            rig=self._rig,
+        )
+        self._sensors = fitted(self._sections, mount)
         self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
 
     @property
@@ -180,7 +203,7 @@ class Wheelchair:
         return forward + pitching * self._axle_from_com_z_m
 
     def after_step(self) -> None:
-        """Sample the IMU and add up what was touched."""
+        """Sample the sensors and add up what was touched."""
         if self._parked:
             return
         body, ground = self._body, self._engine.rolling_ids
@@ -195,25 +218,43 @@ class Wheelchair:
         if suspects or self._coasted:
             self._coast_over_ghosts(suspects, touches)
         self._read()
-        self._imu.sample(self._rotation, self._v_W_mps, self._w_W_radps)
+        motion = self._motion()
+        for sensor in self._sensors.values():
+            sensor.sample(motion)
         self._track.after_step(math.hypot(*self._v_W_mps[:2]))
         for point in touches:
             self._touch(point)
 
-    def end_tick(self, noise_key: int | None) -> None:
-        """Close the tick for `imu` and `contacts`, and tell others how this chair moves; noise only with a key.
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """What it carries, by name."""
+        return tuple(self._sensors)
+
+    def end_tick(self, noise: NoiseKeys | None) -> None:
+        """Close the tick for sensors and `contacts`, and tell others how this chair moves; noise only with keys.
 
         Raises:
             PhysicsError: The motion left the finite numbers.
         """
-        self._imu_frame = self._imu.end_tick(noise_key)
+        self._feel(noise)
         self._contacts = self._log.close()
         self._tell()
 
-    def switch_on(self, noise_key: int | None) -> None:
-        """Begin an episode for the IMU, which keeps its biases through it, with a reading at rest."""
-        self._imu.start(noise_key)
-        self._imu_frame = self._imu.end_tick(noise_key)
+    def switch_on(self, noise: NoiseKeys | None) -> None:
+        """Begin an episode for the sensors, which keep their biases through it, with a reading at rest."""
+        for name, sensor in self._sensors.items():
+            sensor.start(None if noise is None else noise[name])
+        self._feel(noise)
+
+    def _feel(self, noise: NoiseKeys | None) -> None:
+        keys = dict.fromkeys(self._sensors) if noise is None else noise
+        self._felt = {name: sensor.end_tick(keys[name]) for name, sensor in self._sensors.items()}
+
+    def observe(self, scene: Scene) -> SensorFrame:
+        """What all sensors say of the tick: what they felt in it, and what they see now."""
+        seen = {name: sensor.look(scene) for name, sensor in self._sensors.items()}
+        said = {name: self._felt[name] if sight is None else sight for name, sight in seen.items()}
+        return sensor_frame(scene.tick, said)
 
     def state(self) -> PlantState:
         """The true state as of the last substep."""
@@ -240,7 +281,8 @@ class Wheelchair:
 
     def imu(self) -> ImuFrame:
         """What the IMU said of the last closed tick."""
-        return self._imu_frame
+        frame: ImuFrame = self._felt["imu"]
+        return frame
 
     def contacts(self) -> tuple[Contact, ...]:
         """What was touched in the last closed tick."""
@@ -278,8 +320,10 @@ class Wheelchair:
         self._track.clear()
         self._read()
         self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
-        self._imu.reset(self._rotation)
-        self._imu_frame = self._imu.end_tick(None)
+        at_rest = BodyMotion(self._rotation)
+        for sensor in self._sensors.values():
+            sensor.reset(at_rest)
+        self._feel(None)
         self._tell()
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
@@ -315,6 +359,10 @@ class Wheelchair:
         self._joints = pybullet.getJointStates(body.id, body.joints, physicsClientId=client)
         self._rotation: Rotation = matrix(self._q_WB)
         self._state = None  # made when somebody asks
+
+    def _motion(self) -> BodyMotion:
+        left, right = self._joints[:2]
+        return BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, (left[0], right[0]))
 
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
         """Undo the step when the ground pushed a wheel hard where it was not, and nothing else touched the chair."""
