@@ -10,6 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood_if_free
+from wcsim.towns.ground.solids import prism
 from wcsim.towns.ground.tiled_geometry import Patches
 from wcsim.towns.osm.lengths import metres
 from wcsim.towns.osm.levels import off_ground
@@ -156,7 +157,7 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solids])
     return [
         StandingObject(
-            piece=solids.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),
+            piece=prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),
             footprint=part,
             base_m=shapely.get_coordinates(part.representative_point())[0],
             follows=True,
