@@ -23,7 +23,7 @@ from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
-STAND_IN = "wcsim.server.links.fake_world:StandInWorld"
+STAND_IN = "wcsim.server.links.fake_world:FakeWorld"
 WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 

@@ -85,6 +85,7 @@ class Drawn:
     camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
     action_delay_ticks: int | None = None
     plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
+    sensors: tuple[tuple[str, float], ...] = ()  # the same of [sensors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

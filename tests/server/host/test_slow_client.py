@@ -50,7 +50,7 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
             endpoint=endpoint_in(place),
             ring=str(place / "ring"),
             run=str(tmp_path),
-            stand_in="wcsim.server.links.fake_world:StandInWorld",
+            stand_in="wcsim.server.links.fake_world:FakeWorld",
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         outcome = Launcher(order, plans, tmp_path, place, show=states.append).run()

@@ -115,7 +115,7 @@ class Ego:
         self._rig = rig
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig)
-        self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors}
+        self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors.names}
 
     def spawn(self, taken: TakenNear) -> None:
         """Begin the next episode: a start clear of everything, a user and a route of its own."""
@@ -139,7 +139,7 @@ class Ego:
         delay = self._config.world.action_delay_ticks
         self.fitting = self._variation.fitting(self._seed, self._episode + 1)
         if self.fitting is not None:
-            self.chair.become(self.fitting.spec)
+            self.chair.become(self.fitting.spec, self.fitting.sensors)
             drawn = self.fitting.drawn.action_delay_ticks
             delay = delay if drawn is None else drawn
         self._waiting = deque([AT_REST] * delay)
@@ -152,8 +152,8 @@ class Ego:
     def stand(self) -> None:
         """Put the chair at the start of this episode; where the street was not there yet, once more when it is."""
         self.chair.place(self._place.p_W_m, self._place.yaw_rad)
-        names, at = self.chair.sensors, (self.index, "start", self._episode)
-        self.chair.switch_on({name: seeding.key(self._seed, name, *at) for name in names})
+        at = (self.index, "start", self._episode)
+        self.chair.sensors.start({name: seeding.key(self._seed, name, *at) for name in self._keys})
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
@@ -192,7 +192,7 @@ class Ego:
             buffers=buffers,
             counted=self.spec.truth_visible,
         )
-        frame = self.chair.observe(scene)
+        frame = self.chair.sensors.observe(scene)
         if scene.counted:
             self._shown_actors.see(tick, self._rig.shown_px(self.index))
         return frame

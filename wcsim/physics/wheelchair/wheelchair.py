@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,9 +18,9 @@ from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternio
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
-from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Scene
+from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.sensors.registry import fitted, sensor_frame
+from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
 from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
 from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
@@ -27,7 +28,7 @@ from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body
 from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.physics.wheelchair.wheel_track import WheelTrack
-from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, SensorFrame, chair_actor_id
+from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
 
 Vec3 = tuple[float, float, float]
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
@@ -66,14 +67,21 @@ class Wheelchair:
         self.seat: Final = seat
         self._engine = engine
         self._chair = chair
-        self._sections: Mapping[str, object] = {"imu": imu, **(others or {})}
-        self._rig = rig
         self._coasted = self._ghosts = 0
         self._log = ContactLog()
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
         self._state: PlantState | None = None
-        spec = self._configured = plant_spec(chair)
+        spec = plant_spec(chair)
+        self._mount = Mount(
+            seat=seat,
+            engine=engine,
+            com_B_m=spec.frame_com_m,
+            wheel_radius_m=spec.wheel.radius_m,
+            track_m=spec.wheel.track_m,
+            rig=rig,
+        )
+        self.sensors: Final = SensorSet({"imu": imu, **(others or {})}, self._mount)
         self._take(spec, load_body(engine, spec, chair.v_max_mps))
         self.park()
 
@@ -92,8 +100,8 @@ class Wheelchair:
         """What the engine calls its body; another one after `become`."""
         return self._body.id
 
-    def become(self, spec: PlantSpec) -> None:
-        """Be another plant from now on; the chair is parked then, until it is placed.
+    def become(self, spec: PlantSpec, sensors: Mapping[str, object] | None = None) -> None:
+        """Be another plant, with other sections of some sensors, from now on; it is parked then, until it is placed.
 
         Other frictions, springs and motors cost nothing. Other masses or shapes need a new body: some milliseconds, and
         10 to 13 kB that PyBullet keeps.
@@ -108,6 +116,7 @@ class Wheelchair:
             self._take(spec, load_body(self._engine, spec, self._chair.v_max_mps))
         elif spec != self._spec:
             self._take(spec, dressed(self._engine, self._body.id, spec, self._chair.v_max_mps))
+        self.sensors.fit(replace(self._mount, com_B_m=spec.frame_com_m), sensors or {})
         self.park()
 
     def _take(self, spec: PlantSpec, body: ChairBody) -> None:
@@ -121,16 +130,6 @@ class Wheelchair:
         self._outline = spec.outline
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        nominal = self._configured.wheel
-        mount = Mount(
-            seat=self.seat,
-            engine=engine,
-            com_B_m=self._com_B_m,
-            wheel_radius_m=nominal.radius_m,
-            track_m=nominal.track_m,
-            rig=self._rig,
-        )
-        self._sensors = fitted(self._sections, mount)
         self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
 
     @property
@@ -218,17 +217,11 @@ class Wheelchair:
         if suspects or self._coasted:
             self._coast_over_ghosts(suspects, touches)
         self._read()
-        motion = self._motion()
-        for sensor in self._sensors.values():
-            sensor.sample(motion)
+        (left, *_), (right, *_) = self._joints[:2]
+        self.sensors.sample(BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, (left, right)))
         self._track.after_step(math.hypot(*self._v_W_mps[:2]))
         for point in touches:
             self._touch(point)
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """What it carries, by name."""
-        return tuple(self._sensors)
 
     def end_tick(self, noise: NoiseKeys | None) -> None:
         """Close the tick for sensors and `contacts`, and tell others how this chair moves; noise only with keys.
@@ -236,25 +229,9 @@ class Wheelchair:
         Raises:
             PhysicsError: The motion left the finite numbers.
         """
-        self._feel(noise)
+        self.sensors.end_tick(noise)
         self._contacts = self._log.close()
         self._tell()
-
-    def switch_on(self, noise: NoiseKeys | None) -> None:
-        """Begin an episode for the sensors, which keep their biases through it, with a reading at rest."""
-        for name, sensor in self._sensors.items():
-            sensor.start(None if noise is None else noise[name])
-        self._feel(noise)
-
-    def _feel(self, noise: NoiseKeys | None) -> None:
-        keys = dict.fromkeys(self._sensors) if noise is None else noise
-        self._felt = {name: sensor.end_tick(keys[name]) for name, sensor in self._sensors.items()}
-
-    def observe(self, scene: Scene) -> SensorFrame:
-        """What all sensors say of the tick: what they felt in it, and what they see now."""
-        seen = {name: sensor.look(scene) for name, sensor in self._sensors.items()}
-        said = {name: self._felt[name] if sight is None else sight for name, sight in seen.items()}
-        return sensor_frame(scene.tick, said)
 
     def state(self) -> PlantState:
         """The true state as of the last substep."""
@@ -281,7 +258,7 @@ class Wheelchair:
 
     def imu(self) -> ImuFrame:
         """What the IMU said of the last closed tick."""
-        frame: ImuFrame = self._felt["imu"]
+        frame: ImuFrame = self.sensors.felt("imu")
         return frame
 
     def contacts(self) -> tuple[Contact, ...]:
@@ -320,10 +297,7 @@ class Wheelchair:
         self._track.clear()
         self._read()
         self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
-        at_rest = BodyMotion(self._rotation)
-        for sensor in self._sensors.values():
-            sensor.reset(at_rest)
-        self._feel(None)
+        self.sensors.reset(BodyMotion(self._rotation))
         self._tell()
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
@@ -359,10 +333,6 @@ class Wheelchair:
         self._joints = pybullet.getJointStates(body.id, body.joints, physicsClientId=client)
         self._rotation: Rotation = matrix(self._q_WB)
         self._state = None  # made when somebody asks
-
-    def _motion(self) -> BodyMotion:
-        left, right = self._joints[:2]
-        return BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, (left[0], right[0]))
 
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
         """Undo the step when the ground pushed a wheel hard where it was not, and nothing else touched the chair."""
