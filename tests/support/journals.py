@@ -35,8 +35,8 @@ SPEC = SeatSpec(profile="competent", max_steps=25)
 class JournaledWorld:
     """A world with free seats, its journal, and a trace of its first epoch."""
 
-    def __init__(self, corner: Path, run: Path, seed: int = 5, seats: int = 3) -> None:
-        config, town = quick_config(), find_town(str(corner))
+    def __init__(self, corner: Path, run: Path, seed: int = 5, seats: int = 3, overrides: tuple[str, ...] = ()) -> None:
+        config, town = quick_config(*overrides), find_town(str(corner))
         self.world = World(town, config, (None,) * seats, seed)
         header = JournalHeader(
             name=run.name,

@@ -125,6 +125,21 @@ class SensorConfig(Model):
         """What the numbers are."""
 
 
+class OdometryConfig(SensorConfig):
+    """Encoders on the drive wheels (formulas: docs/senses.md)."""
+
+    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048
+    radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = 0.01  # share; of each wheel, over episodes
+    speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # per root hertz
+    turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.2  # a second, per root hertz
+    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0
+
+    @property
+    def measure(self) -> Measure:
+        """Speed ahead, and turn rate counter-clockwise."""
+        return Measure(parts=("speed_mps", "turn_rate_radps"), full_scale=(4.0, 4.0), mirror=(1.0, -1.0))
+
+
 class SensorsConfig(Model):
     """Section `[sensors]`: what a chair carries beside cameras and IMU; a sensor without its table is not there.
 
@@ -139,6 +154,8 @@ class SensorsConfig(Model):
         if not isinstance(data, dict):
             return data
         return {key: named.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
+
+    odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None
 
     def on(self) -> dict[str, SensorConfig]:
         """The sections of the sensors that are there, by name."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Scene, Sensor
 from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.sensors.odometry import Odometry
 from wcsim.physics.sensors.seat_cameras import SeatCameras
 from wcsim.types import Reading, SensorFrame
 
@@ -17,6 +18,7 @@ SENSORS: Mapping[str, Maker] = MappingProxyType(
     {
         "cameras": SeatCameras.fitted,
         "imu": Imu.fitted,
+        "odometry": Odometry.fitted,
     }
 )
 
