@@ -44,6 +44,8 @@ class SensorSet:
         """Make all of them anew, those of `sections` as these say from now on."""
         self._sections = {**self._sections, **sections}
         self._sensors = {name: SENSORS[name](section, mount) for name, section in self._sections.items()}
+        told = [sensor for sensor in self._sensors.values() if type(sensor).sample is not Sensor.sample]
+        self._samples = tuple([sensor.sample for sensor in told])  # it is called every substep
         self._felt: dict[str, Any] = {}
 
     def start(self, noise: NoiseKeys | None) -> None:
@@ -60,8 +62,8 @@ class SensorSet:
 
     def sample(self, motion: BodyMotion) -> None:
         """Take the motion after a physics step into the tick."""
-        for sensor in self._sensors.values():
-            sensor.sample(motion)
+        for sample in self._samples:
+            sample(motion)
 
     def end_tick(self, noise: NoiseKeys | None) -> None:
         """Close the tick; noise only with keys. Raises PhysicsError when the motion left the finite numbers."""

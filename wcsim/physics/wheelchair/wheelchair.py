@@ -217,8 +217,8 @@ class Wheelchair:
         if suspects or self._coasted:
             self._coast_over_ghosts(suspects, touches)
         self._read()
-        (left, *_), (right, *_) = self._joints[:2]
-        self.sensors.sample(BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, (left, right)))
+        wheel_rad = (self._joints[0][0], self._joints[1][0])
+        self.sensors.sample(BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, wheel_rad))
         self._track.after_step(math.hypot(*self._v_W_mps[:2]))
         for point in touches:
             self._touch(point)
