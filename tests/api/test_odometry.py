@@ -11,8 +11,10 @@ from tests.server.servers import AHEAD, Server
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.parallel_env import StreetParallelEnv
+from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.journal.replay import recompute
 from wcsim.server.links.base import SeatLink, WorldOrder
@@ -58,9 +60,25 @@ def test_the_environment_has_an_entry_for_it_and_the_checker_is_content(corner):
         assert info["speed_mps"] > 0.3
 
 
+def test_every_face_shows_the_same(corner):
+    order, seen = {"overrides": ("world.warmup_s=0", ON), "seed": 4}, []
+    with closing(WheelchairEnv(str(corner), **order)) as env:
+        env.reset(seed=4)
+        seen.append([env.step(40)[0]["odometry"] for _ in range(6)])
+    with closing(StreetParallelEnv(str(corner), chairs=1, **order)) as env:
+        (agent,) = env.reset(seed=4)[0]
+        seen.append([env.step({agent: 40})[0][agent]["odometry"] for _ in range(6)])
+    with closing(StreetVecEnv(str(corner), chairs=1, **order)) as env:
+        env.seed(4)
+        env.reset()
+        seen.append([env.step(np.array([40]))[0]["odometry"][0] for _ in range(6)])
+    assert np.array_equal(seen[0], seen[1]) and np.array_equal(seen[0], seen[2])
+    assert np.abs(seen[0]).max() > 0.0
+
+
 def test_off_is_as_before(corner):
     off, on, none = quick_config(), quick_config(ON), quick_config("sensors.odometry=none")
-    assert off == none and "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
+    assert off == none == with_overrides(on, ("sensors=none",)) and "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
     assert off.world_digest() != on.world_digest() and RunConfig.model_validate_json(on.model_dump_json()) == on
     assert not load_run_config("paper").sensors.on()
     with open_world(corner, seed=3) as world:

@@ -152,7 +152,7 @@ class SensorsConfig(Model):
     def _by_name(cls, data: Any) -> Any:
         named: dict[str, Any] = {"none": None, "typical": {}}
         if not isinstance(data, dict):
-            return data
+            return {} if data == "none" else data
         return {key: named.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
 
     odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None

@@ -12,12 +12,13 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import SmallNet
 from wcsim.agents.runs.policy_file import POLICY_JSON
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import PolicyError
 
@@ -165,6 +166,10 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     still = {**observation, "wheels": np.zeros(2, np.float32)}
     assert not np.array_equal(policy.values(observation), policy.values(still))
     assert load_policy(saved).values(observation).shape == (81,)
+    with pytest.raises(PolicyError, match=r"wants the sensors \{'wheels': 2\}.* this test has \{\}"):
+        open_policy(str(folder), config)
+    rewrite(folder, sensors={"odometry": 2})
+    assert open_policy(str(folder), with_overrides(config, ("sensors.odometry=typical",))).name == str(folder)
     rewrite(folder, sensors={"wheels": 7})
     with pytest.raises(PolicyError, match="expected 3 more than theirs"):
         load_policy(folder)
