@@ -78,7 +78,8 @@ def test_every_face_shows_the_same(corner):
 
 def test_off_is_as_before(corner):
     off, on, none = quick_config(), quick_config(ON), quick_config("sensors.odometry=none")
-    assert off == none == with_overrides(on, ("sensors=none",)) and "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
+    assert off == none == with_overrides(on, ("sensors=none",))
+    assert "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
     assert off.world_digest() != on.world_digest() and RunConfig.model_validate_json(on.model_dump_json()) == on
     assert not load_run_config("paper").sensors.on()
     with open_world(corner, seed=3) as world:
