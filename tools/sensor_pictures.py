@@ -80,7 +80,7 @@ def ride(imu: ImuConfig, street: StreetMesh, seconds: float, stick: Stick, chair
         engine.add_street(street)
         driven = Wheelchair(engine, chair, imu, seat=0)
         driven.place(np.zeros(3), 0.0)
-        driven.switch_on(seeding.key(SEED, "imu", 0, "start", 0))
+        driven.sensors.start({"imu": seeding.key(SEED, "imu", 0, "start", 0)})
         told: Told = ([], [])
         for tick in range(round(seconds / TICK_S)):
             driven.command(stick(tick * TICK_S))
@@ -88,7 +88,7 @@ def ride(imu: ImuConfig, street: StreetMesh, seconds: float, stick: Stick, chair
                 driven.before_step()
                 engine.step()
                 driven.after_step()
-            driven.end_tick(child(SEED, tick))
+            driven.end_tick({"imu": child(SEED, tick)})
             told[0].append(driven.imu())
             told[1].append(driven.state())
     return told

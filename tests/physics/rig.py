@@ -114,7 +114,7 @@ class Rig:
                 self.engine.step()
                 self.chair.after_step()
             self.chair.end_tick(None)
-            ride.lowpass += self.chair._imu.lowpass_mps2.tolist()
+            ride.lowpass += self.chair.sensors._sensors["imu"].lowpass_mps2.tolist()
             state = self.chair.state()
             ride.p_m.append(state.p_WB_m)
             ride.peak.append(self.chair.imu().accel_peak_mps2)

@@ -19,7 +19,7 @@ from wcsim.supervisor.observation import (
     observe,
 )
 from wcsim.supervisor.palette import COLOURS, palette
-from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, SensorFrame
+from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, Measure, Reading, SensorFrame
 
 RANGE_M = 40.0
 
@@ -156,3 +156,17 @@ def test_every_class_has_a_colour():
 def test_observation_is_quick(form, most):
     frame = sensors()
     assert multiple(lambda: seen(form, frame)) < most  # about a seventh of that
+
+
+@pytest.mark.parametrize("form", ["compact", "table3"])
+def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name(form):
+    wheels = Measure(parts=("speed_mps", "turn_radps"), full_scale=(4.0, 2.0), mirror=(1.0, -1.0))
+    seen = {"camera": "front", "range_m": 40.0, "fold": True, "measures": {"wheels": wheels}}
+    frame = replace(sensors(), readings=(Reading(name="wheels", values=np.array([1.0, -9.0])),))
+    got = observe(form, frame, Joystick(0.0, 0.0), **seen)
+    assert got["wheels"].tolist() == [0.25, -1.0] and got["wheels"].dtype == np.float32
+    assert observation_space(form, 320, 240, measures={"wheels": wheels}).contains(got)
+    assert "wheels" not in observe(form, frame, Joystick(0.0, 0.0), **{**seen, "measures": {}})
+    for strange in ((), (Reading(name="wheels", values=np.zeros(3)),)):
+        with pytest.raises(ConfigError, match="no sensor 'wheels' with 2 numbers"):
+            observe(form, replace(frame, readings=strange), Joystick(0.0, 0.0), **seen)

@@ -118,7 +118,7 @@ class World:
 
         Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
         """
-        new = self._seating.admit(self._open.engine, seat, spec)
+        new = self._seating.admit(self._open.engine, self._rig, seat, spec)
         actors, signals = self._actors, self._signals
         try:
             return self._joined(new, out)
@@ -236,7 +236,7 @@ class World:
             self._epoch.engine.close()
         self._epoch = new_epoch(self.config, self.street.grid, seed)
         self._rig.begin(seed)
-        self._seating.build(self._epoch.engine, seed)
+        self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))
 
     def _check(self, commands: Sequence[Command]) -> None:
@@ -261,7 +261,6 @@ class World:
         """Begin the next episode of these seats: all stand, once the street is there, before any looks around."""
         for seat in seats:
             seat.spawn(self._taken, self._open.attention)
-            self._rig.reset(seat.index)
             if seat.fitting is not None:
                 self._rig.mount(seat.index, seat.fitting.cameras, seat.fitting.drawn.light or 1.0)
         if seats:
@@ -287,7 +286,7 @@ class World:
         with self.stopwatch.measure("render"):
             poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
             buffers = None if out is None else out.buffers(seat.index, first)
-            sensors = seat.observe(self._tick, self._rig, self._actors, poses, self._signals, buffers)
+            sensors = seat.observe(self._tick, self._actors, poses, self._signals, buffers)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)

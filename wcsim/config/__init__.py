@@ -33,6 +33,9 @@ from wcsim.config.sensors import CameraNoiseConfig as CameraNoiseConfig
 from wcsim.config.sensors import ClassNoiseConfig as ClassNoiseConfig
 from wcsim.config.sensors import DepthNoiseConfig as DepthNoiseConfig
 from wcsim.config.sensors import ImuConfig as ImuConfig
+from wcsim.config.sensors import OdometryConfig as OdometryConfig
+from wcsim.config.sensors import SensorConfig as SensorConfig
+from wcsim.config.sensors import SensorsConfig as SensorsConfig
 from wcsim.config.town import TownFile as TownFile
 from wcsim.config.world import STREETS as STREETS
 from wcsim.config.world import WorldConfig as WorldConfig

@@ -35,7 +35,7 @@ Shares = Annotated[
 Reactions = Annotated[
     dict[Literal[Driver, "all"], Annotated[tuple[Reaction, Reaction], AfterValidator(_ordered)]], Field(max_length=16)
 ]
-PlantSpans = Annotated[dict[Word, Span], Field(max_length=64)]  # by the dotted names of the plant's file
+Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
 
 
 class VaryConfig(Model):
@@ -47,7 +47,8 @@ class VaryConfig(Model):
     camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = None  # along x, y and z of each
     camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
     action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
-    plant: PlantSpans = Field(default_factory=dict)
+    plant: Spans = Field(default_factory=dict)  # of the plant's file
+    sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(default_factory=dict)  # section.key
     attention: Shares = Field(default_factory=dict)  # share of those who look for this chair, by class
     reaction: Reactions = Field(default_factory=dict)  # seconds, by class
 

@@ -15,6 +15,7 @@ from wcsim.config.randomization import VaryConfig
 from wcsim.config.sensors import (
     CameraConfig,
     ImuConfig,
+    SensorsConfig,
 )
 from wcsim.config.world import WorldConfig
 
@@ -34,6 +35,7 @@ class RunConfig(Model):
     chair: ChairConfig = ChairConfig()
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1, max_length=MAX_CAMERAS)] = (CameraConfig(),)
     imu: ImuConfig = ImuConfig()
+    sensors: Annotated[SensorsConfig, Field(exclude_if=lambda sensors: not sensors.on())] = SensorsConfig()
     reward: RewardConfig = RewardConfig()
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
@@ -78,6 +80,6 @@ class RunConfig(Model):
 
     def world_digest(self) -> str:
         """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
-        shared = {"world", "chair", "cameras", "imu", "reward", "vary"}
+        shared = {"world", "chair", "cameras", "imu", "sensors", "reward", "vary"}
         text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
         return hashlib.sha256(text.encode()).hexdigest()

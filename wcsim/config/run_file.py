@@ -56,12 +56,21 @@ class PolicyFile(Model):
     net: NetFile
     image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
     vector_size: Annotated[int, Field(ge=3, le=1024)]
+    sensors: Annotated[dict[Name, Annotated[int, Field(ge=1, le=1021)]], Field(max_length=64)] = Field(
+        default_factory=dict
+    )  # numbers of each sensor of [sensors] among them
     window: Window = 1
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]
     weights_sha256: Sha256
     versions: Versions = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_an_imu(self) -> PolicyFile:
+        if self.vector_size - sum(self.sensors.values()) < 3:
+            raise ValueError(f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than theirs")
+        return self
 
     @model_validator(mode="after")
     def _pictures_can_be_held(self) -> PolicyFile:

@@ -1,12 +1,14 @@
-"""What a chair carries: cameras and the inertial sensor, and how badly they measure, as frozen models."""
+"""What a chair carries: cameras, the inertial sensor and others, and how badly they measure, as frozen models."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from wcsim.config.base import Model, Positive, Share
+from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
@@ -112,3 +114,53 @@ class ImuConfig(Model):
     accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # of the drift around it
     gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # a second
     bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0
+
+
+class SensorConfig(Model):
+    """Base of the section of a sensor whose reading is a row of numbers."""
+
+    @property
+    @abstractmethod
+    def measure(self) -> Measure:
+        """What the numbers are."""
+
+
+class OdometryConfig(SensorConfig):
+    """Encoders on the drive wheels (formulas: docs/senses.md)."""
+
+    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048
+    radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = 0.01  # share; of each wheel, over episodes
+    speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # per root hertz
+    turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.2  # a second, per root hertz
+    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0
+
+    @property
+    def measure(self) -> Measure:
+        """Speed ahead, and turn rate counter-clockwise."""
+        return Measure(parts=("speed_mps", "turn_rate_radps"), full_scale=(4.0, 4.0), mirror=(1.0, -1.0))
+
+
+class SensorsConfig(Model):
+    """Section `[sensors]`: what a chair carries beside cameras and IMU; a sensor without its table is not there.
+
+    A field is the name of a kind in `physics/sensors/registry.py`. The word "typical" stands for a table without keys,
+    "none" for no sensor. What is not there is not written either, so that old files and their hashes stay.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, data: Any) -> Any:
+        named: dict[str, Any] = {"none": None, "typical": {}}
+        if not isinstance(data, dict):
+            return {} if data == "none" else data
+        return {key: named.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
+
+    odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None
+
+    def on(self) -> dict[str, SensorConfig]:
+        """The sections of the sensors that are there, by name."""
+        return {name: section for name in sorted(type(self).model_fields) if (section := getattr(self, name))}
+
+    def measures(self) -> dict[str, Measure]:
+        """What they say, by name."""
+        return {name: section.measure for name, section in self.on().items()}

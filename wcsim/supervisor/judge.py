@@ -62,6 +62,7 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = ""
         fold=config.env.classes == "cityscapes",
         gyro=config.env.observe_gyro,
         yaw=config.env.observe_yaw,
+        measures=config.sensors.measures(),
     )
 
 

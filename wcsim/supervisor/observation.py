@@ -8,7 +8,9 @@ depth of 0 says in both that nothing was measured there; whatever was measured i
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -17,10 +19,12 @@ from gymnasium import spaces
 
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import class_fold_table, palette
-from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, SensorFrame
+from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, Measure, SensorFrame
 
 Form = Literal["compact", "table3"]
 Observation = dict[str, npt.NDArray[Any]]
+Measures = Mapping[str, Measure]
+NO_MEASURES: Measures = MappingProxyType({})
 
 _DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
 _DEPTH_STEPS = 254  # of the codes 1 to 255; 0 is for what was not measured
@@ -33,15 +37,18 @@ _TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
 _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 
 
-def observation_space(form: Form, width: int, height: int, imu: int = _IMU_SIZE) -> spaces.Dict:
+def observation_space(
+    form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = NO_MEASURES
+) -> spaces.Dict:
     """The Gymnasium space of `observe`; images are (C, height, width), `imu` numbers come from the IMU.
 
-    Raises ConfigError for an unknown form.
+    The sensors of `measures` have entries of their own, by name. Raises ConfigError for an unknown form.
     """
     _check_form(form)
     vectors: dict[str, spaces.Space[Any]] = {
         "imu": spaces.Box(-1.0, 1.0, (imu,), np.float32),
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
+        **{name: spaces.Box(-1.0, 1.0, (len(m.parts),), np.float32) for name, m in measures.items()},
     }
     if form == "compact":
         return spaces.Dict(
@@ -70,6 +77,7 @@ def observe(
     fold: bool,
     gyro: bool = False,
     yaw: bool = False,
+    measures: Measures = NO_MEASURES,
 ) -> Observation:
     """The observation of one frame.
 
@@ -82,16 +90,18 @@ def observe(
         fold: Whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road).
         gyro: Whether turn rates are seen.
         yaw: Whether the heading is seen.
+        measures: What is seen of further sensors, by name.
 
     Returns:
         Arrays as in `observation_space`, contiguous and owned by the caller.
 
     Raises:
-        ConfigError: There is no such camera or form.
+        ConfigError: There is no such camera, sensor or form.
     """
     _check_form(form)
     frame = _frame(sensors, camera)
     vectors = {"imu": imu_vector(sensors.imu, gyro, yaw), "joystick": np.array([user.x, user.y], np.float32)}
+    vectors |= {name: measured(sensors, name, measure) for name, measure in measures.items()}
     if form == "compact":
         seg = _fold(frame.class_id) if fold else frame.class_id.copy()
         return {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None], **vectors}
@@ -122,6 +132,18 @@ def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
     if yaw:
         scaled += [math.sin(imu.yaw_rad), math.cos(imu.yaw_rad)]
     return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
+
+
+def measured(sensors: SensorFrame, name: str, measure: Measure) -> F32:
+    """What is seen of a further sensor, float32 in [-1, 1]: each number over its full scale.
+
+    Raises ConfigError when the chair has no such sensor, or one with other parts.
+    """
+    said = {reading.name: reading.values for reading in sensors.readings}
+    if name not in said or said[name].shape != (len(measure.parts),):
+        known = {other: values.shape for other, values in said.items()}
+        raise ConfigError(f"no sensor {name!r} with {len(measure.parts)} numbers on this chair; it has {known}")
+    return np.clip((said[name] / measure.full_scale).astype(np.float32), -1.0, 1.0)
 
 
 def encode_depth(depth_m: F32, range_m: float) -> U8:

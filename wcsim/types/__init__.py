@@ -36,6 +36,8 @@ from wcsim.types.episode import UserView as UserView
 from wcsim.types.episode import Verdict as Verdict
 from wcsim.types.sensors import CameraFrame as CameraFrame
 from wcsim.types.sensors import ImuFrame as ImuFrame
+from wcsim.types.sensors import Measure as Measure
+from wcsim.types.sensors import Reading as Reading
 from wcsim.types.sensors import SensorFrame as SensorFrame
 from wcsim.types.street import ClassId as ClassId
 from wcsim.types.street import Ground as Ground

@@ -87,6 +87,7 @@ class Drawn:
     plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
     attention: tuple[tuple[str, float], ...] = ()  # share of those who look for this chair, by class or "all", sorted
     reaction_s: tuple[tuple[str, float], ...] = ()  # until who looks brakes for this chair, as above
+    sensors: tuple[tuple[str, float], ...] = ()  # the same of [sensors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,9 +31,27 @@ class ImuFrame(ComparesArrays):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Measure:
+    """What a sensor of `[sensors]` says after a tick: one float64 for each of its parts, in this order."""
+
+    parts: tuple[str, ...]  # name and unit of each number, as speed_mps
+    full_scale: tuple[float, ...]  # of each; the observation holds number / full_scale as float32, cut to [-1, 1]
+    mirror: tuple[float, ...]  # 1 or -1: the sign of each when left and right are exchanged
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reading(ComparesArrays):
+    """What one sensor of `[sensors]` says of a tick; its `Measure` tells what the numbers are."""
+
+    name: str
+    values: F64  # (len(parts),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensorFrame:
     """Everything that the sensors of one seat say after a tick."""
 
     tick: int
     cameras: tuple[CameraFrame, ...]
     imu: ImuFrame
+    readings: tuple[Reading, ...] = ()  # of the sensors in `[sensors]`, by name

@@ -2,6 +2,7 @@ import json
 import re
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -11,12 +12,13 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import SmallNet
 from wcsim.agents.runs.policy_file import POLICY_JSON
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import PolicyError
 
@@ -139,6 +141,38 @@ def test_a_policy_cannot_choose_which_code_runs(tmp_path, monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "mine", SmallNet)
     rewrite(folder, net={**data["net"], "network": "mine"})
     assert load_policy(folder).net.spec.network == "mine"
+
+
+class WithWheels(gymnasium.ObservationWrapper):
+    """The toy street with one more row of numbers."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        wheels = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = gymnasium.spaces.Dict({**env.observation_space.spaces, "wheels": wheels})
+
+    def observation(self, observation):
+        return {**observation, "wheels": np.array([0.5, -0.25], np.float32)}
+
+
+def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, saved, tmp_path):
+    assert "sensors" not in json.loads((saved / POLICY_JSON).read_text())
+    env = WithWheels(ToyStreet(CAMERA))
+    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=100))
+    folder = save_policy(tmp_path / "wheels", build_model(config, env, 0), CAMERA)
+    policy, data = load_policy(folder), json.loads((folder / POLICY_JSON).read_text())
+    assert data["sensors"] == {"wheels": 2} and data["vector_size"] == 9
+    observation, _ = env.reset(seed=2)
+    still = {**observation, "wheels": np.zeros(2, np.float32)}
+    assert not np.array_equal(policy.values(observation), policy.values(still))
+    assert load_policy(saved).values(observation).shape == (81,)
+    with pytest.raises(PolicyError, match=r"wants the sensors \{'wheels': 2\}.* this test has \{\}"):
+        open_policy(str(folder), config)
+    rewrite(folder, sensors={"odometry": 2})
+    assert open_policy(str(folder), with_overrides(config, ("sensors.odometry=typical",))).name == str(folder)
+    rewrite(folder, sensors={"wheels": 7})
+    with pytest.raises(PolicyError, match="expected 3 more than theirs"):
+        load_policy(folder)
 
 
 def test_nothing_in_agents_unpickles():

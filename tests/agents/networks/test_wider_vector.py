@@ -6,8 +6,15 @@ import torch
 from gymnasium import spaces
 
 from wcsim.agents.learning.flip_augmentation import _mirrored
+from wcsim.agents.networks.encoder import vector_keys
 from wcsim.agents.networks.q_network import NetSpec, QNet
 from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.types import Measure
+
+MEASURES = {
+    "wheels": Measure(parts=("speed_mps", "turn_radps"), full_scale=(4.0, 4.0), mirror=(1.0, -1.0)),
+    "beams": Measure(parts=("ahead_m",) * 3, full_scale=(9.0,) * 3, mirror=(1.0,) * 3),
+}
 
 
 @pytest.mark.parametrize(("gyro", "yaw"), [(False, False), (True, False), (False, True), (True, True)])
@@ -27,3 +34,20 @@ def test_what_turns_left_turns_right_in_the_mirror():
     }
     signs = torch.sign(_mirrored(batch)["imu"][0]).tolist()
     assert signs == [1, -1, 1, -1, 1, -1, 1, -1, -1, 1]  # ax ay az roll pitch, gx gy gz, sine and cosine of yaw
+
+
+def test_further_rows_of_numbers_come_last_and_nobody_names_them():
+    paper, more = observation_space("compact", 32, 24), observation_space("compact", 32, 24, measures=MEASURES)
+    net, wide = QNet(paper, spaces.Discrete(81), NetSpec()), QNet(more, spaces.Discrete(81), NetSpec())
+    assert vector_keys(paper) == ("imu", "joystick") and vector_keys(more) == ("imu", "joystick", "beams", "wheels")
+    batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in more.sample().items()}
+    got = wide.encoder.vector(batch)[0].tolist()
+    assert got[7:] == [*batch["beams"][0].tolist(), *batch["wheels"][0].tolist()]
+    plain = {key: batch[key] for key in paper.spaces}
+    assert torch.equal(net(batch), net(plain))  # what it was not trained with changes nothing
+
+
+def test_further_numbers_turn_their_signs_in_the_mirror():
+    image, stick = torch.zeros(1, 1, 2, 2, dtype=torch.uint8), torch.ones(1, 2)
+    batch = {"seg": image, "depth": image, "imu": torch.ones(1, 5), "joystick": stick, "wheels": torch.ones(1, 2)}
+    assert _mirrored(batch, (("wheels", (1.0, -1.0)),))["wheels"].tolist() == [[1.0, -1.0]]

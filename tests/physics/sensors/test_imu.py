@@ -9,6 +9,7 @@ from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from wcsim.config import ImuConfig
 from wcsim.core.rotations import LEVEL, euler, matrix, quaternion
 from wcsim.errors import PhysicsError
+from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu
 from wcsim.types import ClassId
 
@@ -47,9 +48,9 @@ def test_speeding_up_and_turning_have_the_right_signs():
 def test_tilted_it_feels_gravity_along_its_axes():
     sensor = imu()
     up = matrix(quaternion(0.3, math.radians(10.0)))  # nose up
-    sensor.reset(up)
+    sensor.reset(BodyMotion(up))
     for _ in range(24):
-        sensor.sample(up, STILL, STILL)
+        sensor.sample(BodyMotion(up, STILL, STILL))
     frame = sensor.end_tick(None)
     expected = [9.81 * math.sin(math.radians(10)), 0.0, 9.81 * math.cos(math.radians(10))]
     assert frame.accel_mean_mps2 == pytest.approx(expected)
@@ -60,12 +61,12 @@ def test_tilted_it_feels_gravity_along_its_axes():
 @pytest.mark.parametrize("hz", [120, 240, 480])
 def test_a_sudden_stop_gives_the_peak_of_two_low_passes_in_a_row(hz):
     sensor = imu(1 / hz)
-    sensor.sample(LEVEL, (1.0, 0.0, 0.0), STILL)
+    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
     for _ in range(hz):  # forget the start
-        sensor.sample(LEVEL, (1.0, 0.0, 0.0), STILL)
+        sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
     sensor.end_tick(None)
     for _ in range(hz // 10):
-        sensor.sample(LEVEL, STILL, STILL)
+        sensor.sample(BodyMotion(LEVEL, STILL, STILL))
     peak = sensor.end_tick(None).accel_peak_mps2
     assert peak[0] == pytest.approx(2 * math.pi * 20.0 / math.e, rel=0.1)  # of the continuous filter, for 1 m/s
     assert peak[1:] == pytest.approx([0.0, 0.0])
@@ -73,19 +74,19 @@ def test_a_sudden_stop_gives_the_peak_of_two_low_passes_in_a_row(hz):
 
 def test_the_filter_goes_on_over_the_end_of_a_tick():
     sensor = imu()
-    sensor.sample(LEVEL, (1.0, 0.0, 0.0), STILL)
+    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
     sensor.end_tick(None)
-    sensor.sample(LEVEL, (1.0, 0.0, 0.0), STILL)
+    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
     assert sensor.end_tick(None).accel_peak_mps2[0] > 10.0
 
 
 def test_turning_moves_a_mount_off_the_centre():
     sensor = imu(p_BI_m=(0.5, 0.0, 0.5))
     spin = (0.0, 0.0, 2.0)
-    sensor.sample(LEVEL, STILL, spin)
+    sensor.sample(BodyMotion(LEVEL, STILL, spin))
     sensor.end_tick(None)
     quarter = matrix(quaternion(2.0 / 240))
-    sensor.sample(quarter, STILL, spin)
+    sensor.sample(BodyMotion(quarter, STILL, spin))
     frame = sensor.end_tick(None)
     assert frame.accel_mean_mps2[0] == pytest.approx(-0.5 * 4.0, rel=0.02)  # towards the centre
     assert frame.gyro_radps == pytest.approx([0.0, 0.0, 2.0])
@@ -95,8 +96,8 @@ def test_noise_is_on_the_means_only_and_saturation_holds():
     sensor = imu(saturation_mps2=5.0)
     frames = []
     for key in (11, 11, 12):
-        sensor.reset(LEVEL)
-        sensor.sample(LEVEL, (0.01, 0.0, 0.0), STILL)
+        sensor.reset(BodyMotion(LEVEL))
+        sensor.sample(BodyMotion(LEVEL, (0.01, 0.0, 0.0), STILL))
         frames.append(sensor.end_tick(key))
         sensor.start(1)
     assert np.array_equal(frames[0].accel_peak_mps2, frames[2].accel_peak_mps2)
@@ -106,14 +107,14 @@ def test_noise_is_on_the_means_only_and_saturation_holds():
 
 def test_a_fast_turn_ends_at_the_range_of_the_gyroscope():
     sensor = imu(gyro_range_deg=250.0, noise=False)
-    sensor.sample(LEVEL, STILL, (0.0, -9.0, 3.0))
+    sensor.sample(BodyMotion(LEVEL, STILL, (0.0, -9.0, 3.0)))
     assert sensor.end_tick(None).gyro_radps == pytest.approx([0.0, -math.radians(250), 3.0])
 
 
 def test_the_low_pass_can_be_read_substep_by_substep():
     sensor = imu(noise=False)
     for k in range(24):
-        sensor.sample(LEVEL, (0.0 if k < 12 else 1.0, 0.0, 0.0), STILL)
+        sensor.sample(BodyMotion(LEVEL, (0.0 if k < 12 else 1.0, 0.0, 0.0), STILL))
     peak = sensor.end_tick(None).accel_peak_mps2
     assert sensor.lowpass_mps2.shape == (24, 3)
     assert np.abs(sensor.lowpass_mps2[:12]).max() == 0.0
@@ -122,11 +123,11 @@ def test_the_low_pass_can_be_read_substep_by_substep():
 
 def braking(sensor: Imu, ticks: int = 1):
     """One frame after ticks of braking at 1.5 m/s2 on level ground."""
-    sensor.sample(LEVEL, (3.0, 0.0, 0.0), STILL)
+    sensor.sample(BodyMotion(LEVEL, (3.0, 0.0, 0.0), STILL))
     sensor.end_tick(None)
     for tick in range(ticks):
         for k in range(1, 25):
-            sensor.sample(LEVEL, (3.0 - 1.5 * (tick + k / 24) / 10, 0.0, 0.0), STILL)
+            sensor.sample(BodyMotion(LEVEL, (3.0 - 1.5 * (tick + k / 24) / 10, 0.0, 0.0), STILL))
         frame = sensor.end_tick(None)
     return frame
 
@@ -147,15 +148,15 @@ def test_gravity_can_be_taken_out_of_what_the_agent_sees():
 def test_gravity_in_the_peak_does_not_ring_in_at_a_start():
     sensor = imu(gravity="included")
     up = matrix(quaternion(0.0, 0.2))
-    sensor.reset(up)
+    sensor.reset(BodyMotion(up))
     assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
-    sensor.sample(up, STILL, STILL)
+    sensor.sample(BodyMotion(up, STILL, STILL))
     assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
 
 
 def test_numbers_that_are_not_finite_are_refused():
     sensor = imu()
-    sensor.sample(LEVEL, (math.nan, 0.0, 0.0), STILL)
+    sensor.sample(BodyMotion(LEVEL, (math.nan, 0.0, 0.0), STILL))
     with pytest.raises(PhysicsError, match="finite"):
         sensor.end_tick(None)
 

@@ -7,6 +7,7 @@ import pytest
 
 from wcsim.config import ImuConfig
 from wcsim.core.rotations import LEVEL
+from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import STANDARD_GRAVITY_MPS2, Imu
 from wcsim.physics.sensors.pixel_noise import child
 
@@ -22,7 +23,7 @@ def readings(ticks: int, episode: int = 1, key: int = 7, tick_s: float = 0.1, **
     sensor.start(episode)
     out = np.empty((ticks, 6))
     for tick in range(ticks):
-        sensor.sample(LEVEL, STILL, STILL)
+        sensor.sample(BodyMotion(LEVEL, STILL, STILL))
         frame = sensor.end_tick(child(key, tick))
         out[tick] = np.r_[frame.accel_mean_mps2 - (0.0, 0.0, 9.81), frame.gyro_radps]
     return out
@@ -68,7 +69,7 @@ def test_without_noise_a_key_changes_no_bit():
         out = b""
         for tick in range(5):
             for k in range(24):
-                sensor.sample(LEVEL, (math.sin(tick + k / 24), 0.1, 0.0), (0.0, 0.1 * k, 0.2))
+                sensor.sample(BodyMotion(LEVEL, (math.sin(tick + k / 24), 0.1, 0.0), (0.0, 0.1 * k, 0.2)))
             frame = sensor.end_tick(None if key is None else child(key, tick))
             out += np.r_[frame.accel_mean_mps2, frame.accel_peak_mps2, frame.gyro_radps].tobytes()
             out += np.array([frame.roll_rad, frame.pitch_rad]).tobytes()

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from wcsim.config import ImuConfig
 from wcsim.core.rotations import LEVEL, euler, matrix, quaternion, turned
+from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.sensors.tilt import TiltSensor, tilt_felt, tilt_turned
@@ -69,11 +70,11 @@ def test_noise_and_bias_have_their_size(mode):
     sensor = Imu(ImuConfig(tilt=mode, **exact), (0.18, 0.0, 0.5), 0.1, 9.81)
     means, spread = [], []
     for episode in range(200):
-        sensor.reset(LEVEL)
+        sensor.reset(BodyMotion(LEVEL))
         sensor.start(child(5, episode))
         tilts = []
         for tick in range(10):
-            sensor.sample(LEVEL, STILL, STILL)
+            sensor.sample(BodyMotion(LEVEL, STILL, STILL))
             frame = sensor.end_tick(child(6, 100 * episode + tick))
             tilts.append((frame.roll_rad, frame.pitch_rad))
         means.append(np.degrees(tilts).mean(axis=0))
@@ -86,7 +87,7 @@ def test_the_ideal_sensor_has_no_errors():
     sensor = Imu(ImuConfig(), (0.18, 0.0, 0.5), 0.1, 9.81)
     sensor.start(3)
     up = matrix(quaternion(0.0, 0.1, -0.05))
-    sensor.reset(up)
-    sensor.sample(up, STILL, STILL)
+    sensor.reset(BodyMotion(up))
+    sensor.sample(BodyMotion(up, STILL, STILL))
     frame = sensor.end_tick(4)
     assert (frame.roll_rad, frame.pitch_rad) == pytest.approx((-0.05, 0.1), abs=1e-12)

@@ -33,7 +33,7 @@ def _setting(index: int, value: float) -> Plant:
             out[index] = value
             return out
 
-        patch.setattr(wheelchair.drive, "settings", wrong)
+        patch.setattr(wheelchair.drive_controller, "settings", wrong)
 
     return plant
 

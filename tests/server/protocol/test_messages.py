@@ -4,12 +4,14 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from wcsim.errors import LinkClosedError, OverloadedError, ProtocolError, TownError, WcsimError
 from wcsim.server.protocol import messages as m
-from wcsim.types import Contact, Drawn, SeatSpec, StartSpec
+from wcsim.server.protocol.frame_codec import packed, unpacked
+from wcsim.types import Contact, Drawn, Reading, SeatSpec, StartSpec
 
 SESSION = bytes(range(16))
 REQUESTS = [
@@ -152,3 +154,31 @@ def test_frames_whose_parts_do_not_fit_are_refused(ended):
     at = whole.index(depth)
     with pytest.raises(ProtocolError):
         m.decode_reply(whole[: at - 3] + b"\xc5\x0b\xff" + whole[at + 1 :])
+
+
+def test_readings_travel_behind_the_numbers_and_a_frame_without_any_is_as_long_as_ever(ended):
+    whole = replace(ended, first=None)
+    bare = m.encode(m.Frame(0, 3, 0, whole))
+    assert len(packed(whole, pictures=False).numbers) == 256
+    said = (Reading(name="beams", values=np.arange(3.0)), Reading(name="wheels", values=np.array([-0.5, 2.0])))
+    told = replace(whole, sensors=replace(whole.sensors, readings=said))
+    got = m.decode_reply(m.encode(m.Frame(0, 3, 0, told)))
+    assert got.client.sensors.readings == said
+    assert m.encode(m.Frame(0, 3, 0, m.decode_reply(bare).client)) == bare
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [b"?", b"\x90 ", b"\x91\x92\xa1a\xc4\x03abc", b"\x91\x92\xa1 \xc4\x00", b"\x91\x92\xa1a\xc4\x08" + b"\xff" * 8],
+    ids=["no msgpack", "more behind", "no whole number", "a name with a blank", "not finite"],
+)
+def test_what_is_no_reading_is_refused(ended, tail):
+    sound = packed(replace(ended, first=None), pictures=True)
+    with pytest.raises(ProtocolError, match="reading"):
+        unpacked(msgspec.structs.replace(sound, numbers=sound.numbers + tail))
+
+
+def test_what_was_drawn_for_sensors_travels_apart_from_the_plant(ended):
+    drawn = Drawn(plant=(("a.b", 1.5),), sensors=(("wheels.noise", 0.5),))
+    got = m.decode_reply(m.encode(m.Frame(0, 3, 0, replace(ended, drawn=drawn, first=None))))
+    assert got.client.drawn == drawn

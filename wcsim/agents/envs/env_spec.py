@@ -80,7 +80,8 @@ class Face:
         """The space of one chair's observations, a new one each time."""
         camera, env = self.config.cameras[0], self.config.env
         vector = imu_size(env.observe_gyro, env.observe_yaw)
-        now = observation_space(env.observation, camera.width_px, camera.height_px, vector)
+        measures = self.config.sensors.measures()
+        now = observation_space(env.observation, camera.width_px, camera.height_px, vector, measures)
         return windowed_space(now, env.frames)
 
     def order(self, seed: int, chairs: int = 1) -> WorldOrder:

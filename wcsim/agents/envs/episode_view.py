@@ -174,6 +174,7 @@ class Chair:
         return {
             "state": plant,
             "imu": snapshot.sensors.imu,
+            **{reading.name: reading.values for reading in snapshot.sensors.readings},
             "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
             "joystick_distance": distance,
             "asked": asked,
@@ -195,6 +196,10 @@ class Chair:
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
+        sensors = {name: len(measure.parts) for name, measure in self._config.sensors.measures().items()}
+        said = {reading.name: len(reading.values) for reading in first.sensors.readings}
+        if not sensors.items() <= said.items():
+            raise ConfigMismatchError(f"the world's sensors are {said}; expected {sensors}: use its configuration")
 
 
 def _integer(value: object) -> int | None:

@@ -157,10 +157,17 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it on its own"
         )
     numbers = imu_size(config.env.observe_gyro, config.env.observe_yaw) + JOYSTICK_SIZE
-    if file.vector_size != numbers:
+    wanted = file.vector_size - sum(file.sensors.values())
+    if wanted != numbers:
         raise PolicyError(
-            f"policy {name!r} wants {file.vector_size} numbers from IMU and joystick, this test gives {numbers}: "
+            f"policy {name!r} wants {wanted} numbers from IMU and joystick, this test gives {numbers}: "
             "set env.observe_gyro and env.observe_yaw as in its training"
+        )
+    given = {key: len(measure.parts) for key, measure in config.sensors.measures().items()}
+    if not file.sensors.items() <= given.items():
+        raise PolicyError(
+            f"policy {name!r} wants the sensors {file.sensors} (numbers of each), this test has {given}: "
+            "set their sections of [sensors] as in its training"
         )
     other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:

@@ -115,6 +115,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             epsilon_sigma=learn.epsilon_sigma,
             epsilon_hold=learn.epsilon_hold,
             mirror=learn.mirror,
+            mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
             aid_batch=learn.aid_batch,
             aid_share=learn.aid_share,
             aid_relabel=learn.aid_relabel,

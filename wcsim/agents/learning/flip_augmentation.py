@@ -10,6 +10,7 @@ from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.supervisor.observation import imu_size
 
 Tensors = dict[str, torch.Tensor]
+Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
 IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
 GYRO_SIGNS = (-1.0, 1.0, -1.0)
@@ -22,25 +23,25 @@ _SIGNS = {
 }
 
 
-def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor) -> DictReplayBufferSamples:
+def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
-        observations=_mirrored(batch.observations),
+        observations=_mirrored(batch.observations, signs),
         actions=actions[batch.actions.long()],
-        next_observations=_mirrored(batch.next_observations),
+        next_observations=_mirrored(batch.next_observations, signs),
     )
 
 
-def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor) -> AdviceBatch:
+def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
     """The same for a batch of the training aid."""
-    return AdviceBatch(observations=_mirrored(batch.observations), safe=batch.safe[:, actions])
+    return AdviceBatch(observations=_mirrored(batch.observations, signs), safe=batch.safe[:, actions])
 
 
-def _mirrored(observations: Tensors) -> Tensors:
+def _mirrored(observations: Tensors, further: Signs = ()) -> Tensors:
     out = dict(observations)
     for key in (CLASS_KEY, DEPTH_KEY):
         out[key] = observations[key].flip(-1)
     imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
-    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS)):
+    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):
         out[key] = observations[key] * observations[key].new_tensor(signs)
     return out

@@ -15,11 +15,11 @@ from safetensors.torch import save_file
 from wcsim.agents.envs.frame_window import newest
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.encoder import image_size, vector_size, window_size
+from wcsim.agents.networks.encoder import image_size, vector_keys, vector_size, window_size
 from wcsim.agents.networks.names import require_named
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.policy_api import CLASS_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.agents.runs.policy_file import POLICY_JSON, read_policy_file
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
@@ -108,14 +108,16 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
 
 
 def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights_sha256: str) -> dict[str, Any]:
-    spec = model.q_net.spec
+    spec, space = model.q_net.spec, model.observation_space
+    sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
     return {
         "schema_version": 1,
         "algorithm": "SeqDQN",
         "net": spec_to_json(spec),
-        "image_hw_px": list(image_size(model.observation_space)),
-        "vector_size": vector_size(model.observation_space),
-        "window": window_size(model.observation_space),
+        "image_hw_px": list(image_size(space)),
+        "vector_size": vector_size(space),
+        **({"sensors": sensors} if sensors else {}),
+        "window": window_size(space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
         "manifest_sha256": manifest_sha256,
@@ -140,12 +142,10 @@ def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
 def _space(file: PolicyFile) -> spaces.Dict:
     height, width = file.image_hw_px
     image = spaces.Box(0, 255, (file.window, height, width), np.uint8)
-    return spaces.Dict(
-        seg=image,
-        depth=image,
-        imu=spaces.Box(-1.0, 1.0, (file.vector_size - JOYSTICK_SIZE,), np.float32),
-        joystick=spaces.Box(-1.0, 1.0, (JOYSTICK_SIZE,), np.float32),
-    )
+    imu = file.vector_size - JOYSTICK_SIZE - sum(file.sensors.values())
+    rows = {**file.sensors, IMU_KEY: imu, JOYSTICK_KEY: JOYSTICK_SIZE}
+    boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in rows.items()}
+    return spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **boxes})
 
 
 def _probes(file: PolicyFile) -> Iterator[Observation]:

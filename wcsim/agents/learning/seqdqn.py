@@ -23,7 +23,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEn
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from wcsim.agents.learning.flip_augmentation import mirrored, mirrored_advice
+from wcsim.agents.learning.flip_augmentation import Signs, mirrored, mirrored_advice
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
@@ -47,6 +47,7 @@ class SeqSettings:
     epsilon_sigma: float = 0.5
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
     mirror: bool = False  # batches are mirrored left to right half of the time
+    mirror_signs: Signs = ()  # of the sensors of [sensors]
     aid_batch: int = 32  # this and the following: see LearnConfig
     aid_share: float = 0.5
     aid_relabel: float = 0.5
@@ -165,7 +166,7 @@ class SeqDQN(DQN):
         for _ in range(gradient_steps):
             batch: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
             if self._flips():
-                batch = mirrored(batch, self._mirror_map())
+                batch = mirrored(batch, self._mirror_map(), self.settings.mirror_signs)
             loss = self.loss(batch, margin)
             if aid > 0.0:
                 loss = loss + aid * self.advice_loss()
@@ -221,7 +222,7 @@ class SeqDQN(DQN):
         wishes = relabelled(sticks, points, settings.aid_relabel, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
-            advice = mirrored_advice(advice, self._mirror_map())
+            advice = mirrored_advice(advice, self._mirror_map(), self.settings.mirror_signs)
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         values = self.q_net(advice.observations)
         return aid_loss(values, distances, advice.safe, settings.reward_scale, settings.aid_margin)

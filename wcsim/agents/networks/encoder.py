@@ -61,13 +61,14 @@ class ObservationEncoder(BaseFeaturesExtractor):
         body = registry.build(network, shape, numbers)
         super().__init__(observation_space, features_dim=_features_dim(network, body, shape, numbers))
         self.body = body
+        self.vector_keys = vector_keys(observation_space)
         self.windowed = registry.is_windowed(network)
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()  # the last one is for depth
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
 
     def forward(self, observations: Tensors) -> torch.Tensor:
         """Features (B, F) of a batch of observations (uint8 images, float32 vectors)."""
-        return torch.as_tensor(self.body(self.image(observations), vector(observations)))
+        return torch.as_tensor(self.body(self.image(observations), self.vector(observations)))
 
     def image(self, observations: Tensors) -> torch.Tensor:
         """Class planes and log-depth, (B, G + 1, H, W) in 0..1; (B, T, G + 1, H, W) for a network that is windowed.
@@ -80,15 +81,21 @@ class ObservationEncoder(BaseFeaturesExtractor):
         planes = planes.movedim(-1, 2)
         return planes if self.windowed else planes[:, 0]
 
+    def vector(self, observations: Tensors) -> torch.Tensor:
+        """What `vector_keys` names side by side, (B, vector_size) float32."""
+        return torch.cat([observations[key] for key in self.vector_keys], dim=1).to(torch.float32)
 
-def vector(observations: Tensors) -> torch.Tensor:
-    """IMU and joystick side by side, (B, vector_size) float32."""
-    return torch.cat([observations[IMU_KEY], observations[JOYSTICK_KEY]], dim=1).to(torch.float32)
+
+def vector_keys(space: spaces.Space[object]) -> tuple[str, ...]:
+    """What a network's vector is made of, in its order: IMU, joystick, then every further row of numbers by name."""
+    boxes = {key: box for key, box in _known(space).spaces.items() if isinstance(box, spaces.Box)}
+    rows = {key for key, box in boxes.items() if box.dtype == np.float32 and len(box.shape) == 1}
+    return (IMU_KEY, JOYSTICK_KEY, *sorted(rows - {IMU_KEY, JOYSTICK_KEY}))
 
 
-def vector_size(space: spaces.Space[object]) -> int:
-    """How many numbers `vector` has: 7, and more with `env.observe_gyro` and `env.observe_yaw`."""
-    return sum(int(np.prod(_box(_known(space), key).shape)) for key in (IMU_KEY, JOYSTICK_KEY))
+def vector_size(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
+    """How many numbers the vector, or what `keys` names of it, has: 7 for IMU and joystick as in the paper."""
+    return sum(int(np.prod(_box(_known(space), key).shape)) for key in keys or vector_keys(space))
 
 
 def image_size(space: spaces.Space[object]) -> tuple[int, int]:

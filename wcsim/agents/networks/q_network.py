@@ -12,7 +12,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 
-from wcsim.agents.networks.encoder import Classes, ObservationEncoder, vector, vector_size
+from wcsim.agents.networks.encoder import Classes, ObservationEncoder, vector_size
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
@@ -67,7 +67,7 @@ class QNet(BasePolicy):
         """Values (B, A), in units of the scaled reward."""
         if not isinstance(observations, dict):
             raise TypeError(f"observations are {type(observations).__name__}; expected a dict of tensors")
-        features = torch.cat([self.encoder(observations), vector(observations)], dim=1)
+        features = torch.cat([self.encoder(observations), self.encoder.vector(observations)], dim=1)
         hidden = self.trunk(features)
         q = self.advantage(hidden)
         if self.value is not None:

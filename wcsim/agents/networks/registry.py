@@ -5,7 +5,7 @@ batch to features. What goes in:
 
 - `image`: (B, C, H, W) float32 in 0..1; one plane per group of pixel classes, then the log-depth (0 near, 1 far);
   built with `image_shape` (C, H, W);
-- `vector`: (B, 7) float32 in -1..1; IMU (ax, ay, az, roll, pitch) and the user's joystick (x right, y forward).
+- `vector`: (B, 7) float32 in -1..1; IMU (ax, ay, az, roll, pitch) and joystick (x right, y forward), then `[sensors]`.
 
 What comes out: (B, F) float32 for any F, which is found by a first call. The head that turns features into values of
 actions gets the vector once more beside the features, so that a network may ignore it; Stable-Baselines3's own

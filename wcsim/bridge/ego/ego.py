@@ -21,6 +21,7 @@ from wcsim.errors import ConfigError
 from wcsim.physics.buffers import SeatBuffers
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
+from wcsim.physics.sensors.base import Scene
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -89,6 +90,7 @@ class Ego:
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
+        self._rig: CameraRig
         self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
         self.route: Route
         self._start: Start
@@ -97,7 +99,8 @@ class Ego:
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
         self._obstacles = ObstacleWatch(street.grid)
         self._crossing = CrossingWatch(street.grid, street.walk)
-        self._seed = self._imu_key = 0
+        self._seed = 0
+        self._keys: dict[str, int] = {}  # of its sensors, by name
         self._episode = -1
         self._spawned = self._stands = False
         self._step = 0
@@ -125,13 +128,15 @@ class Ego:
         """How many episodes of this seat have begun in this epoch, those before it was taken among them."""
         return self._episode + 1
 
-    def build(self, engine: Engine, seed: int, begun: int = 0) -> None:
+    def build(self, engine: Engine, rig: CameraRig, seed: int, begun: int = 0) -> None:
         """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
         self._seed = seed
         self._episode = begun - 1
         self._spawned = self._stands = False
-        self._imu_key = seeding.key(seed, "imu", self.index)
-        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index)
+        self._rig = rig
+        others = {"cameras": self._config.cameras, **self._config.sensors.on()}
+        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig)
+        self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors.names}
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
         """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
@@ -158,7 +163,7 @@ class Ego:
         delay = self._config.world.action_delay_ticks
         self.fitting = self._variation.fitting(self._seed, self._episode + 1)
         if self.fitting is not None:
-            self.chair.become(self.fitting.spec)
+            self.chair.become(self.fitting.spec, self.fitting.sensors)
             drawn = self.fitting.drawn.action_delay_ticks
             delay = delay if drawn is None else drawn
         self._waiting = deque([AT_REST] * delay)
@@ -172,11 +177,12 @@ class Ego:
         """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
         self._stands = True
         self.chair.place(self._start.p_W_m, self._start.yaw_rad)
-        self.chair.switch_on(seeding.key(self._seed, "imu", self.index, "start", self._episode))
+        at = (self.index, "start", self._episode)
+        self.chair.sensors.start({name: seeding.key(self._seed, name, *at) for name in self._keys})
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
-        self.chair.end_tick(child(self._imu_key, tick))
+        self.chair.end_tick({name: child(key, tick) for name, key in self._keys.items()})
         world = self._config.world
         self.user.hand(world.substeps, world.tick_s / world.substeps)
 
@@ -196,18 +202,25 @@ class Ego:
     def observe(
         self,
         tick: int,
-        rig: CameraRig,
         actors: Sequence[ActorState],
         chairs: Sequence[ChairPose],
         signals: Sequence[SignalState],
         buffers: SeatBuffers | None = None,
     ) -> SensorFrame:
-        """Cameras and IMU of this tick; the images are made in `buffers` when they are given."""
-        counted = self.spec.truth_visible
-        cameras = rig.shoot(self.index, tick, self.chair.state(), actors, chairs, buffers, signals, counted)
-        if counted:
-            self._shown_actors.see(tick, rig.shown_px(self.index))
-        return SensorFrame(tick=tick, cameras=cameras, imu=self.chair.imu())
+        """All sensors of this tick; the images are made in `buffers` when they are given."""
+        scene = Scene(
+            tick=tick,
+            plant=self.chair.state(),
+            actors=actors,
+            chairs=chairs,
+            signals=signals,
+            buffers=buffers,
+            counted=self.spec.truth_visible,
+        )
+        frame = self.chair.sensors.observe(scene)
+        if scene.counted:
+            self._shown_actors.see(tick, self._rig.shown_px(self.index))
+        return frame
 
     def events(self, jam_teleports: int, first: bool) -> Events:
         """What this tick did to the episode; the first frame of an episode has no events."""

@@ -6,6 +6,7 @@ from wcsim.bridge.ego.ego import Ego
 from wcsim.config import RunConfig
 from wcsim.errors import ProtocolError
 from wcsim.physics.engine import Engine
+from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.checks.validate import require_pavement
@@ -42,14 +43,14 @@ class EgoSlots:
             raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
         return seat
 
-    def build(self, engine: Engine, seed: int) -> None:
+    def build(self, engine: Engine, rig: CameraRig, seed: int) -> None:
         """Begin an epoch: a new wheelchair in a new engine for each seat that is taken."""
         self._seed = seed
         self._begun = [0] * len(self._begun)
         for seat in self.present:
-            seat.build(engine, seed)
+            seat.build(engine, rig, seed)
 
-    def admit(self, engine: Engine, number: int, spec: SeatSpec) -> Ego:
+    def admit(self, engine: Engine, rig: CameraRig, number: int, spec: SeatSpec) -> Ego:
         """Take a free seat; its wheelchair is parked in the engine until its first episode is begun.
 
         Raises:
@@ -60,7 +61,7 @@ class EgoSlots:
         if self._find(number) is not None:
             raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
         seat = self._seat(number, spec)
-        seat.build(engine, self._seed, self._begun[number])
+        seat.build(engine, rig, self._seed, self._begun[number])
         self.present = tuple(sorted((*self.present, seat), key=lambda item: item.index))
         return seat
 

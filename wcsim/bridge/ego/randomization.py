@@ -5,11 +5,11 @@ So a seat's draws do not change when another range is added, and every seat has 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from wcsim.config import CameraConfig, RunConfig, parse
+from wcsim.config import CameraConfig, RunConfig, SensorConfig, SensorsConfig, parse
 from wcsim.config.randomization import VaryConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
@@ -30,6 +30,7 @@ class DrawnChair:
     drawn: Drawn
     spec: PlantSpec
     cameras: tuple[CameraConfig, ...]
+    sensors: Mapping[str, SensorConfig]  # sections by name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,13 +49,14 @@ class Randomization:
     """
 
     def __init__(self, config: RunConfig, seat: int) -> None:
-        self._vary, self._cameras, self._seat = config.vary, config.cameras, seat
+        self._vary, self._cameras, self._sensors, self._seat = config.vary, config.cameras, config.sensors, seat
         if not self._vary.nothing:
             self._spec = plant_spec(config.chair)
             self._step_s = config.world.tick_s / config.world.substeps
             _check_names(self._vary)
             _check_plants(self._vary, self._spec, self._step_s)
             _check_cameras(self._vary, self._cameras, self._spec)
+            _check_sensors(self._vary, self._sensors)
 
     def fitting(self, seed: int, episode: int) -> DrawnChair | None:
         """The chair of an episode, None when all are alike.
@@ -69,10 +71,11 @@ class Randomization:
                 spec, cameras = with_drawn(self._spec, drawn), moved(self._cameras, drawn)
                 check_springs(spec, self._step_s)
                 refuse_cameras_inside(cameras, spec.frame.boxes)
+                sensors = retuned(self._sensors, drawn.sensors).on()
             except ConfigError as error:
                 fault = error
                 continue
-            return DrawnChair(drawn=drawn, spec=spec, cameras=cameras)
+            return DrawnChair(drawn=drawn, spec=spec, cameras=cameras, sensors=sensors)
         raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand; expected narrower ranges: {fault}")
 
 
@@ -105,6 +108,7 @@ def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, att
         plant=tuple((name, numbers(name, span)[0]) for name, span in sorted(vary.plant.items())),
         attention=by_class("attention", vary.attention.items()),
         reaction_s=by_class("reaction", vary.reaction.items()),
+        sensors=tuple((name, numbers(f"sensors.{name}", span)[0]) for name, span in sorted(vary.sensors.items())),
     )
 
 
@@ -129,6 +133,22 @@ def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig
         _mounted(camera, shift, frames.deg(yaw_rad), frames.deg(pitch_rad))
         for camera, shift, (yaw_rad, pitch_rad) in zip(cameras, shifts, turns, strict=True)
     )
+
+
+def retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> SensorsConfig:
+    """The sensors as they measure in an episode; `drawn` are values by section.key, rounded for whole ones.
+
+    Raises ConfigError when there is no such sensor or number, or a value is out of bounds.
+    """
+    data = sensors.model_dump()
+    for name, value in drawn:
+        section, _, key = name.partition(".")
+        old = data.get(section, {}).get(key)
+        if isinstance(old, bool) or not isinstance(old, int | float):
+            numbers = [f"{s}.{k}" for s, keys in data.items() for k, v in keys.items() if type(v) in (int, float)]
+            raise ConfigError(f"{name}: no number of a sensor that is there; expected one of {numbers}")
+        data[section][key] = round(value) if isinstance(old, int) else value
+    return parse(SensorsConfig, data, "sensors")
 
 
 def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: float) -> CameraConfig:
@@ -159,6 +179,12 @@ def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:
 
 def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
     check_springs(varied(spec, {name: value}), step_s)
+
+
+def _check_sensors(vary: VaryConfig, sensors: SensorsConfig) -> None:
+    for name, span in vary.sensors.items():
+        for value in span:
+            _under(f"vary.sensors.{name}", partial(retuned, sensors, ((name, value),)))
 
 
 def _check_cameras(vary: VaryConfig, cameras: tuple[CameraConfig, ...], spec: PlantSpec) -> None:

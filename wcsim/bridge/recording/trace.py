@@ -91,6 +91,8 @@ def state_hash(snapshot: Snapshot) -> str:
         digest.update(_plant_row(client.plant).tobytes())
         digest.update(struct.pack("<dd", client.user.x, client.user.y))
         digest.update(client.sensors.imu.accel_mean_mps2.tobytes())
+        for reading in client.sensors.readings:
+            digest.update(reading.name.encode() + reading.values.tobytes())
     for actor in snapshot.actors:
         digest.update(actor.id.encode())
     digest.update(_actor_rows(snapshot.actors).tobytes())

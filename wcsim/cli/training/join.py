@@ -28,7 +28,7 @@ from wcsim.users.recorded import find_user
 if TYPE_CHECKING:
     from wcsim.server.links.socket import SocketSeat, WorldOffer
 
-WORLD_PARTS = ("world", "chair", "cameras", "imu", "reward", "vary")
+WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 """Parts of a configuration that are the world's, not the client's."""
 
 

@@ -13,9 +13,11 @@ import math
 import numpy as np
 
 from wcsim.config import ImuConfig
+from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.core.frames import rad
-from wcsim.core.rotations import LEVEL, Rotation, Vec3, euler
+from wcsim.core.rotations import Vec3, euler
 from wcsim.errors import PhysicsError
+from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
 from wcsim.physics.sensors.imu_filter import ROW, STATE, filter_tick
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.physics.sensors.tilt import TiltSensor
@@ -25,7 +27,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665  # the g of data sheets
 _DRAWS = 14  # of a tick: accelerometer 3, gyroscope 3, drift of each 3, tilt 2
 
 
-class Imu:
+class Imu(Sensor):
     """Accelerometer, gyroscope and tilt sensor at one mount.
 
     Args:
@@ -45,7 +47,12 @@ class Imu:
         self._errors = _Errors(config)
         self._tilt = TiltSensor(config)
         self._low = np.zeros((0, 3))
-        self.reset(LEVEL)
+        self.reset(BodyMotion())
+
+    @classmethod
+    def fitted(cls, config: ImuConfig, mount: Mount) -> Imu:
+        """The one of this section on a wheelchair."""
+        return cls(config, mount.com_B_m, mount.engine.step_s, GRAVITY_MPS2)
 
     @property
     def lowpass_mps2(self) -> F64:
@@ -59,20 +66,20 @@ class Imu:
         self._errors.start(noise_key)
         self._tilt.start(np.zeros(2) if noise_key is None else normals(child(noise_key, 1), 2))
 
-    def reset(self, rotation: Rotation) -> None:
-        """Stand still at rotation R_WB: no velocity, quiet filters, a tick of no samples."""
-        self._rotation = rotation
+    def reset(self, motion: BodyMotion) -> None:
+        """Stand still as it is turned: no velocity, quiet filters, a tick of no samples."""
+        self._rotation = motion.rotation
         self._state = np.zeros(STATE)
-        self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(rotation[6:9])
+        self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(self._rotation[6:9])
         self._tilt.reset()
         self._rows: list[float] = []
 
-    def sample(self, rotation: Rotation, v_com_W_mps: Vec3, w_W_radps: Vec3) -> None:
+    def sample(self, motion: BodyMotion) -> None:
         """Take the motion after a physics step into the tick."""
-        self._rotation = rotation
-        self._rows += rotation  # nothing but kept: it is called every substep
-        self._rows += v_com_W_mps
-        self._rows += w_W_radps
+        self._rotation = motion.rotation
+        self._rows += motion.rotation  # nothing but kept: it is called every substep
+        self._rows += motion.v_com_W_mps
+        self._rows += motion.w_W_radps
 
     def end_tick(self, noise_key: int | None) -> ImuFrame:
         """Close the tick: means, peaks and tilt of its samples; `noise_key` (64 bits) says which noise, None: none.

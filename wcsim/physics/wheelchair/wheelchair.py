@@ -7,6 +7,8 @@ then `state`, `imu` and `contacts` answer.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +17,10 @@ from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
-from wcsim.physics.engine import GRAVITY_MPS2, PARK_Z_M, BodyTag, Engine, Role
-from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
+from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
 from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
 from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
@@ -36,30 +40,48 @@ _ASLEEP: Final = pybullet.ACTIVATION_STATE_ENABLE_SLEEPING | pybullet.ACTIVATION
 
 
 class Wheelchair:
-    """One chair with its controllers and IMU.
+    """One chair with its controllers and sensors.
 
     Args:
         engine: Where it lives.
         chair: Plant and limits of the drive.
-        imu: The sensor.
+        imu: The sensor that every chair has.
         seat: Number of the seat; its actor id in contacts of other chairs is `chair_actor_id(seat)`.
+        others: Sections of its other sensors, by their names in `physics/sensors/registry.py`.
+        rig: Which draws the pictures of its cameras, when it has some.
 
     Raises:
         ConfigError: `chair.plant` is unknown, cannot stand, or does not go with the limits in `chair` or the step.
         PhysicsError: PyBullet refused the body.
     """
 
-    def __init__(self, engine: Engine, chair: ChairConfig, imu: ImuConfig, seat: int) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        chair: ChairConfig,
+        imu: ImuConfig,
+        seat: int,
+        others: Mapping[str, object] | None = None,
+        rig: CameraRig | None = None,
+    ) -> None:
         self.seat: Final = seat
         self._engine = engine
         self._chair = chair
-        self._imu_config = imu
         self._coasted = self._ghosts = 0
         self._log = ContactLog()
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
         self._state: PlantState | None = None
         spec = plant_spec(chair)
+        self._mount = Mount(
+            seat=seat,
+            engine=engine,
+            com_B_m=spec.frame_com_m,
+            wheel_radius_m=spec.wheel.radius_m,
+            track_m=spec.wheel.track_m,
+            rig=rig,
+        )
+        self.sensors: Final = SensorSet({"imu": imu, **(others or {})}, self._mount)
         self._take(spec, load_body(engine, spec, chair.v_max_mps))
         self.park()
 
@@ -78,8 +100,8 @@ class Wheelchair:
         """What the engine calls its body; another one after `become`."""
         return self._body.id
 
-    def become(self, spec: PlantSpec) -> None:
-        """Be another plant from now on; the chair is parked then, until it is placed.
+    def become(self, spec: PlantSpec, sensors: Mapping[str, object] | None = None) -> None:
+        """Be another plant, with other sections of some sensors, from now on; it is parked then, until it is placed.
 
         Other frictions, springs and motors cost nothing. Other masses or shapes need a new body: some milliseconds, and
         10 to 13 kB that PyBullet keeps.
@@ -94,6 +116,7 @@ class Wheelchair:
             self._take(spec, load_body(self._engine, spec, self._chair.v_max_mps))
         elif spec != self._spec:
             self._take(spec, dressed(self._engine, self._body.id, spec, self._chair.v_max_mps))
+        self.sensors.fit(replace(self._mount, com_B_m=spec.frame_com_m), sensors or {})
         self.park()
 
     def _take(self, spec: PlantSpec, body: ChairBody) -> None:
@@ -107,7 +130,6 @@ class Wheelchair:
         self._outline = spec.outline
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        self._imu = Imu(self._imu_config, self._com_B_m, engine.step_s, GRAVITY_MPS2)
         self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
 
     @property
@@ -180,7 +202,7 @@ class Wheelchair:
         return forward + pitching * self._axle_from_com_z_m
 
     def after_step(self) -> None:
-        """Sample the IMU and add up what was touched."""
+        """Sample the sensors and add up what was touched."""
         if self._parked:
             return
         body, ground = self._body, self._engine.rolling_ids
@@ -195,25 +217,21 @@ class Wheelchair:
         if suspects or self._coasted:
             self._coast_over_ghosts(suspects, touches)
         self._read()
-        self._imu.sample(self._rotation, self._v_W_mps, self._w_W_radps)
+        wheel_rad = (self._joints[0][0], self._joints[1][0])
+        self.sensors.sample(BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, wheel_rad))
         self._track.after_step(math.hypot(*self._v_W_mps[:2]))
         for point in touches:
             self._touch(point)
 
-    def end_tick(self, noise_key: int | None) -> None:
-        """Close the tick for `imu` and `contacts`, and tell others how this chair moves; noise only with a key.
+    def end_tick(self, noise: NoiseKeys | None) -> None:
+        """Close the tick for sensors and `contacts`, and tell others how this chair moves; noise only with keys.
 
         Raises:
             PhysicsError: The motion left the finite numbers.
         """
-        self._imu_frame = self._imu.end_tick(noise_key)
+        self.sensors.end_tick(noise)
         self._contacts = self._log.close()
         self._tell()
-
-    def switch_on(self, noise_key: int | None) -> None:
-        """Begin an episode for the IMU, which keeps its biases through it, with a reading at rest."""
-        self._imu.start(noise_key)
-        self._imu_frame = self._imu.end_tick(noise_key)
 
     def state(self) -> PlantState:
         """The true state as of the last substep."""
@@ -244,7 +262,8 @@ class Wheelchair:
 
     def imu(self) -> ImuFrame:
         """What the IMU said of the last closed tick."""
-        return self._imu_frame
+        frame: ImuFrame = self.sensors.felt("imu")
+        return frame
 
     def contacts(self) -> tuple[Contact, ...]:
         """What was touched in the last closed tick."""
@@ -282,8 +301,7 @@ class Wheelchair:
         self._track.clear()
         self._read()
         self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
-        self._imu.reset(self._rotation)
-        self._imu_frame = self._imu.end_tick(None)
+        self.sensors.reset(BodyMotion(self._rotation))
         self._tell()
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:

@@ -25,6 +25,7 @@ from wcsim.types import (
     ImuFrame,
     Joystick,
     PlantState,
+    Reading,
     SeatSpec,
     SensorFrame,
     Snapshot,
@@ -59,6 +60,8 @@ class FakeWorld:
         """A world with a chair for each of `specs` that is not None."""
         self._config, self.epoch = order.config, epoch - 1
         self._chairs = {seat: _Chair(spec, -1) for seat, spec in enumerate(specs) if spec is not None}
+        measures = order.config.sensors.measures()
+        self._readings = tuple(Reading(name=name, values=np.zeros(len(m.parts))) for name, m in measures.items())
         self._episodes = [0] * len(specs)
         self._own = [(self._new_buffers(), self._new_buffers()) for _ in specs]
         self.snapshot = self._begun(seed, None)
@@ -139,11 +142,12 @@ class FakeWorld:
 
     def _seen(self, seat: int, tick: int, buffers: SeatBuffers, over: bool) -> ClientSnapshot:
         chair = self._chairs[seat]
+        cameras = self._shot(seat, tick, buffers)
         return ClientSnapshot(
             seat=seat,
             tick=tick,
             plant=_plant(chair),
-            sensors=SensorFrame(tick=tick, cameras=self._shot(seat, tick, buffers), imu=_IMU),
+            sensors=SensorFrame(tick=tick, cameras=cameras, imu=_IMU, readings=self._readings),
             user=Joystick(0.0, 0.5),
             contacts=(),
             events=Events(

@@ -18,6 +18,8 @@ MAX_SEED = (1 << 63) - 1
 _MAX_PROCESS = 1 << 22  # of Linux
 MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
 MOST_METRES = 1e6
+MOST_READINGS = 64  # of a chair in a tick, beside cameras and IMU
+MOST_READING_BYTES = 1 << 16  # of one sensor
 MOST_PICTURE_BYTES = 2048 * 2048 * 4
 
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]

@@ -13,7 +13,7 @@ import msgspec
 from wcsim.server.protocol import bounds as b
 
 ROW = struct.Struct("=32d")
-_Row = Annotated[bytes, msgspec.Meta(min_length=ROW.size, max_length=ROW.size)]
+_Row = Annotated[bytes, msgspec.Meta(min_length=ROW.size, max_length=ROW.size + b.MOST_READINGS * b.MOST_READING_BYTES)]
 _Seconds = Annotated[bytes, msgspec.Meta(max_length=8 * 1024)]  # float64, one for each action
 _PictureBytes = Annotated[bytes, msgspec.Meta(max_length=b.MOST_PICTURE_BYTES)]
 
@@ -50,6 +50,16 @@ class PackedPicture(_Part, frozen=True):
     depth_m: _PictureBytes  # float32
     class_id: _PictureBytes  # uint8
     rgb: _PictureBytes  # uint8, empty without colours
+
+
+class PackedReading(_Part, frozen=True):
+    """A `Reading`."""
+
+    name: b.NameOrNone
+    values: Annotated[bytes, msgspec.Meta(max_length=b.MOST_READING_BYTES)]  # float64
+
+
+PackedReadings = Annotated[tuple[PackedReading, ...], msgspec.Meta(max_length=b.MOST_READINGS)]
 
 
 class PackedVerdict(_Part, frozen=True):
@@ -113,7 +123,7 @@ class PackedDrawn(_Part, frozen=True):
 
 
 class PackedClient(_Part, frozen=True):
-    """A `ClientSnapshot`; `numbers` are the float64 of plant, IMU and user, see `_numbers`."""
+    """A `ClientSnapshot`; `numbers` are the float64 of plant, IMU and user; `PackedReadings` may follow."""
 
     seat: b.Seat
     tick: b.Count

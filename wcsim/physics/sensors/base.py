@@ -1,0 +1,75 @@
+"""What every sensor of a wheelchair is: begun with an episode, told of each physics step, asked once a tick.
+
+A sensor is a class here and a line in `registry.py`. One whose reading is a row of numbers has its section and its
+`Measure` in `config/sensors.py`; nothing else has to know it by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from wcsim.core.rotations import LEVEL, Rotation, Vec3
+from wcsim.types import ActorState, PlantState, SignalState
+
+if TYPE_CHECKING:
+    from wcsim.physics.buffers import SeatBuffers
+    from wcsim.physics.engine import Engine
+    from wcsim.physics.renderer.instances import ChairPose
+    from wcsim.physics.sensors.camera import CameraRig
+
+NoiseKeys = Mapping[str, int]  # 64 bits for each sensor, by name
+
+
+class BodyMotion(NamedTuple):
+    """How a wheelchair moves after a physics step."""
+
+    rotation: Rotation = LEVEL  # R_WB
+    v_com_W_mps: Vec3 = (0.0, 0.0, 0.0)
+    w_W_radps: Vec3 = (0.0, 0.0, 0.0)
+    wheel_rad: tuple[float, float] = (0.0, 0.0)  # how far the drive wheels have turned: left, right
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mount:
+    """The wheelchair that a sensor is put on."""
+
+    seat: int
+    engine: Engine
+    com_B_m: Vec3  # the point whose velocity `BodyMotion` tells
+    wheel_radius_m: float  # of the drive wheels as configured, whatever an episode has drawn; the same for the track
+    track_m: float
+    rig: CameraRig | None = None  # which the cameras of all seats share
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What there is to see from a wheelchair after a tick; arguments of `CameraRig.shoot`."""
+
+    tick: int
+    plant: PlantState
+    actors: Sequence[ActorState]
+    chairs: Sequence[ChairPose]
+    signals: Sequence[SignalState]
+    buffers: SeatBuffers | None
+    counted: bool
+
+
+class Sensor(Protocol):
+    """One kind of sensor on one wheelchair; what it does not need it leaves as it is here."""
+
+    def start(self, noise_key: int | None) -> None:
+        """Begin an episode: draw the errors that stay through it, none without a key."""
+
+    def reset(self, motion: BodyMotion) -> None:
+        """Stand still like this from now on, and forget what was before."""
+
+    def sample(self, motion: BodyMotion) -> None:
+        """Take the motion after a physics step into the tick."""
+
+    def end_tick(self, noise_key: int | None) -> Any:
+        """What it felt in the tick, which ends; `noise_key` says which noise, None: none. None when it has to look."""
+
+    def look(self, scene: Scene) -> Any:
+        """What it sees after the tick; None when it does not look."""

@@ -1,0 +1,79 @@
+"""All kinds of sensors by name: the name of the configuration's section, of the noise, and of what is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Scene, Sensor
+from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.sensors.odometry import Odometry
+from wcsim.physics.sensors.seat_cameras import SeatCameras
+from wcsim.types import Reading, SensorFrame
+
+Maker = Callable[[Any, Mount], Sensor]  # from its section of the configuration
+
+SENSORS: Mapping[str, Maker] = MappingProxyType(
+    {
+        "cameras": SeatCameras.fitted,
+        "imu": Imu.fitted,
+        "odometry": Odometry.fitted,
+    }
+)
+
+
+class SensorSet:
+    """The sensors of one wheelchair, by name; see `Sensor` for what is asked of each."""
+
+    def __init__(self, sections: Mapping[str, object], mount: Mount) -> None:
+        """Those of these sections of the configuration. Raises ConfigError for cameras without a rig."""
+        self._sections = sections
+        self.fit(mount, {})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What there is."""
+        return tuple(self._sensors)
+
+    def felt(self, name: str) -> Any:
+        """What a sensor said of the last closed tick; None when it has to look."""
+        return self._felt[name]
+
+    def fit(self, mount: Mount, sections: Mapping[str, object]) -> None:
+        """Make all of them anew, those of `sections` as these say from now on."""
+        self._sections = {**self._sections, **sections}
+        self._sensors = {name: SENSORS[name](section, mount) for name, section in self._sections.items()}
+        told = [sensor for sensor in self._sensors.values() if type(sensor).sample is not Sensor.sample]
+        self._samples = tuple([sensor.sample for sensor in told])  # it is called every substep
+        self._felt: dict[str, Any] = {}
+
+    def start(self, noise: NoiseKeys | None) -> None:
+        """Begin an episode with a reading at rest; errors that stay through it are drawn by these keys."""
+        for name, sensor in self._sensors.items():
+            sensor.start(None if noise is None else noise[name])
+        self.end_tick(noise)
+
+    def reset(self, motion: BodyMotion) -> None:
+        """Stand still like this from now on."""
+        for sensor in self._sensors.values():
+            sensor.reset(motion)
+        self.end_tick(None)
+
+    def sample(self, motion: BodyMotion) -> None:
+        """Take the motion after a physics step into the tick."""
+        for sample in self._samples:
+            sample(motion)
+
+    def end_tick(self, noise: NoiseKeys | None) -> None:
+        """Close the tick; noise only with keys. Raises PhysicsError when the motion left the finite numbers."""
+        keys = dict.fromkeys(self._sensors) if noise is None else noise
+        self._felt = {name: sensor.end_tick(keys[name]) for name, sensor in self._sensors.items()}
+
+    def observe(self, scene: Scene) -> SensorFrame:
+        """What all say of the tick: what they felt in it, or see now; cameras and IMU have fields of their own."""
+        seen = {name: sensor.look(scene) for name, sensor in self._sensors.items()}
+        said = {name: self._felt[name] if sight is None else sight for name, sight in seen.items()}
+        others = sorted(said.keys() - {"cameras", "imu"})
+        readings = tuple([Reading(name=name, values=said[name]) for name in others])
+        return SensorFrame(tick=scene.tick, cameras=said["cameras"], imu=said["imu"], readings=readings)
