@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.support.yardstick import multiple
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
+    ObservationSpec,
     decode_depth,
     encode_depth,
     imu_size,
@@ -44,7 +45,7 @@ def sensors(width=320, height=240) -> SensorFrame:
 
 
 def seen(form, frame, fold=True, camera="front"):
-    return observe(form, frame, Joystick(-0.25, 0.75), camera=camera, range_m=RANGE_M, fold=fold)
+    return observe(form, frame, Joystick(-0.25, 0.75), ObservationSpec(camera=camera, range_m=RANGE_M, fold=fold))
 
 
 @pytest.mark.parametrize("form", ["compact", "table3"])
@@ -163,10 +164,10 @@ def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name(form):
     wheels = Measure(parts=("speed_mps", "turn_radps"), full_scale=(4.0, 2.0), mirror=(1.0, -1.0))
     seen = {"camera": "front", "range_m": 40.0, "fold": True, "measures": {"wheels": wheels}}
     frame = replace(sensors(), readings=(Reading(name="wheels", values=np.array([1.0, -9.0])),))
-    got = observe(form, frame, Joystick(0.0, 0.0), **seen)
+    got = observe(form, frame, Joystick(0.0, 0.0), ObservationSpec(**seen))
     assert got["wheels"].tolist() == [0.25, -1.0] and got["wheels"].dtype == np.float32
     assert observation_space(form, 320, 240, measures={"wheels": wheels}).contains(got)
-    assert "wheels" not in observe(form, frame, Joystick(0.0, 0.0), **{**seen, "measures": {}})
+    assert "wheels" not in observe(form, frame, Joystick(0.0, 0.0), ObservationSpec(**{**seen, "measures": {}}))
     for strange in ((), (Reading(name="wheels", values=np.zeros(3)),)):
         with pytest.raises(ConfigError, match="no sensor 'wheels' with 2 numbers"):
-            observe(form, replace(frame, readings=strange), Joystick(0.0, 0.0), **seen)
+            observe(form, replace(frame, readings=strange), Joystick(0.0, 0.0), ObservationSpec(**seen))

@@ -8,7 +8,7 @@ import numpy as np
 
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import Observation, observe
+from wcsim.supervisor.observation import Observation, ObservationSpec, observe
 from wcsim.supervisor.rewards import joystick_distance, reward
 from wcsim.types import F64, ClientSnapshot, Joystick, RewardTerms
 
@@ -52,18 +52,16 @@ def judge(
 
 def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = "") -> Observation:
     """The observation of a snapshot in the configured form; also for the first frame of an episode."""
-    seen = _camera(config, camera)
-    return observe(
-        config.env.observation,
-        snapshot.sensors,
-        snapshot.user,
-        camera=seen.name,
-        range_m=seen.range_m,
+    eye = _camera(config, camera)
+    seen = ObservationSpec(
+        camera=eye.name,
+        range_m=eye.range_m,
         fold=config.env.classes == "cityscapes",
         gyro=config.env.observe_gyro,
         yaw=config.env.observe_yaw,
         measures=config.sensors.measures(),
     )
+    return observe(config.env.observation, snapshot.sensors, snapshot.user, seen)
 
 
 def _camera(config: RunConfig, name: str) -> CameraConfig:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Literal
@@ -67,30 +68,26 @@ def observation_space(
     )
 
 
-def observe(
-    form: Form,
-    sensors: SensorFrame,
-    user: Joystick,
-    *,
-    camera: str,
-    range_m: float,
-    fold: bool,
-    gyro: bool = False,
-    yaw: bool = False,
-    measures: Measures = NO_MEASURES,
-) -> Observation:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObservationSpec:
+    """What of a frame is seen."""
+
+    camera: str  # its name
+    range_m: float  # that camera's, by which depth is scaled
+    fold: bool  # whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road)
+    gyro: bool = False  # turn rates
+    yaw: bool = False  # the heading
+    measures: Measures = field(default_factory=lambda: NO_MEASURES)  # of further sensors, by name
+
+
+def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationSpec) -> Observation:
     """The observation of one frame.
 
     Args:
         form: "compact" or "table3".
         sensors: What the chair's sensors say.
         user: The user's joystick as it stands in this frame.
-        camera: Name of the camera to look through.
-        range_m: That camera's range; depth is scaled by it.
-        fold: Whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road).
-        gyro: Whether turn rates are seen.
-        yaw: Whether the heading is seen.
-        measures: What is seen of further sensors, by name.
+        seen: What of it is seen.
 
     Returns:
         Arrays as in `observation_space`, contiguous and owned by the caller.
@@ -99,18 +96,18 @@ def observe(
         ConfigError: There is no such camera, sensor or form.
     """
     _check_form(form)
-    frame = _frame(sensors, camera)
-    vectors = {"imu": imu_vector(sensors.imu, gyro, yaw), "joystick": np.array([user.x, user.y], np.float32)}
-    vectors |= {name: measured(sensors, name, measure) for name, measure in measures.items()}
+    frame = _frame(sensors, seen.camera)
+    vectors = {"imu": imu_vector(sensors.imu, seen.gyro, seen.yaw), "joystick": np.array([user.x, user.y], np.float32)}
+    vectors |= {name: measured(sensors, name, measure) for name, measure in seen.measures.items()}
     if form == "compact":
-        seg = _fold(frame.class_id) if fold else frame.class_id.copy()
-        return {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None], **vectors}
-    colours = _planes(fold)
+        seg = _fold(frame.class_id) if seen.fold else frame.class_id.copy()
+        return {"seg": seg[None], "depth": encode_depth(frame.depth_m, seen.range_m)[None], **vectors}
+    colours = _planes(seen.fold)
     index = frame.class_id.astype(np.intp)
     image = np.empty((3, *index.shape), np.float32)
     for plane, colour in zip(image, colours, strict=True):
         np.take(colour, index, out=plane, mode="clip")
-    depth = np.multiply(frame.depth_m, np.float32(1.0 / range_m), dtype=np.float32)
+    depth = np.multiply(frame.depth_m, np.float32(1.0 / seen.range_m), dtype=np.float32)
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
 
 

@@ -8,7 +8,7 @@ from wcsim.config import ChairConfig, ImuConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import Engine
 from wcsim.physics.sensors import registry
-from wcsim.physics.sensors.base import BodyMotion, Mount, Scene, Sensor
+from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
 from wcsim.physics.sensors.seat_cameras import SeatCameras
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
@@ -30,7 +30,7 @@ class Steps(Sensor):
         said, self.count = np.array([self.count, noise_key or 0, self.begun or 0], float), 0
         return None if self.sees else said
 
-    def look(self, scene: Scene):
+    def look(self, scene: Surroundings):
         return np.array([scene.tick], float) if self.sees else None
 
 
@@ -40,9 +40,9 @@ def made(monkeypatch):
     monkeypatch.setattr(registry, "SENSORS", {**registry.SENSORS, **kinds})
 
 
-def scene(tick: int, chair: Wheelchair) -> Scene:
+def scene(tick: int, chair: Wheelchair) -> Surroundings:
     here = chair.state()
-    return Scene(tick=tick, plant=here, actors=(), chairs=(), signals=(), buffers=None, counted=False)
+    return Surroundings(tick=tick, plant=here, actors=(), chairs=(), signals=(), buffers=None, counted=False)
 
 
 @pytest.mark.parametrize("sees", [False, True])

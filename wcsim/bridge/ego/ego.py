@@ -21,7 +21,7 @@ from wcsim.errors import ConfigError
 from wcsim.physics.buffers import SeatBuffers
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
-from wcsim.physics.sensors.base import Scene
+from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -208,7 +208,7 @@ class Ego:
         buffers: SeatBuffers | None = None,
     ) -> SensorFrame:
         """All sensors of this tick; the images are made in `buffers` when they are given."""
-        scene = Scene(
+        scene = Surroundings(
             tick=tick,
             plant=self.chair.state(),
             actors=actors,

@@ -44,7 +44,7 @@ class Mount:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class Surroundings:
     """What there is to see from a wheelchair after a tick; arguments of `CameraRig.shoot`."""
 
     tick: int
@@ -71,5 +71,5 @@ class Sensor(Protocol):
     def end_tick(self, noise_key: int | None) -> Any:
         """What it felt in the tick, which ends; `noise_key` says which noise, None: none. None when it has to look."""
 
-    def look(self, scene: Scene) -> Any:
+    def look(self, scene: Surroundings) -> Any:
         """What it sees after the tick; None when it does not look."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Scene, Sensor
+from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
 from wcsim.physics.sensors.odometry import Odometry
 from wcsim.physics.sensors.seat_cameras import SeatCameras
@@ -70,7 +70,7 @@ class SensorSet:
         keys = dict.fromkeys(self._sensors) if noise is None else noise
         self._felt = {name: sensor.end_tick(keys[name]) for name, sensor in self._sensors.items()}
 
-    def observe(self, scene: Scene) -> SensorFrame:
+    def observe(self, scene: Surroundings) -> SensorFrame:
         """What all say of the tick: what they felt in it, or see now; cameras and IMU have fields of their own."""
         seen = {name: sensor.look(scene) for name, sensor in self._sensors.items()}
         said = {name: self._felt[name] if sight is None else sight for name, sight in seen.items()}

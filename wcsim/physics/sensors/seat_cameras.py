@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wcsim.errors import ConfigError
-from wcsim.physics.sensors.base import Mount, Scene, Sensor
+from wcsim.physics.sensors.base import Mount, Sensor, Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.types import CameraFrame
 
@@ -25,7 +25,7 @@ class SeatCameras(Sensor):
         """Take new pictures in the coming episode; the rig keys their noise itself."""
         self._rig.reset(self._seat)
 
-    def look(self, scene: Scene) -> tuple[CameraFrame, ...]:
+    def look(self, scene: Surroundings) -> tuple[CameraFrame, ...]:
         """See `CameraRig.shoot`."""
         return self._rig.shoot(
             self._seat,
