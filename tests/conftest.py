@@ -15,20 +15,20 @@ ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 
 BUDGET_S = {
-    "api": 190,
+    "api": 180,
     "agents": 170,
     "attack": 150,
-    "bench": 40,
+    "bench": 110,
     "bridge": 180,
     "config": 20,
     "core": 60,
     "cli": 200,
-    "physics": 100,
+    "physics": 70,
     "scenes": 150,
-    "server": 230,
-    "supervisor": 40,
+    "server": 190,
+    "supervisor": 30,
     "towns": 240,
-    "users": 50,
+    "users": 30,
     "view": 40,
     "wcsim": 15,
 }
