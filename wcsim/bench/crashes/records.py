@@ -24,7 +24,7 @@ class Crash:
     impulse_Ns: float
     speed_mps: float  # just before
     in_picture: bool | None  # 0.3 to 1 s before; None when what was hit is not known
-    after_fall: bool  # off a kerb within the last 10 s
+    after_fall: bool  # off a kerb within the last 10 s; where the fall itself is the crash it is not after one
     fell_s: float | None  # before, None without a fall in this episode
     away_share: float | None  # of the 2 s before in which the user had looked elsewhere; None when it is not known
     safe_before: bool | None  # whether the oracle had a safe action 1 s before; None in the first second

@@ -161,7 +161,7 @@ class SeatWatch:
             impulse_Ns=0.0 if hit is None else hit.impulse_Ns,
             speed_mps=self._frames[-1].speed_mps,
             in_picture=seen,
-            after_fall=fell_s is not None and fell_s <= FALL_REMEMBERED_S,
+            after_fall=events.crash_reason != "drop" and fell_s is not None and fell_s <= FALL_REMEMBERED_S,
             fell_s=fell_s,
             away_share=sum(known) / len(known) if known else None,
             safe_before=safe[0].safe if len(safe) >= self._ticks(_SAFE_S) else None,
