@@ -33,11 +33,6 @@ ANGLE = st.floats(-math.pi, math.pi)
 
 
 @pytest.fixture(scope="module")
-def store():
-    return GeometryStore(strip_street().mesh)
-
-
-@pytest.fixture(scope="module")
 def table():
     return actor_templates()
 

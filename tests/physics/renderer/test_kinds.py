@@ -13,18 +13,12 @@ from tests.physics.renderer.render_oracle import SIZES, actor
 from tests.support.samples import strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import figures, instances_of
 from wcsim.physics.renderer.models.catalog import LOOKS, Template, template_of
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera, camera_matrix, look_at, mount, pinhole, pose_matrix
 from wcsim.types import ActorKind, ActorLook, ClassId, PlantState
 
 CAMERA = CameraConfig(width_px=320, height_px=240)
-
-
-@pytest.fixture(scope="module")
-def store():
-    return GeometryStore(strip_street().mesh)
 
 
 def plant(x: float, y: float, yaw: float) -> PlantState:

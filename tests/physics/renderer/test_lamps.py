@@ -15,7 +15,6 @@ from wcsim.config import CameraConfig
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.raster import RasterRenderer
@@ -35,11 +34,6 @@ def head(link=0, pedestrian=False, p=HEAD_W_M, yaw=math.pi, tls="t") -> SignalHe
 
 def state(letters: str, tls="t") -> tuple[SignalState, ...]:
     return (SignalState(tls_id=tls, colours=letters),)
-
-
-@pytest.fixture(scope="module")
-def store():
-    return GeometryStore(strip_street().mesh)
 
 
 @pytest.fixture(scope="module")

@@ -23,16 +23,6 @@ from wcsim.types import ActorKind, ClassId
 NOBODY = instances_of(())
 
 
-@pytest.fixture(scope="module")
-def store():
-    return GeometryStore(strip_street().mesh)
-
-
-@pytest.fixture(scope="module")
-def raster(store):
-    return RasterRenderer(store)
-
-
 def shot(renderer, T_CW, instances=NOBODY, camera=CAMERA, rgb=False):
     out = new_images(camera.width_px, camera.height_px, rgb)
     renderer.render(camera, T_CW, instances, out)

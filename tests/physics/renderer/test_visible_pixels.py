@@ -13,9 +13,7 @@ from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images, new_images
-from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, instances_of
-from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
 from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.camera import CameraRig, look_along
@@ -26,16 +24,6 @@ MOBILE = (
     ClassId.BICYCLE, ClassId.DYNAMIC,
 )  # fmt: skip
 POSES = [look_along((x, 5.5 * side, 1.1), yaw, -0.15) for x, side, yaw in ((0, 1, 0.0), (30, -1, 0.4), (60, 0, 3.0))]
-
-
-@pytest.fixture(scope="module")
-def store():
-    return GeometryStore(strip_street().mesh)
-
-
-@pytest.fixture(scope="module")
-def raster(store):
-    return RasterRenderer(store)
 
 
 def shot(renderer, T_CW, actors, rgb=False, instance=True) -> Images:
