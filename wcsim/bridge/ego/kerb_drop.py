@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import KERB_STEP_M
+from wcsim.core.jit import exact_kernel
 from wcsim.physics.wheelchair.wheel_track import SAMPLE_S
 from wcsim.types import F64, Bool, Ground
 
@@ -29,19 +30,23 @@ def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
         speed_mps: The chair's speed over the ground (n,).
         ground: The street from above.
     """
-    sank = _sank(p_W_m[:, :, 2], speed_mps)
-    if not sank.any():
+    sank = np.zeros(p_W_m.shape[:2], np.bool_)
+    if not _sank(p_W_m, speed_mps, round(WITHIN_S / SAMPLE_S), sank):
         return False
     return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
 
 
-def _sank(z_m: F64, speed_mps: F64) -> Bool:
-    """(n, W) where a wheel is that much lower than within 0.3 s before, when the chair was fast."""
-    sank = np.zeros(z_m.shape, np.bool_)
-    for back in range(1, round(WITHIN_S / SAMPLE_S) + 1):
-        moving = speed_mps[:-back, None] > FASTER_MPS
-        sank[back:] |= moving & (z_m[:-back] - z_m[back:] > KERB_STEP_M)
-    return sank
+@exact_kernel
+def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
+    """Note in `sank` (n, W) where a wheel is that much lower than in the samples before, when the chair was fast."""
+    found = False
+    for at in range(len(speed_mps)):
+        for before in range(max(0, at - window), at):
+            if speed_mps[before] > FASTER_MPS:
+                for wheel in range(p_W_m.shape[1]):
+                    if p_W_m[before, wheel, 2] - p_W_m[at, wheel, 2] > KERB_STEP_M:
+                        sank[at, wheel] = found = True
+    return found
 
 
 def _after_edge(raised_m: F64) -> Bool:

@@ -28,9 +28,10 @@ class WheelTrack:
     def __init__(self, body: int, wheels: Iterable[int], step_s: float, client: int) -> None:
         self._body, self._wheels, self._client = body, tuple(wheels), client
         self._every = max(1, round(SAMPLE_S / step_s))
-        kept = round(KEPT_S / (self._every * step_s))
-        self._p_W_m = np.zeros((kept, len(self._wheels), 3))
-        self._speed_mps = np.zeros(kept)
+        self._kept = round(KEPT_S / (self._every * step_s))
+        # each sample is written twice, so that the last `_kept` ones always lie in one piece
+        self._p_W_m = np.zeros((2 * self._kept, len(self._wheels), 3))
+        self._speed_mps = np.zeros(2 * self._kept)
         self.clear()
 
     def clear(self) -> None:
@@ -42,16 +43,19 @@ class WheelTrack:
         self._steps += 1
         if self._steps % self._every:
             return
-        at = self._count % len(self._speed_mps)
         links = pybullet.getLinkStates(self._body, self._wheels, physicsClientId=self._client)
-        self._p_W_m[at] = [link[_PLACE] for link in links]
-        self._speed_mps[at] = speed_mps
+        places_W_m = [link[_PLACE] for link in links]
+        at = self._count % self._kept
+        for row in (at, at + self._kept):
+            self._p_W_m[row] = places_W_m
+            self._speed_mps[row] = speed_mps
         self._count += 1
 
     def samples(self) -> tuple[F64, F64]:
-        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,), the oldest first."""
-        kept = len(self._speed_mps)
-        if self._count <= kept:
-            return self._p_W_m[: self._count].copy(), self._speed_mps[: self._count].copy()
-        first = self._count % kept
-        return np.roll(self._p_W_m, -first, axis=0), np.roll(self._speed_mps, -first)
+        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,), the oldest first.
+
+        They are views, and change with the next sample.
+        """
+        first = self._count % self._kept if self._count > self._kept else 0
+        last = first + min(self._count, self._kept)
+        return self._p_W_m[first:last], self._speed_mps[first:last]
