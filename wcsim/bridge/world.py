@@ -191,6 +191,7 @@ class World:
         with self.stopwatch.measure("read"):
             near = self._shown(self._admitted(self._near_chairs(), self._chairs))
         with self.stopwatch.measure("mirror"):
+            self._choose_step()
             self._before = {actor.id: actor for actor in self._actors}
             self._open.people.update(self._level(near), self._chairs)
             self._take(near)
@@ -203,7 +204,7 @@ class World:
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
-            for _ in range(self.config.world.substeps):
+            for _ in range(round(self.config.world.tick_s / engine.step_s)):
                 for seat in self.seats:
                     seat.chair.before_step()
                 engine.step()
@@ -224,6 +225,16 @@ class World:
         return self.snapshot
 
     # --- what they need ---
+
+    def _choose_step(self) -> None:
+        """Fine physics steps for a tick in which a wheel meets a kerb, else the usual ones."""
+        world, engine = self.config.world, self._open.engine
+        fine = any(seat.meets_edge() for seat in self.seats)
+        step_s = world.tick_s / (world.finest_substeps if fine else world.substeps)
+        if step_s != engine.step_s:
+            engine.set_step(step_s)
+            for seat in self._seating.present:
+                seat.chair.follow_step()
 
     def _begin(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""

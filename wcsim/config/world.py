@@ -17,7 +17,8 @@ class WorldConfig(Model):
     """Clocks, mirror and street reaction."""
 
     tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
-    substeps: Annotated[int, Field(ge=1, le=480)] = 24
+    substeps: Annotated[int, Field(ge=1, le=480)] = 12  # of the physics in a tick
+    kerb_substeps: Annotated[int, Field(ge=1, le=480)] = 24  # at least so many where a wheel is about to meet an edge
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
@@ -37,10 +38,16 @@ class WorldConfig(Model):
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
-        substep_s = self.tick_s / self.substeps
-        if not 1 / 1000 <= substep_s <= 1 / 100:
-            raise ValueError(
-                f"tick_s {self.tick_s} / substeps {self.substeps} gives a physics step of {substep_s:.5f} s; "
-                "expected 0.001 to 0.01 s: change world.substeps"
-            )
+        for name, substeps in (("substeps", self.substeps), ("kerb_substeps", self.finest_substeps)):
+            substep_s = self.tick_s / substeps
+            if not 1 / 1000 <= substep_s <= 1 / 100:
+                raise ValueError(
+                    f"tick_s {self.tick_s} / {name} {substeps} gives a physics step of {substep_s:.5f} s; "
+                    f"expected 0.001 to 0.01 s: change world.{name}"
+                )
         return self
+
+    @property
+    def finest_substeps(self) -> int:
+        """Steps of the physics in a tick in which a wheel is about to meet an edge."""
+        return max(self.substeps, self.kerb_substeps)

@@ -75,23 +75,22 @@ class Engine:
     """One PyBullet world without a window.
 
     Args:
-        step_s: Fixed time step, 0.001 to 0.01 s.
+        step_s: Time step, 0.001 to 0.01 s; see `set_step`.
         solver_iterations: Upper bound of the constraint solver's iterations per step.
 
     Raises:
         PhysicsError: The step is out of bounds, or PyBullet gave no client.
     """
 
-    def __init__(self, step_s: float, solver_iterations: int = 50) -> None:
-        if not 1 / 1000 <= step_s <= 1 / 100:
-            raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
+    def __init__(self, step_s: float, solver_iterations: int = 30) -> None:
+        _require_sane(step_s)
         if solver_iterations < 1:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
         client = pybullet.connect(pybullet.DIRECT)
         if client < 0:
             raise PhysicsError("PyBullet gave no client; expected one: close other engines of this process first")
         self.client: Final[int] = client
-        self.step_s: Final = step_s
+        self._step_s = step_s
         self._open = True
         self._tags: dict[int, BodyTag] = {}
         self._rolling: set[int] = set()
@@ -118,6 +117,18 @@ class Engine:
         if self._open:
             self._open = False
             pybullet.disconnect(physicsClientId=self.client)
+
+    @property
+    def step_s(self) -> float:
+        """The time step."""
+        return self._step_s
+
+    def set_step(self, step_s: float) -> None:
+        """Step so far from now on; wheelchairs must be told as well. Raises PhysicsError for a step out of bounds."""
+        if step_s != self._step_s:
+            _require_sane(step_s)
+            self._step_s = step_s
+            pybullet.setTimeStep(step_s, physicsClientId=self.client)
 
     def step(self) -> None:
         """Advance by `step_s`."""
@@ -223,6 +234,11 @@ class Engine:
 def role_of_class(class_id: int) -> Role:
     """What a face of the street of that ClassId is to a wheelchair."""
     return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
+
+
+def _require_sane(step_s: float) -> None:
+    if not 1 / 1000 <= step_s <= 1 / 100:
+        raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
 
 
 def _role_number(class_id: int) -> int:

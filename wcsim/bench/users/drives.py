@@ -74,7 +74,7 @@ class _Watch:
 
     def end(self, town: str, world: World, client: ClientSnapshot, outcome: Outcome) -> None:
         """File the route."""
-        tick_s, substeps = world.config.world.tick_s, world.config.world.substeps
+        tick_s, substeps = world.config.world.tick_s, world.config.world.finest_substeps
         hand = HandLog(
             dt_s=tick_s / substeps,
             intents=np.array([(wish.x, wish.y) for wish in self._intents[:-1]]),

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
+from wcsim.bridge.ego.kerb_ahead import Wheels, meets_edge, wheels_of
 from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
@@ -24,7 +25,7 @@ from wcsim.physics.renderer.instances import ChairPose, chair_pose
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
-from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
@@ -99,6 +100,7 @@ class Ego:
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
         self._obstacles = ObstacleWatch(street.grid)
         self._crossing = CrossingWatch(street.grid, street.walk)
+        self._wheels: tuple[PlantSpec, Wheels] | None = None
         self._seed = 0
         self._keys: dict[str, int] = {}  # of its sensors, by name
         self._episode = -1
@@ -173,6 +175,13 @@ class Ego:
         self._waiting.append(joystick)
         self.chair.command(self._waiting.popleft())
 
+    def meets_edge(self) -> bool:
+        """Whether one of the chair's wheels is about to meet the edge of a kerb in the coming tick."""
+        chair = self.chair
+        if self._wheels is None or self._wheels[0] is not chair.spec:
+            self._wheels = chair.spec, wheels_of(chair.spec)
+        return meets_edge(chair.state(), self._wheels[1], self._street.grid, self._config.world.tick_s)
+
     def stand(self) -> None:
         """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
         self._stands = True
@@ -184,7 +193,7 @@ class Ego:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
         self.chair.end_tick({name: child(key, tick) for name, key in self._keys.items()})
         world = self._config.world
-        self.user.hand(world.substeps, world.tick_s / world.substeps)
+        self.user.hand(world.finest_substeps, world.tick_s / world.finest_substeps)
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
         """Show the user the street, and see where in it the chair is."""

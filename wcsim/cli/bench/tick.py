@@ -30,7 +30,7 @@ class TickOptions:
     """Numbers of wheelchairs to measure, joined by commas."""
     ticks: int = 400
     """Ticks to measure for each."""
-    physics_hz: int = 240
+    physics_hz: int = 120
     """Physics steps per second."""
     demand_scale: float = 0.6
     """Share of the town's traffic; 0.6 of Helsinki's is about 175 vehicles and people."""

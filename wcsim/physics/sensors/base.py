@@ -62,6 +62,9 @@ class Sensor(Protocol):
     def start(self, noise_key: int | None) -> None:
         """Begin an episode: draw the errors that stay through it, none without a key."""
 
+    def set_step(self, step_s: float) -> None:
+        """Take the physics steps to be so long from the next tick on."""
+
     def reset(self, motion: BodyMotion) -> None:
         """Stand still like this from now on, and forget what was before."""
 

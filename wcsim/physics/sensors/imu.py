@@ -40,10 +40,9 @@ class Imu(Sensor):
     def __init__(self, config: ImuConfig, com_B_m: Vec3, dt_s: float, gravity_mps2: float) -> None:
         self._config = config
         self._arm_B_m = np.array(config.p_BI_m) - np.array(com_B_m)
-        self._dt_s = dt_s
+        self.set_step(dt_s)
         self._gravity_mps2 = gravity_mps2
         self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
-        self._alpha = 1.0 - math.exp(-2.0 * math.pi * config.lowpass_hz * dt_s)
         self._errors = _Errors(config)
         self._tilt = TiltSensor(config)
         self._low = np.zeros((0, 3))
@@ -58,6 +57,11 @@ class Imu(Sensor):
     def lowpass_mps2(self) -> F64:
         """The low-passed signal after each substep of the last closed tick, (n, 3)."""
         return self._low
+
+    def set_step(self, step_s: float) -> None:
+        """See `Sensor`."""
+        self._dt_s = step_s
+        self._alpha = 1.0 - math.exp(-2.0 * math.pi * self._config.lowpass_hz * step_s)
 
     def start(self, noise_key: int | None) -> None:
         """Switch on for an episode: draw the biases that it keeps, none without a key."""

@@ -42,6 +42,10 @@ class Odometry(Sensor):
         """The one of this section on a wheelchair."""
         return cls(config, mount.wheel_radius_m, mount.track_m, mount.engine.step_s)
 
+    def set_step(self, step_s: float) -> None:
+        """See `Sensor`."""
+        self._dt_s = step_s
+
     def start(self, noise_key: int | None) -> None:
         """Draw how wrong the radii of both wheels are in this episode."""
         drawn = np.zeros(2) if noise_key is None else normals(child(noise_key, 0), 2)

@@ -60,6 +60,11 @@ class SensorSet:
             sensor.reset(motion)
         self.end_tick(None)
 
+    def set_step(self, step_s: float) -> None:
+        """Take the physics steps to be so long from the next tick on."""
+        for sensor in self._sensors.values():
+            sensor.set_step(step_s)
+
     def sample(self, motion: BodyMotion) -> None:
         """Take the motion after a physics step into the tick."""
         for sample in self._samples:

@@ -27,12 +27,17 @@ class WheelTrack:
 
     def __init__(self, body: int, wheels: Iterable[int], step_s: float, client: int) -> None:
         self._body, self._wheels, self._client = body, tuple(wheels), client
-        self._every = max(1, round(SAMPLE_S / step_s))
+        self.set_step(step_s)
         self._kept = round(KEPT_S / (self._every * step_s))
         # each sample is written twice, so that the last `_kept` ones always lie in one piece
         self._p_W_m = np.zeros((2 * self._kept, len(self._wheels), 3))
         self._speed_mps = np.zeros(2 * self._kept)
         self.clear()
+
+    def set_step(self, step_s: float) -> None:
+        """Take the physics steps to be so long from now on."""
+        self._every = max(1, round(SAMPLE_S / step_s))
+        self._steps = 0
 
     def clear(self) -> None:
         """Forget everything: the chair is put to another place."""

@@ -176,6 +176,13 @@ class Wheelchair:
         """Who of the other wheelchairs has left for good."""
         self._log.forget(actor_id)
 
+    def follow_step(self) -> None:
+        """Fit controllers, sensors and track to the engine's step, which has changed; between two ticks."""
+        step_s = self._engine.step_s
+        self._setting = drive_controller.settings(self._chair, self._spec, step_s)
+        self.sensors.set_step(step_s)
+        self._track.set_step(step_s)
+
     def command(self, joystick: Joystick) -> None:
         """Take what the driver wants from now on. Raises PhysicsError when it is not finite."""
         if not (math.isfinite(joystick.x) and math.isfinite(joystick.y)):

@@ -1,0 +1,87 @@
+"""Whether a wheel is about to meet an edge, and that a chair then feels the kerb as it does with fine steps."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.bridge.ego.test_kerb_drop import KERB_X_M, raster, step_grid
+from tests.physics.rig import FORWARD, rig, step_street
+from wcsim.bridge.ego.kerb_ahead import SLOWER_MPS, meets_edge, wheels_of
+from wcsim.config import ChairConfig
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.types import PlantState
+
+TICK_S = 0.1
+WHEELS_M = wheels_of(plant_spec(ChairConfig()))
+FOREMOST_M = max(x + radius for x, _, radius in WHEELS_M)
+KERB = step_grid(0.02)
+
+
+def chair(x_m, speed_mps, yaw_rad=0.0, turn_radps=0.0, y_m=0.0) -> PlantState:
+    return PlantState(
+        p_WB_m=np.array([x_m, y_m, 0.0]),
+        q_WB=np.array([0.0, 0.0, math.sin(0.5 * yaw_rad), math.cos(0.5 * yaw_rad)]),
+        v_B_mps=np.array([speed_mps, 0.0, 0.0]),
+        w_B_radps=np.array([0.0, 0.0, turn_radps]),
+        wheel_radps=np.zeros(2),
+        roll_rad=0.0,
+        pitch_rad=0.0,
+        yaw_rad=yaw_rad,
+    )
+
+
+def meets(plant, ground=KERB) -> bool:
+    return meets_edge(plant, WHEELS_M, ground, TICK_S)
+
+
+@pytest.mark.parametrize("speed_mps", [0.6, 1.67, 2.78])
+def test_a_kerb_that_a_wheel_reaches_within_the_tick_is_met_one_farther_off_is_not(speed_mps):
+    touches_m = KERB_X_M - FOREMOST_M
+    assert meets(chair(touches_m - speed_mps * TICK_S, speed_mps))
+    assert not meets(chair(touches_m - 1.25 * speed_mps * TICK_S - 0.3, speed_mps))
+
+
+def test_until_every_wheel_is_up():
+    at_m = np.arange(KERB_X_M - FOREMOST_M, KERB_X_M, 0.1)
+    assert [meets(chair(x_m, 1.0)) for x_m in at_m].count(True) >= len(at_m) - 3  # but for casters up, wheels yet down
+    assert not meets(chair(KERB_X_M + 0.4, 1.0))
+
+
+def test_who_drives_along_a_kerb_or_down_from_it_or_stands_meets_none():
+    near_m = KERB_X_M - FOREMOST_M
+    assert not meets(chair(near_m, 1.67, yaw_rad=0.5 * math.pi))
+    assert not meets(chair(KERB_X_M + 0.3, 1.67, yaw_rad=math.pi))
+    assert not meets(chair(near_m, 0.0)) and not meets(chair(near_m, SLOWER_MPS - 0.01))
+
+
+def test_backwards_and_in_a_turn_too():
+    assert meets(chair(KERB_X_M - 0.3, -1.0, yaw_rad=math.pi))
+    assert meets(chair(KERB_X_M - 0.5, 0.0, yaw_rad=0.5 * math.pi, turn_radps=-2.5))
+
+
+def test_a_ramp_is_no_edge():
+    ramp = raster(lambda x: min(max(0.08 * (x - KERB_X_M), 0.0), 0.4))
+    assert not any(meets(chair(x_m, 1.67), ramp) for x_m in np.arange(0.0, 8.0, 0.05))
+
+
+def felt(hz: int, chooses: bool) -> float:
+    """The largest acceleration of a drive over a kerb of 20 mm at full speed, low-passed, in m/s2."""
+    with rig(step_street(0.02), hz=hz, v_max_mps=1.67) as yard:
+
+        def choose(tick: int) -> None:
+            fine = chooses and meets(yard.chair.state())
+            yard.engine.set_step(1.0 / (2 * hz if fine else hz))
+            yard.chair.follow_step()
+
+        peaks = []
+        for _ in range(40):
+            choose(0)
+            peaks.append(yard.drive(FORWARD, 1).peaks())
+        return float(np.max(peaks))
+
+
+def test_a_kerb_feels_as_with_fine_steps_throughout():
+    fine, coarse = felt(240, chooses=False), felt(120, chooses=False)
+    assert felt(120, chooses=True) == pytest.approx(fine, rel=0.12)
+    assert coarse < 0.85 * fine  # or the fine steps would be for nothing

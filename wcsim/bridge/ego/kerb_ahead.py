@@ -1,0 +1,76 @@
+"""Whether a wheel is about to meet the edge of a kerb: then the physics takes finer steps.
+
+At 1.67 m/s a wheel is over a kerb of 20 mm within two steps of 1/120 s, and what the chair feels comes out a third too
+small. Everywhere else on a street such steps do as well as finer ones (docs/chair.md).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from wcsim.core.jit import exact_kernel
+from wcsim.physics.wheelchair.plant import PlantSpec
+from wcsim.types import U8, Ground, PlantState
+
+SLOWER_MPS: Final = 0.5  # a wheel so slow climbs for many steps
+_RISE_CM: Final = 2  # the raster has whole centimetres, and a ramp of 8 % rises one at most from cell to cell
+_BEHIND_M: Final = 0.15  # the wheel is on the edge for so long; a caster that turns round stands elsewhere, too
+_SPARE: Final = 1.25  # of the way of a tick
+_STEP_M: Final = 0.08  # less than the raster's cells
+
+
+Wheels = tuple[tuple[float, float, float], ...]  # x, y in B and radius of each, metres
+
+
+def wheels_of(spec: PlantSpec) -> Wheels:
+    """Place in B and radius of every wheel and trailing caster."""
+    radii_m = (spec.wheel.radius_m, *(pair.radius_m for pair in spec.casters))
+    return tuple((x, y, radii_m[number // 2]) for number, (x, y) in enumerate(spec.stand_m()))
+
+
+def meets_edge(plant: PlantState, wheels_m: Wheels, ground: Ground, dt_s: float) -> bool:
+    """Whether one of the wheels (x, y, radius), as it moves, may touch a rise of the ground within the next `dt_s`.
+
+    Args:
+        plant: The chair now.
+        wheels_m: From `wheels_of`.
+        ground: The street from above.
+        dt_s: A tick.
+    """
+    ahead_mps, left_mps, _ = plant.v_B_mps.tolist()
+    turn_radps = float(plant.w_B_radps[2])
+    raster = None
+    cos, sin = math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
+    x_W_m, y_W_m, _ = plant.p_WB_m.tolist()
+    for x_m, y_m, radius_m in wheels_m:
+        vx, vy = ahead_mps - turn_radps * y_m, left_mps + turn_radps * x_m
+        speed_mps = math.hypot(vx, vy)
+        if speed_mps < SLOWER_MPS:
+            continue
+        raster = raster or ground.around(plant.p_WB_m)
+        west_m, south_m = raster.origin_W_m
+        hub_x, hub_y = x_W_m + cos * x_m - sin * y_m - west_m, y_W_m + sin * x_m + cos * y_m - south_m
+        to_x, to_y = (cos * vx - sin * vy) / speed_mps, (sin * vx + cos * vy) / speed_mps
+        reach_m = radius_m + _SPARE * speed_mps * dt_s + _BEHIND_M
+        if _rises(raster.height_cm, raster.cell_m, hub_x, hub_y, to_x, to_y, reach_m):
+            return True
+    return False
+
+
+@exact_kernel
+def _rises(height_cm: U8, cell_m: float, x_m: float, y_m: float, to_x: float, to_y: float, reach_m: float) -> bool:
+    """Whether the ground rises by a kerb's edge on a straight way from a little behind a place to `reach_m` ahead."""
+    rows, cols = height_cm.shape
+    last_cm = -1
+    for step in range(int((reach_m + _BEHIND_M) / _STEP_M) + 1):
+        along_m = step * _STEP_M - _BEHIND_M
+        col = int((x_m + along_m * to_x) / cell_m)
+        row = int((y_m + along_m * to_y) / cell_m)
+        if not (0 <= row < rows and 0 <= col < cols):
+            return False
+        here_cm = int(height_cm[row, col])
+        if last_cm >= 0 and here_cm - last_cm >= _RISE_CM:
+            return True
+        last_cm = here_cm
+    return False
