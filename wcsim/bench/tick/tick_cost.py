@@ -22,6 +22,7 @@ class TickCost:
     ms_median: float
     ratio_vs_naive: float | None  # without the naive loop
     bridge_overhead: float  # reaction, reading and mirror over the bare engines
+    bridge_ms: float  # these three
     share: tuple[tuple[str, float], ...]
     actors: float
     mirrored: float
@@ -58,6 +59,7 @@ def measure_tick(
         ms_median=1e3 * float(np.median(wall_s)),
         ratio_vs_naive=typical(rival[0])[1] / cpu_s if rival else None,
         bridge_overhead=cost.overhead,
+        bridge_ms=cost.bridge_ms,
         share=tuple(sorted(share.items(), key=lambda item: -item[1])),
         actors=cost.actors,
         mirrored=cost.mirrored,

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
 from wcsim.bench.tick.naive_world import NaiveWorld
 from wcsim.bench.tick.tick_cost import TickCost, measure_tick
+from wcsim.bench.tick.tick_profile import profiled
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 
 MAX_CHAIRS = 64
 MANY = 1_000_000
@@ -40,6 +42,8 @@ class TickOptions:
     """Compare with the naive loop."""
     seed: int = 4
     """Seed of the world."""
+    profile: bool = False
+    """Name the twenty dearest functions of a tick instead, native ones too."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -54,6 +58,8 @@ def run(options: TickOptions) -> int:
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     numbers, config = _chairs(options.chairs), _config(options)
     town, naive = find_town(options.town), NaiveWorld if options.naive else None
+    if options.profile:
+        return _profile(options, town, config, numbers)
     costs: dict[int, TickCost] = {}
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for chairs in numbers:
@@ -68,6 +74,18 @@ def run(options: TickOptions) -> int:
         rows = {str(chairs): _row(cost) for chairs, cost in costs.items()}
         rss_mb = max(cost.rss_mb for cost in costs.values())
         write_json(options.json, {"physics_hz": options.physics_hz, **rows, "rss_mb": rss_mb})
+    return 0
+
+
+def _profile(options: TickOptions, town: Town, config: RunConfig, numbers: list[int]) -> int:
+    found = {chairs: profiled(town, config, chairs, options.ticks, options.seed) for chairs in numbers}
+    for chairs, rows in found.items():
+        table = Table("part", "function", "calls a tick", "ms a tick", "share", title=f"{chairs} wheelchairs")
+        for row in rows:
+            table.add_row(row.part, escape(row.name), f"{row.calls:.1f}", f"{row.own_ms:.3f}", f"{row.share:.1%}")
+        Console().print(table)
+    if options.json is not None:
+        write_json(options.json, {str(chairs): [asdict(row) for row in rows] for chairs, rows in found.items()})
     return 0
 
 
@@ -99,6 +117,7 @@ def _row(cost: TickCost) -> dict[str, Any]:
         "ms_median": cost.ms_median,
         "ratio_vs_naive": cost.ratio_vs_naive,
         "bridge_overhead": cost.bridge_overhead,
+        "bridge_ms": cost.bridge_ms,
         "share": dict(cost.share),
         "actors": cost.actors,
         "actors_mirrored": cost.mirrored,
@@ -107,10 +126,11 @@ def _row(cost: TickCost) -> dict[str, Any]:
 
 
 def _table(costs: dict[int, TickCost]) -> Table:
-    table = Table("chairs", "ticks/s", "naive", "bridge", "actors", "memory", "share of the time")
+    table = Table("chairs", "ticks/s", "naive", "bridge", "ms", "actors", "memory", "share of the time")
     for chairs, cost in costs.items():
         naive = "-" if cost.ratio_vs_naive is None else f"{cost.ratio_vs_naive:.0f}x"
         share = "  ".join(f"{name} {part:.0%}" for name, part in cost.share if part >= 0.005)
         rate, bridge = f"{cost.ticks_per_s:.0f}", f"{cost.bridge_overhead:.0%}"
-        table.add_row(str(chairs), rate, naive, bridge, f"{cost.actors:.0f}", f"{cost.rss_mb:.0f} MB", share)
+        ms, actors = f"{cost.bridge_ms:.2f}", f"{cost.actors:.0f}"
+        table.add_row(str(chairs), rate, naive, bridge, ms, actors, f"{cost.rss_mb:.0f} MB", share)
     return table
