@@ -25,7 +25,7 @@ class ChairOptions:
 
     plants: str = "rwd,mwd"
     """Plants to try, by name or as the path of a .toml file, joined by commas."""
-    hz: int = 240
+    hz: int = 120
     """Rate of the physics, a multiple of 10."""
     rows: str = ""
     """Only rows whose names begin with one of these words, joined by commas."""
