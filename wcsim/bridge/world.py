@@ -171,7 +171,7 @@ class World:
     # --- the five lines ---
 
     def _react(self, commands: Sequence[Command]) -> None:
-        """The street sees the chairs of tick n: drivers brake or pass, people stop."""
+        """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
         self._check(commands)
         with self.stopwatch.measure("react"):
             self._chairs = tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
@@ -180,6 +180,7 @@ class World:
             orders = self._open.drivers.react(here, self._chairs, pilot)
             for order in (*orders, *self._open.people.holds(here, self._chairs)):
                 pilot.apply(order)
+            self._sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""

@@ -32,6 +32,8 @@ class WorldConfig(Model):
     brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
     clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
     crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
+    button: bool = True  # a chair that stands at a red crossing of its route asks for green
+    button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # of standing there
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
     visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
     visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more

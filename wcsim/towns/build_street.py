@@ -16,6 +16,7 @@ from wcsim.towns.furniture.buildings import Building, buildings_of
 from wcsim.towns.furniture.everything import fittings_of
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
+from wcsim.towns.furniture.traffic_lights import all_phases
 from wcsim.towns.ground.crossing_paint import unmarked_crossings
 from wcsim.towns.ground.kerb_faces import kerb_walls
 from wcsim.towns.ground.kerb_heights import Kerbing, kerbing_of
@@ -54,7 +55,8 @@ def build_street(town: Town) -> Packed:
     buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
-    walk = build_walk_graph(net, free_space(walkable, _kerb_lines(walls[0]), solids), town.file.chair_ways)
+    space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, town.additional)
+    walk = build_walk_graph(net, space, town.file.chair_ways, phases)
     place = FreeGround(
         low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
     )

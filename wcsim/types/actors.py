@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -66,6 +67,10 @@ class SignalState:
 
     tls_id: str
     colours: str
+
+    def frees(self, links: Iterable[int]) -> bool:
+        """Whether people may start over a crossing with these links; where the light is off, they may."""
+        return not any(self.colours[link] in "rRyYu" for link in links if link < len(self.colours))
 
 
 def chair_actor_id(seat: int) -> str:

@@ -204,6 +204,7 @@ class WalkEdge(ComparesArrays):
     width_m: float
     tls_id: str = ""  # the traffic light that governs it, "" for none
     tls_links: tuple[int, ...] = ()  # indices of its signals in that light's state string
+    never_green: bool = False  # no phase of that light's programs lets people over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -15,7 +15,6 @@ GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
 _SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
-RED_BELIEVED_S = 130.0  # a light that stays red for longer is taken for broken: then traffic is watched as without one
 _KERB_GAP_M = 0.3  # left between footplate and road while waiting
 _LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 _ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
@@ -62,7 +61,6 @@ class Kerbs:
         self._law_share = law_share
         self._rng = rng
         self._obeys: dict[Crossing, bool] = {}
-        self._red_since_s: dict[Crossing, float] = {}
         self._red_last_s: dict[Crossing, float] = {}
         self._green_since_s: dict[Crossing, float] = {}
         self._hesitates: set[Crossing] = set()
@@ -140,12 +138,9 @@ class Kerbs:
             self._red_last_s[item] = time_s
             self._green_since_s.pop(item, None)
             self._hesitates.discard(item)
-            since_s = self._red_since_s.setdefault(item, time_s) if near else time_s
-            if time_s - since_s < RED_BELIEVED_S:
-                return True
-        elif item in self._red_last_s:
+            return True
+        if item in self._red_last_s:
             self._green_since_s.setdefault(item, time_s)
-            self._red_since_s.pop(item, None)  # it works: the next red is not the one that was waited for
         watched = near and (item in self._red_last_s or not has_light(item, signals))
         return watched and vehicle_comes(item, vehicles)
 
@@ -200,8 +195,7 @@ def is_red(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> boo
     """Whether the pedestrian signal forbids to start; without a signal, or with it switched off, it never does."""
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
-            colours = [signal.colours[link] for link in crossing.tls_links if link < len(signal.colours)]
-            return any(colour in "rRyYu" for colour in colours)
+            return not signal.frees(crossing.tls_links)
     return False
 
 

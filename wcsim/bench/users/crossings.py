@@ -23,7 +23,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.walking.routes import Router
 from wcsim.types import Events, Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
-from wcsim.users.crossing import CARRIAGEWAY, RED_BELIEVED_S, Crossing, crossings, is_red
+from wcsim.users.crossing import CARRIAGEWAY, Crossing, crossings, is_red
 from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
 
@@ -218,15 +218,12 @@ def _ending(events: Events) -> str:
 
 
 def colours(found: Sequence[CrossingApproach]) -> dict[str, int]:
-    """How many came onto the crossing, and at what light; one that stays red for over two minutes is its own case."""
-    red = [item for item in found if item.colour == "red"]
-    long = sum(item.seconds > RED_BELIEVED_S for item in red)
+    """How many came onto the crossing, and at what light."""
     return {
         "approaches": len(found),
         "at green": sum(item.colour == "green" for item in found),
         "turned red on the kerb line": sum(item.colour == "turned" for item in found),
-        "at red": len(red) - long,
-        "after two minutes of red": long,
+        "at red": sum(item.colour == "red" for item in found),
         "never": sum(item.colour == "none" for item in found),
     }
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wcsim.bridge.ego.crossing_button import CrossingButton
 from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.ego.kerb_ahead import Wheels, meets_edge, wheels_of
 from wcsim.bridge.ego.kerb_drop import fell
@@ -16,6 +17,7 @@ from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.ego.visible_actors import ShownActors
 from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.commands import GreenRequest
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -110,6 +112,8 @@ class Ego:
         self._shown: tuple[PlantState, ActorState] | None = None
         self._on_road = OnRoad()
         self._shown_actors = ShownActors(config.world)
+        self._button: CrossingButton  # of this route
+        self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
     @property
     def spawned(self) -> bool:
@@ -199,6 +203,7 @@ class Ego:
         """Show the user the street, and see where in it the chair is."""
         self.user.look(self._view(time_s, others, signals))
         self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
+        self.asks = self._button.see(self.user.route_progress_m, float(self.plant.v_B_mps[0]), time_s, signals)
         self._progressed_m = self.user.route_progress_m - self._progress_m
         self._progress_m = self.user.route_progress_m
 
@@ -312,6 +317,8 @@ class Ego:
     def _follow(self, route: Route) -> None:
         self.route = route
         self.user.follow(route)
+        self._button = CrossingButton(route, self._street, 0.5 * self.chair.outline.length_m, self._config.world)
+        self.asks = None
         self._progress_m = self.user.route_progress_m
 
     def _view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:

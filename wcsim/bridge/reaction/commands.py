@@ -47,6 +47,14 @@ class ActorCommand:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GreenRequest:
+    """What a pressed button asks of a traffic light: to free a crossing when its program can."""
+
+    tls_id: str
+    links: tuple[int, ...]  # the crossing's places in the light's colours
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Blocked:
     """An actor that stands because of a chair."""
 

@@ -15,6 +15,7 @@ from typing import Any
 import libsumo
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
+from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import open_hook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.errors import SumoError, WorldInUseError
@@ -81,6 +82,7 @@ class SumoSession:
         self._collisions = 0
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
+        self.buttons = SignalControl(libsumo)
         self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.step_s)
         self._guarded(lambda: libsumo.start(options.arguments()))
         try:
@@ -125,6 +127,7 @@ class SumoSession:
         self._options = replace(self._options, seed=seed)
         self._reader.forget()
         self.pilot.forget()
+        self.buttons.forget()
         self._teleports, self._come = 0, frozenset()
         self._collisions, self._colliding = 0, frozenset()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))

@@ -22,6 +22,7 @@ def pack_street(
     arrays["edge_sizes"] = np.array([len(edge.points_W_m) for edge in walk.edges], dtype=np.int64)
     arrays["edge_numbers"] = np.array([(edge.start, edge.end) for edge in walk.edges], dtype=np.int64).reshape(-1, 2)
     arrays["edge_width_m"] = np.array([edge.width_m for edge in walk.edges], dtype=np.float64)
+    arrays["edge_never_green"] = np.array([edge.never_green for edge in walk.edges], dtype=np.bool_)
     texts = [(edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links))) for edge in walk.edges]
     arrays["edge_texts"] = np.array(texts, dtype=np.str_).reshape(-1, 4)
     arrays["head_tls"] = np.array([head.tls_id for head in signal_heads], dtype=np.str_)
@@ -41,9 +42,10 @@ def street_of(packed: Packed) -> Street:
         packed["edge_numbers"].tolist(),
         packed["edge_width_m"].tolist(),
         packed["edge_texts"].tolist(),
+        packed["edge_never_green"].tolist(),
         strict=False,
     )
-    edges = tuple(_edge(way, ends, width_m, texts) for way, ends, width_m, texts in rows)
+    edges = tuple(_edge(*row) for row in rows)
     heads = zip(packed["head_tls"].tolist(), packed["head_places"].tolist(), strict=True)
     return Street(
         tiles=store,
@@ -60,7 +62,7 @@ def _head(tls_id: str, place: list[float]) -> SignalHead:
     )
 
 
-def _edge(way: F64, ends: list[int], width_m: float, texts: list[str]) -> WalkEdge:
+def _edge(way: F64, ends: list[int], width_m: float, texts: list[str], never_green: bool) -> WalkEdge:
     return WalkEdge(
         sumo_id=texts[0],
         kind=WayKind(texts[1]),
@@ -70,4 +72,5 @@ def _edge(way: F64, ends: list[int], width_m: float, texts: list[str]) -> WalkEd
         width_m=width_m,
         tls_id=texts[2],
         tls_links=tuple(int(number) for number in texts[3].split()),
+        never_green=never_green,
     )

@@ -19,7 +19,7 @@ from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_of
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes
-from wcsim.types import F64, ClassId, SignalHead
+from wcsim.types import F64, ClassId, SignalHead, SignalState
 
 _HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
 _WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
@@ -61,7 +61,7 @@ def signal_things(
     place.prepare()
     taken = Taken(standing)
     found: list[StandingObject] = []
-    columns = _columns((*net.phases, *_more_phases(additional)))
+    columns = _columns(all_phases(net, additional))
     for thing in chain(_vehicle_signals(net, columns, place, taken), _walk_signals(net, place, taken)):
         taken.add(thing.footprint)
         found.append(thing)
@@ -121,6 +121,12 @@ def _driven(edge: Edge) -> list[Lane]:
     return cars or lanes
 
 
+def all_phases(net: Net, additional: tuple[Path, ...]) -> tuple[SignalState, ...]:
+    """Each phase of each program of the traffic lights, of the net and of a scenario's additional files."""
+    found = (*net.phases, *_more_phases(additional))
+    return tuple(SignalState(tls_id=tls_id, colours=state) for tls_id, state in found)
+
+
 def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
     for path in files:
         data = read_bytes(path)
@@ -128,11 +134,11 @@ def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
             yield from phases_of(parse_root(data, str(path)))
 
 
-def _columns(phases: tuple[tuple[str, str], ...]) -> dict[str, list[str]]:
+def _columns(phases: tuple[SignalState, ...]) -> dict[str, list[str]]:
     """For each traffic light the states of all phases: links with the same letter in all of them share a head."""
     found: dict[str, list[str]] = defaultdict(list)
-    for tls_id, state in phases:
-        found[tls_id].append(state.lower())
+    for phase in phases:
+        found[phase.tls_id].append(phase.colours.lower())
     return found
 
 

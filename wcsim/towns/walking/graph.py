@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import networkx
 import numpy as np
@@ -16,7 +17,7 @@ from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.ground.tiled_geometry import Patches, buffered
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.towns.walking.visibility import shortest_inside
-from wcsim.types import F64, WalkEdge, WalkGraph, WayKind
+from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
 
 _SOLID_M = 0.45  # from the middle of the way to a wall
 KERB_M = 0.35  # ... to the edge of a kerb
@@ -45,8 +46,13 @@ def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry
     return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
 
 
-def build_walk_graph(net: Net, space: BaseGeometry, chair_ways: tuple[str, ...]) -> WalkGraph:
-    """The largest connected network of ways inside `space`; what is too narrow is left out."""
+def build_walk_graph(
+    net: Net, space: BaseGeometry, chair_ways: tuple[str, ...], phases: Iterable[SignalState] = ()
+) -> WalkGraph:
+    """The largest connected network of ways inside `space`; what is too narrow is left out.
+
+    `phases` are those of all the programs of its traffic lights.
+    """
     builder = _Builder(space)
     for lane in _lanes(net, chair_ways):
         builder.add_lane(lane, WayKind.SIDEWALK)
@@ -57,7 +63,8 @@ def build_walk_graph(net: Net, space: BaseGeometry, chair_ways: tuple[str, ...])
     ends = _ends_at_areas(net)
     for area in net.lanes(LaneKind.WALKINGAREA):
         builder.link(area, ends[area.edge_id])
-    return _largest_part(builder.nodes, builder.edges)
+    edges = _with_dead_lights(builder.edges, phases)
+    return _largest_part(builder.nodes, edges)
 
 
 def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
@@ -75,6 +82,19 @@ def _signals(net: Net) -> dict[str, tuple[str, tuple[int, ...]]]:
             known = found.get(edge, (link.tls_id, ()))[1]
             found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
     return found
+
+
+def _with_dead_lights(edges: list[WalkEdge], phases: Iterable[SignalState]) -> list[WalkEdge]:
+    """The same ways; those over crossings that no known phase frees say so."""
+    known: dict[str, list[SignalState]] = defaultdict(list)
+    for phase in phases:
+        known[phase.tls_id].append(phase)
+
+    def dead(edge: WalkEdge) -> bool:
+        there = known.get(edge.tls_id, []) if edge.tls_id else []
+        return bool(there) and not any(phase.frees(edge.tls_links) for phase in there)
+
+    return [replace(edge, never_green=True) if dead(edge) else edge for edge in edges]
 
 
 def _ends_at_areas(net: Net) -> dict[str, list[str]]:
@@ -214,13 +234,4 @@ def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
 
 
 def _renumbered(edge: WalkEdge, number: dict[int, int]) -> WalkEdge:
-    return WalkEdge(
-        sumo_id=edge.sumo_id,
-        kind=edge.kind,
-        start=number[edge.start],
-        end=number[edge.end],
-        points_W_m=edge.points_W_m,
-        width_m=edge.width_m,
-        tls_id=edge.tls_id,
-        tls_links=edge.tls_links,
-    )
+    return replace(edge, start=number[edge.start], end=number[edge.end])

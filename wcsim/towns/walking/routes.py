@@ -15,6 +15,7 @@ from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
 SPACING_M = 1.0  # of a route's points
 _START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
 _CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
+_NEVER_GREEN_COST_M = 10_000.0  # and round any town rather than wait at a light that no program frees
 SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do
 _SPUR_M, _SPUR_GAP_M, _SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
 
@@ -104,6 +105,7 @@ class Router:
         graph = networkx.Graph()
         for index, edge in enumerate(self.walk.edges):
             cost_m = float(self._length_m[index]) + _CROSSING_COST_M * (edge.kind is WayKind.CROSSING)
+            cost_m += _NEVER_GREEN_COST_M * edge.never_green
             known = graph.get_edge_data(edge.start, edge.end)
             if known is None or cost_m < known["weight"]:
                 graph.add_edge(edge.start, edge.end, weight=cost_m, index=index)
