@@ -7,13 +7,13 @@ import pytest
 
 from tests.bridge.ego.test_kerb_drop import KERB_X_M, raster, step_grid
 from tests.physics.rig import FORWARD, rig, step_street
-from wcsim.bridge.ego.kerb_ahead import SLOWER_MPS, meets_edge, wheels_of
+from wcsim.bridge.ego.kerb_ahead import SLOWER_MPS, meets_edge
 from wcsim.config import ChairConfig
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import PlantState
 
 TICK_S = 0.1
-WHEELS_M = wheels_of(plant_spec(ChairConfig()))
+WHEELS_M = plant_spec(ChairConfig()).wheels_m()
 FOREMOST_M = max(x + radius for x, _, radius in WHEELS_M)
 KERB = step_grid(0.02)
 

@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from wcsim.bridge.ego.ego import Ego, is_clear
+from wcsim.bridge.ego.ego import Ego
+from wcsim.bridge.ego.start_place import is_clear
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
 from wcsim.core import seeding

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from wcsim.bridge.ego.crossing_button import CrossingButton
 from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
-from wcsim.bridge.ego.kerb_ahead import Wheels, meets_edge, wheels_of
+from wcsim.bridge.ego.kerb_ahead import meets_edge
 from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
+from wcsim.bridge.ego.start_place import TakenNear, is_clear, require_in_town
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.ego.visible_actors import ShownActors
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import GreenRequest
 from wcsim.config import RunConfig
 from wcsim.core import seeding
-from wcsim.errors import ConfigError
 from wcsim.physics.buffers import SeatBuffers
 from wcsim.physics.engine import Engine
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
-from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
+from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
@@ -39,7 +39,6 @@ from wcsim.types import (
     ActorState,
     ClientSnapshot,
     Events,
-    Ground,
     Joystick,
     Outline,
     PlantState,
@@ -60,11 +59,9 @@ from wcsim.users.user import SimulatedUser
 SIGHT_M = 25.0
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
-START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
 AT_REST = Joystick(0.0, 0.0)
 
 XY = tuple[float, float]
-TakenNear = Callable[[F64, float], Sequence[ActorState]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +80,7 @@ class Ego:
         """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
-        _require_in_town(spec.start, router)
+        require_in_town(spec.start, router)
         self._person = find_user(spec.profile)
         self._config = config
         self._street = street
@@ -102,7 +99,6 @@ class Ego:
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
         self._obstacles = ObstacleWatch(street.grid)
         self._crossing = CrossingWatch(street.grid, street.walk)
-        self._wheels: tuple[PlantSpec, Wheels] | None = None
         self._seed = 0
         self._keys: dict[str, int] = {}  # of its sensors, by name
         self._episode = -1
@@ -181,10 +177,7 @@ class Ego:
 
     def meets_edge(self) -> bool:
         """Whether one of the chair's wheels is about to meet the edge of a kerb in the coming tick."""
-        chair = self.chair
-        if self._wheels is None or self._wheels[0] is not chair.spec:
-            self._wheels = chair.spec, wheels_of(chair.spec)
-        return meets_edge(chair.state(), self._wheels[1], self._street.grid, self._config.world.tick_s)
+        return meets_edge(self.chair.state(), self.chair.wheels_m, self._street.grid, self._config.world.tick_s)
 
     def stand(self) -> None:
         """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
@@ -356,18 +349,6 @@ class Ego:
         return self._router.random_goal(rng, xy, *GOAL_RANGE_M, self._config.world.crossing_share)
 
 
-def _require_in_town(start: StartSpec | None, router: Router) -> None:
-    """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
-    for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
-        if not router.away_m(xy) <= START_REACH_M:
-            raise ConfigError(
-                f"{what} at {xy} m is {router.away_m(xy):.0f} m from the nearest pavement; expected one of the town's "
-                f"places, at most {START_REACH_M:.0f} m away"
-            )
-    if start is not None and not math.isfinite(start.yaw_rad):
-        raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
-
-
 def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
     cos, sin = math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
     (x, y, z), (ahead_mps, left_mps, _) = plant.p_WB_m.tolist(), plant.v_B_mps.tolist()
@@ -385,21 +366,3 @@ def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
 def _in_sight(actor: ActorState, x_m: float, y_m: float) -> bool:
     ax, ay, _ = actor.p_W_m.tolist()
     return math.hypot(ax - x_m, ay - y_m) < SIGHT_M
-
-
-def is_clear(
-    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
-) -> bool:
-    """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
-    footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]
-    hull = xy_W_m + np.array(footprint_B_m) @ np.array([[cos, sin], [-sin, cos]])
-    if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
-        return False
-    middle = xy_W_m + middle_m * np.array([cos, sin])
-    reach_m = clear_m + half_m
-    return all(
-        float(np.hypot(*(a.p_W_m[:2] - middle))) > reach_m + 0.5 * max(a.size_lwh_m[:2])
-        for a in taken(middle, reach_m + 10.0)
-    )

@@ -7,10 +7,10 @@ small. Everywhere else on a street such steps do as well as finer ones (docs/cha
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from wcsim.core.jit import exact_kernel
-from wcsim.physics.wheelchair.plant import PlantSpec
 from wcsim.types import U8, Ground, PlantState
 
 SLOWER_MPS: Final = 0.5  # a wheel so slow climbs for many steps
@@ -20,21 +20,12 @@ _SPARE: Final = 1.25  # of the way of a tick
 _STEP_M: Final = 0.08  # less than the raster's cells
 
 
-Wheels = tuple[tuple[float, float, float], ...]  # x, y in B and radius of each, metres
-
-
-def wheels_of(spec: PlantSpec) -> Wheels:
-    """Place in B and radius of every wheel and trailing caster."""
-    radii_m = (spec.wheel.radius_m, *(pair.radius_m for pair in spec.casters))
-    return tuple((x, y, radii_m[number // 2]) for number, (x, y) in enumerate(spec.stand_m()))
-
-
-def meets_edge(plant: PlantState, wheels_m: Wheels, ground: Ground, dt_s: float) -> bool:
+def meets_edge(plant: PlantState, wheels_m: Sequence[tuple[float, float, float]], ground: Ground, dt_s: float) -> bool:
     """Whether one of the wheels (x, y, radius), as it moves, may touch a rise of the ground within the next `dt_s`.
 
     Args:
         plant: The chair now.
-        wheels_m: From `wheels_of`.
+        wheels_m: From `PlantSpec.wheels_m`.
         ground: The street from above.
         dt_s: A tick.
     """

@@ -122,6 +122,11 @@ class PlantSpec:
         pairs += [(pair.swivel_x_m - pair.trail_m, pair.track_m) for pair in self.casters]
         return tuple((x, side * 0.5 * track) for x, track in pairs for side in (1.0, -1.0))
 
+    def wheels_m(self) -> tuple[tuple[float, float, float], ...]:
+        """Place in B (x, y) and radius of every drive wheel and trailing caster."""
+        radii_m = (self.wheel.radius_m, *(pair.radius_m for pair in self.casters))
+        return tuple((x, y, radii_m[number // 2]) for number, (x, y) in enumerate(self.stand_m()))
+
     def _parts(self) -> list[tuple[float, Vec3]]:
         """Mass of each pair of parts that the frame carries, and its middle in B with the casters trailing."""
         parts = [(2.0 * self.wheel.mass_kg, (0.0, 0.0, self.wheel.radius_m))]

@@ -128,6 +128,7 @@ class Wheelchair:
         self._axle_from_com_z_m = spec.wheel.radius_m - self._com_B_m[2]
         self._footplate_from_x_m = spec.footplate_from_x_m
         self._outline = spec.outline
+        self.wheels_m = spec.wheels_m()  # see `PlantSpec`
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
         self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)

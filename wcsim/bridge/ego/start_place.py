@@ -1,0 +1,46 @@
+"""Where an episode may begin: a place that is clear of everything, in reach of a pavement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from wcsim.errors import ConfigError
+from wcsim.towns.walking.routes import Router
+from wcsim.types import F64, ActorState, Ground, Outline, StartSpec
+
+START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
+
+TakenNear = Callable[[F64, float], Sequence[ActorState]]
+
+
+def require_in_town(start: StartSpec | None, router: Router) -> None:
+    """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
+    for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
+        if not router.away_m(xy) <= START_REACH_M:
+            raise ConfigError(
+                f"{what} at {xy} m is {router.away_m(xy):.0f} m from the nearest pavement; expected one of the town's "
+                f"places, at most {START_REACH_M:.0f} m away"
+            )
+    if start is not None and not math.isfinite(start.yaw_rad):
+        raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
+
+
+def is_clear(
+    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
+) -> bool:
+    """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
+    footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    hull = xy_W_m + np.array(footprint_B_m) @ np.array([[cos, sin], [-sin, cos]])
+    if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
+        return False
+    middle = xy_W_m + middle_m * np.array([cos, sin])
+    reach_m = clear_m + half_m
+    return all(
+        float(np.hypot(*(a.p_W_m[:2] - middle))) > reach_m + 0.5 * max(a.size_lwh_m[:2])
+        for a in taken(middle, reach_m + 10.0)
+    )
