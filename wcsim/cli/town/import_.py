@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -19,15 +19,15 @@ from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds,
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import checked
 from wcsim.errors import ConfigError
-from wcsim.towns.checks.check import TownReport
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.importing.elevation import Heights
-from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.area import Box
 from wcsim.towns.osm.download import download
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.street import load_street
 from wcsim.types import Street
+
+if TYPE_CHECKING:  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import TownReport
+    from wcsim.towns.importing.importer import ImportOrder
 
 _ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -128,6 +128,9 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
     if options.osm is not None and options.url:
         raise ConfigError("--url is for a download and cannot be joined with --osm; leave one out")
     _check_numbers(options)
+
+    from wcsim.towns.importing.importer import import_town
+
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
         made = import_town(_order(options, osm, box, out), _built_in_silence, _stage)
@@ -140,6 +143,8 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
 
 
 def _built_in_silence(town: Town) -> Street:
+    from wcsim.towns.street import load_street
+
     return load_street(town, lambda told: None)  # the import says its own stages
 
 
@@ -154,6 +159,9 @@ def _needed(box: Box | None) -> Box:
 
 
 def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
+    from wcsim.towns.importing.elevation import Heights
+    from wcsim.towns.importing.importer import ImportOrder
+
     return ImportOrder(
         osm=osm,
         bbox=box,
