@@ -19,6 +19,7 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
     """`check_town`, and SUMO's own refusal among the faults; `told` hears the stage. Raises TownError as that does."""
     from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
 
+    told("checking the town")
     report = check_town(town, share)
     told("letting SUMO run its first steps")
     try:
