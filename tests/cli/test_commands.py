@@ -28,7 +28,7 @@ TOWN_KEYS = {
     *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable", "mesh_faults"),
 }
 COLUMNS = 80
-STAGES = ["reading", "building", "buildings,", "building", "letting"]  # how the lines of an import begin
+STAGES = ["reading", "building", "buildings,", "building", "checking", "letting"]  # how the lines of an import begin
 
 
 def read(path: str) -> Any:
@@ -54,7 +54,23 @@ def tiny(wcsim, folder) -> Path:
     assert made.code == 0
     assert [line.split()[0] for line in made.err.splitlines()] == STAGES
     assert "sumo-gui -c towns/tiny/tiny.sumocfg" in made.out
+    _assert_costs_sum_up(made.out)
     return Path("towns/tiny")
+
+
+def _assert_costs_sum_up(told: str) -> None:
+    """The table of CPU time has each stage, and its sum is what stands beside netconvert's."""
+    table = told.partition("CPU time")[2]
+    assert fits(table)
+    rows = [line.rsplit(maxsplit=2) for line in table.splitlines()[2:]]
+    costs = [(name.split()[0], float(own), float(tools)) for name, own, tools in (row for row in rows if len(row) == 3)
+             if re.fullmatch(r"[\d.]+", own)]  # fmt: skip
+    assert [name for name, _, _ in costs] == ["starting", *STAGES, "all"]
+    net_s, all_s = map(float, re.findall(r"^netconvert ([\d.]+) s, everything ([\d.]+) s", told, re.MULTILINE)[0])
+    assert net_s == costs[2][2] > 0.0
+    for column in (1, 2):
+        assert sum(row[column] for row in costs[:-1]) == pytest.approx(costs[-1][column], abs=0.04)
+    assert costs[-1][1] + costs[-1][2] == pytest.approx(all_s, abs=0.02)
 
 
 def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):

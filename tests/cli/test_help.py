@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -65,13 +63,3 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
 def test_version(wcsim):
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert wcsim("--version").out.strip() == version
-
-
-def test_help_loads_no_torch_and_no_simulator():
-    code = (
-        "import sys; from wcsim.cli.main import SUBCOMMANDS, main; main(['--help']);"
-        "main(['test', '--help']); main(['train', '--help']);"
-        "print([m for m in ('torch', 'libsumo') if m in sys.modules], file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stderr.strip() == "[]"

@@ -12,9 +12,8 @@ import pytest
 from wcsim.cli.main import main
 from wcsim.config.scene import SceneExpect
 from wcsim.errors import TownError
-from wcsim.scenes.build import find_scene
+from wcsim.scenes.build import GOLDEN, find_scene
 from wcsim.scenes.facts import SceneFacts
-from wcsim.scenes.run import GOLDEN
 from wcsim.scenes.template import write_scene
 
 BROKEN = {

@@ -10,6 +10,7 @@ import tyro
 from wcsim.cli.shared.common import OutFile, parse, write_json
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
+from wcsim.towns.cache.files import cache_facts, clear_cache
 
 
 @dataclass
@@ -25,9 +26,6 @@ class Options:
 def run(words: list[str]) -> int:
     """Say it, and empty the cache where that is asked for."""
     options = parse(Options, words, "cache")
-
-    from wcsim.towns.cache.files import cache_facts, clear_cache  # loads numpy and shapely, which --help must not
-
     before = cache_facts()
     left = clear_cache() if options.clear else before
     kept = f"{before.streets} streets, {before.verdicts} verdicts on nets and scenarios, {before.unfinished} unfinished"

@@ -13,16 +13,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.bridge.recording.trace_diff import difference
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, write_json
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.scenes.build import NETCONVERT_FILES, find_scene, list_scenes
+from wcsim.scenes.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 from wcsim.scenes.facts import SceneFacts, facts_of, faults
-from wcsim.scenes.run import GOLDEN, run_in_child
 from wcsim.scenes.template import write_scene
 
 Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
@@ -76,7 +73,7 @@ class Outcome:
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions}
-    name = subcommand(words, "scene", known)
+    name = subcommand(words, "scene", known, known.__getitem__)
     if name == "list":
         parse(ListOptions, words[1:], "scene list")
         return _list()
@@ -132,6 +129,9 @@ def _run(options: RunOptions) -> int:
 
 
 def _outcome(folder: Path) -> Outcome:
+    from wcsim.bridge.recording.trace_diff import difference  # loads the simulators, which --help must not
+    from wcsim.scenes.run import run_in_child
+
     scene = read_toml(folder / "scene.toml", SceneFile)
     with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
         trace = Path(work) / "new.trace"
@@ -149,7 +149,11 @@ def _outcome(folder: Path) -> Outcome:
 
 
 def _bless(options: BlessOptions) -> int:
-    for folder in _folders(options.scenes):
+    folders = _folders(options.scenes)
+
+    from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
+
+    for folder in folders:
         with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
             trace = Path(work) / "new.trace"
             facts = run_in_child(folder, trace)
@@ -165,6 +169,9 @@ def _bless(options: BlessOptions) -> int:
 
 def _news(trace: Path, golden: Path) -> str:
     """Why a golden trace must be written anew; "" when it need not."""
+    from wcsim.bridge.recording.trace_diff import difference
+    from wcsim.bridge.recording.trace_file import read_trace
+
     if not golden.is_file():
         return "there was no golden trace"
     other_versions = read_trace(trace)[0] != read_trace(golden)[0]

@@ -16,7 +16,7 @@ from wcsim.agents.runs.policy_file import read_policy_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.cli.shared.run_config import overrides_of, require_known
+from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
@@ -128,13 +128,11 @@ def test_policies(options: Options) -> Sequence[TestResult]:
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
-    from wcsim.users.recorded import find_user  # numba is loaded here, not for --help
-
     in_bounds("--episodes", options.episodes, 1, math.inf)
     in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
     profiles = some_words("--profile", options.profile)
     for name in profiles:
-        find_user(name)
+        require_user(name)
     return _towns(options), profiles
 
 

@@ -18,6 +18,8 @@ from wcsim.towns.scenario.town import Town, expanded, open_town, town_roots
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 
+GOLDEN = "golden.trace"
+
 NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
 """Options of netconvert and netedit, and the kinds of files that they take."""
 

@@ -28,7 +28,6 @@ from wcsim.scenes.facts import SceneFacts, facts_from_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
 
-GOLDEN = "golden.trace"
 _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
 

@@ -16,7 +16,8 @@ import zstandard
 
 from wcsim.core.sources import sources_of
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_cache import cached_street, shown_cache
+from wcsim.towns.cache.folder import shown_cache
+from wcsim.towns.cache.street_cache import cached_street
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import Street

@@ -15,7 +15,7 @@ from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, SeatSpec, Snapshot
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import captioned
@@ -42,9 +42,9 @@ class Shot:
 class FilmedDrive:
     """A world with one chair, made to be looked at."""
 
-    def __init__(self, town: str, seed: int, width: int) -> None:
+    def __init__(self, town: Town, seed: int, width: int) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
-        self._world = World(find_town(town), RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
+        self._world = World(town, RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
         self._camera = camera
         self.tick_s = self._world.config.world.tick_s
 
@@ -149,7 +149,7 @@ class Film:
 
 
 @contextmanager
-def open_stage(town: str, seed: int, width: int) -> Iterator[FilmedDrive]:
+def open_stage(town: Town, seed: int, width: int) -> Iterator[FilmedDrive]:
     """A stage that is closed at the end. Raises TownError, or ConfigError for a width out of bounds."""
     if not 64 <= width <= 1920:
         raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")

@@ -9,13 +9,15 @@ import os
 import time
 import zlib
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import pytest
 
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import net_middle
 from wcsim.towns.sumo.unpack import MAX_MEMBERS, bunzip2, gunzip
-from wcsim.towns.sumo.xml_io import MAX_NESTING, parse_root, read_bytes, read_root, scan, without_comments
+from wcsim.towns.sumo.xml_io import MAX_NESTING, parse_root, read_bytes, read_root, scan, without_comments, xml_bytes
 
 BODY = '<additional><edgeData id="x" file="/anywhere"/></additional>'
 
@@ -128,3 +130,10 @@ def test_what_is_looked_for_in_a_file_takes_a_time_in_proportion_to_its_length(t
         return min(costs_s)
 
     assert cost_s(80_000) < 60 * cost_s(5_000)  # 16 for a proportion, 256 for a square
+
+
+def test_xml_bytes_are_those_of_the_library():
+    text = '<osm v="0.6"><way id="1" name="Straße &quot;&lt;&amp;&#10; 北"/><t>a &lt; b &#128512;</t></osm>'
+    root = parse_root(text.encode(), "a map")
+    root.append(Element("tag", {"k": "lone \ud800 surrogate"}))
+    assert xml_bytes(root) == ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)

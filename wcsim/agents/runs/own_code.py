@@ -16,6 +16,7 @@ from pathlib import Path
 
 from wcsim.core.reading import FileKind, read_bytes, shown
 from wcsim.errors import FileError, PolicyError
+from wcsim.towns.cache.folder import cache_folder
 
 KEY_FILE = "own-runs.key"
 _KEY_BYTES = 32
@@ -55,10 +56,6 @@ def _mark(key: bytes, classes: Sequence[str]) -> str:
 
 def _key(make: bool) -> bytes:
     """The key of this user's machine, b"" where there is none."""
-    from wcsim.towns.cache.street_cache import (
-        cache_folder,  # loads what reads towns, which a run without own classes need not
-    )
-
     path = cache_folder() / KEY_FILE
     try:
         if make and not path.exists():

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.cache.street_cache import cache_folder, write_whole
+from wcsim.towns.cache.folder import cache_folder, write_whole
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from wcsim.bench.barrier.barrier_cost import BarrierCost, measure_barrier
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.config import load_run_config
+
+if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
+    from wcsim.bench.barrier.barrier_cost import BarrierCost
 
 
 @dataclass
@@ -33,6 +36,9 @@ def run(options: BarrierOptions) -> int:
     in_bounds("--width", options.width, 16, 2048)
     sizes = (f"cameras.0.width_px={options.width}", f"cameras.0.height_px={options.width * 3 // 4}")
     config = load_run_config("quick", sizes)
+
+    from wcsim.bench.barrier.barrier_cost import measure_barrier
+
     costs: dict[str, BarrierCost] = {}
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for name in ("ipc", "tcp"):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.progress import Progress
 
-from wcsim.bench.tick.bridgeless_world import measure_bridge
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.config import load_run_config
 from wcsim.towns.scenario.town import find_town
@@ -34,11 +33,13 @@ def run(options: BridgeOptions) -> int:
     in_bounds("--ticks", options.ticks, 10, 1_000_000)
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     config = load_run_config("quick", (f"world.demand_scale={options.demand_scale}",))
+    town = find_town(options.town)
+
+    from wcsim.bench.tick.bridgeless_world import measure_bridge  # loads the simulators, which --help must not
+
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("ticks", total=options.ticks)
-        cost = measure_bridge(
-            find_town(options.town), config, options.ticks, options.seed, lambda n: bar.update(task, completed=n)
-        )
+        cost = measure_bridge(town, config, options.ticks, options.seed, lambda n: bar.update(task, completed=n))
     print(
         f"{cost.actors:.0f} vehicles and people, {cost.mirrored:.0f} of them near the chair; "
         f"react {cost.react_ms:.3f}, read {cost.read_ms:.3f}, mirror {cost.mirror_ms:.3f} ms "

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 
-from wcsim.bench.camera.compare import Agreement, ComparedPicture, RendererComparison, compare_renderers, pooled
-from wcsim.bench.camera.random_scenes import scatter
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.config import CameraConfig
-from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import instances_of
-from wcsim.physics.sensors.camera import pinhole
-from wcsim.towns.scenario.town import find_town
-from wcsim.towns.street import load_street
+from wcsim.towns.scenario.town import Town, find_town
+
+if TYPE_CHECKING:  # loads the renderers, which --help must not
+    from wcsim.bench.camera.compare import Agreement, ComparedPicture, RendererComparison
 
 
 @dataclass
@@ -44,7 +41,12 @@ def run(options: CameraOptions) -> int:
         in_bounds(f"--{option}", getattr(options, option), fewest, 1000)
     camera = CameraConfig()
     names = some_words("--towns", options.towns)
-    pictures = {name: _compare(name, camera, count, options) for name, count in _shares(names, options.poses).items()}
+    towns = {name: find_town(name) for name in names}
+
+    from wcsim.bench.camera.compare import pooled
+
+    shares = _shares(names, options.poses)
+    pictures = {name: _compare(towns[name], camera, count, options) for name, count in shares.items()}
     every = pooled([picture for some in pictures.values() for picture in some])
     rows = {name: pooled(some) for name, some in pictures.items()}
     Console().print(_table({**rows, "all": every} if len(rows) > 1 else rows))
@@ -60,9 +62,16 @@ def _shares(names: tuple[str, ...], poses: int) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count}
 
 
-def _compare(name: str, camera: CameraConfig, poses: int, options: CameraOptions) -> tuple[ComparedPicture, ...]:
+def _compare(town: Town, camera: CameraConfig, poses: int, options: CameraOptions) -> tuple[ComparedPicture, ...]:
     """One town, all of its street loaded."""
-    street = load_street(find_town(name))
+    from wcsim.bench.camera.compare import compare_renderers
+    from wcsim.bench.camera.random_scenes import scatter
+    from wcsim.physics.renderer.geometry import GeometryStore
+    from wcsim.physics.renderer.instances import instances_of
+    from wcsim.physics.sensors.camera import pinhole
+    from wcsim.towns.street import load_street
+
+    street = load_street(town)
     scene = scatter(street, camera, poses, options.actors, options.seed)
     return compare_renderers(
         GeometryStore(street.mesh), pinhole(camera), scene.poses, instances_of(scene.actors), options.rounds

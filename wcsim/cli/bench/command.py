@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from importlib import import_module
 
-from wcsim.cli.bench import barrier, bridge, camera, chair, crashes, parallel, reaction, soak, tick, users
-from wcsim.cli.bench.barrier import BarrierOptions
-from wcsim.cli.bench.bridge import BridgeOptions
-from wcsim.cli.bench.camera import CameraOptions
-from wcsim.cli.bench.chair import ChairOptions
-from wcsim.cli.bench.crashes import CrashesOptions
-from wcsim.cli.bench.parallel import ParallelOptions
-from wcsim.cli.bench.reaction import ReactionOptions
-from wcsim.cli.bench.soak import SoakOptions
-from wcsim.cli.bench.tick import TickOptions
-from wcsim.cli.bench.users import UsersOptions
 from wcsim.cli.shared.common import parse, subcommand
 
-Bench = tuple[type, Callable[[Any], int]]
+BENCHES = {
+    "tick": "TickOptions",
+    "camera": "CameraOptions",
+    "chair": "ChairOptions",
+    "users": "UsersOptions",
+    "crashes": "CrashesOptions",
+    "reaction": "ReactionOptions",
+    "bridge": "BridgeOptions",
+    "barrier": "BarrierOptions",
+    "parallel": "ParallelOptions",
+    "soak": "SoakOptions",
+}
+"""The benches, each a file here of that name with a `run(options)`, and its class of options."""
 
 
 def run(words: list[str]) -> int:
-    """Run one bench."""
-    known: dict[str, Bench] = {
-        "tick": (TickOptions, tick.run),
-        "camera": (CameraOptions, camera.run),
-        "chair": (ChairOptions, chair.run),
-        "users": (UsersOptions, users.run),
-        "crashes": (CrashesOptions, crashes.run),
-        "reaction": (ReactionOptions, reaction.run),
-        "bridge": (BridgeOptions, bridge.run),
-        "barrier": (BarrierOptions, barrier.run),
-        "parallel": (ParallelOptions, parallel.run),
-        "soak": (SoakOptions, soak.run),
-    }
-    name = subcommand(words, "bench", {name: options for name, (options, _) in known.items()})
+    """Run one bench; only its own file is loaded."""
+    name = subcommand(words, "bench", BENCHES, options_of)
     if not name:
         return 0
-    options, bench = known[name]
-    return bench(parse(options, words[1:], f"bench {name}"))
+    return int(import_module(_home(name)).run(parse(options_of(name), words[1:], f"bench {name}")))
+
+
+def options_of(name: str) -> type:
+    """A bench's class of options."""
+    found: type = getattr(import_module(_home(name)), BENCHES[name])
+    return found
+
+
+def _home(name: str) -> str:
+    return f"{__package__}.{name}"

@@ -23,6 +23,7 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
+from wcsim.cli.shared.run_config import require_user
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -69,15 +70,13 @@ class CrashesOptions:
 
 def run(options: CrashesOptions) -> int:
     """Run the bench."""
-    from wcsim.users.recorded import find_user
-
     in_bounds("--chairs", options.chairs, 1, MAX_CHAIRS)
     in_bounds("--steps", options.steps, options.chairs, MAX_STEPS)
     in_bounds("--seed", options.seed, 0, MAX_SEED)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     names, config = _policies(options.policy), _config(options)
-    find_user(options.profile)
+    require_user(options.profile)
     towns = [find_town(name) for name in some_words("--town", options.town)]
     drives: list[CrashDrive] = []
     with Progress(console=Console(stderr=True), transient=True) as bar:

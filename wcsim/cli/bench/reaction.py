@@ -5,13 +5,17 @@ from __future__ import annotations
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.bench.reaction.battery import Battery, BatteryOrder, run_battery
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.bench.reaction.battery import Battery
 
 
 @dataclass
@@ -40,6 +44,11 @@ def run(options: ReactionOptions) -> int:
     in_bounds("--trials", options.trials, 1, 1000)
     in_bounds("--streets", options.streets, 1, 3)
     in_bounds("--places", options.places, 1, 20)
+    if options.town:
+        find_town(options.town)
+
+    from wcsim.bench.reaction.battery import BatteryOrder, run_battery
+
     console = Console()
     order = BatteryOrder(
         town=options.town,

@@ -6,18 +6,19 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from wcsim.bench.soak.soak import SoakFacts, SoakOrder, soak
 from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
+    from wcsim.bench.soak.soak import SoakFacts
 
 _CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 
@@ -52,9 +53,9 @@ def run(options: SoakOptions) -> int:
     kept = options.out
     if kept is not None and kept.exists() and any(kept.iterdir()):
         raise ConfigError(f"--out {kept} is not empty; choose a new folder")
+    town = find_town(options.town)
     folder = kept if kept is not None else Path(tempfile.mkdtemp(prefix="wcsim-soak-"))
     folder.mkdir(parents=True, exist_ok=True)
-    town = find_town(options.town)
     try:
         facts = _run(options, town.address, folder)
     finally:
@@ -106,6 +107,8 @@ def faults_of(facts: SoakFacts) -> list[str]:
 
 
 def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
+    from wcsim.bench.soak.soak import SoakOrder, soak
+
     order = SoakOrder(
         town=town,
         config=load_run_config("quick"),
@@ -130,4 +133,6 @@ def _print(facts: SoakFacts) -> None:
 
 
 def _p99(values_s: tuple[float, ...]) -> float | None:
+    import numpy as np  # --help does without
+
     return float(np.percentile(values_s, 99)) if values_s else None

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.bench.tick.naive_world import NaiveWorld
-from wcsim.bench.tick.tick_cost import TickCost, measure_tick
-from wcsim.bench.tick.tick_profile import profiled
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.bench.tick.tick_cost import TickCost
 
 MAX_CHAIRS = 64
 MANY = 1_000_000
@@ -57,9 +57,14 @@ def run(options: TickOptions) -> int:
         raise ConfigError(f"--physics-hz {options.physics_hz}: expected a multiple of 10, for ticks of 0.1 s")
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     numbers, config = _chairs(options.chairs), _config(options)
-    town, naive = find_town(options.town), NaiveWorld if options.naive else None
+    town = find_town(options.town)
     if options.profile:
         return _profile(options, town, config, numbers)
+
+    from wcsim.bench.tick.naive_world import NaiveWorld
+    from wcsim.bench.tick.tick_cost import measure_tick
+
+    naive = NaiveWorld if options.naive else None
     costs: dict[int, TickCost] = {}
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for chairs in numbers:
@@ -78,6 +83,8 @@ def run(options: TickOptions) -> int:
 
 
 def _profile(options: TickOptions, town: Town, config: RunConfig, numbers: list[int]) -> int:
+    from wcsim.bench.tick.tick_profile import profiled
+
     found = {chairs: profiled(town, config, chairs, options.ticks, options.seed) for chairs in numbers}
     for chairs, rows in found.items():
         table = Table("part", "function", "calls a tick", "ms a tick", "share", title=f"{chairs} wheelchairs")

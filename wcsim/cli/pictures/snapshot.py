@@ -9,8 +9,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import check_output, in_bounds, parse, write_whole
-from wcsim.view.filming import open_stage
-from wcsim.view.pictures import triptych, write_png
+from wcsim.towns.scenario.town import find_town
 
 MAX_SECONDS = 3600.0
 
@@ -36,7 +35,12 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "snapshot")
     check_output("--out", options.out, ".png")
     in_bounds("--seconds", options.seconds, 0.0, MAX_SECONDS)
-    with open_stage(options.town, options.seed, options.width) as stage:
+    town = find_town(options.town)
+
+    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
+    from wcsim.view.pictures import triptych, write_png
+
+    with open_stage(town, options.seed, options.width) as stage:
         shot = stage.busiest_moment(options.seconds)
     picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
     write_whole(options.out, lambda part: write_png(part, picture))

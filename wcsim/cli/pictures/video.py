@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
-from wcsim.view.filming import open_stage
+from wcsim.towns.scenario.town import find_town
 
 _MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
@@ -37,10 +37,14 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "video")
     check_output("--out", options.out, ".webm")
     in_bounds("--seconds", options.seconds, _MIN_SECONDS, MAX_SECONDS)
+    town = find_town(options.town)
+
+    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
+
     console = Console(stderr=True)
     quiet = not console.is_terminal
     missing = missing_folder(options.out)
-    with open_stage(options.town, options.seed, options.width) as stage, stage.film(options.out) as film:
+    with open_stage(town, options.seed, options.width) as stage, stage.film(options.out) as film:
         frames = range(round(options.seconds / stage.tick_s))
         for _ in track(frames, description="filming", console=console, transient=True, disable=quiet):
             film.add()

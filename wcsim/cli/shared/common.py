@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -76,13 +76,14 @@ def _number(word: str) -> float:
         raise ValueError(f"got {shown(word, 40)!r}, expected a number, such as 2.5") from None
 
 
-def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str:
+def subcommand(words: list[str], command: str, known: Collection[str], options: Callable[[str], type]) -> str:
     """The second word of a command that has several, or "" after its help was printed.
 
     Args:
         words: What follows the command.
         command: Its name.
-        known: Second words, each with its class of options.
+        known: Second words.
+        options: The class of options of each, asked for the help alone.
 
     Raises:
         ConfigError: The word is missing or unknown.
@@ -90,7 +91,7 @@ def subcommand(words: list[str], command: str, known: Mapping[str, type]) -> str
     if words and words[0] in known:
         return words[0]
     if words and words[0] in ("-h", "--help"):
-        lines = [f"  {name:<10}{(kind.__doc__ or '').strip()}" for name, kind in known.items()]
+        lines = [f"  {name:<10}{(options(name).__doc__ or '').strip()}" for name in known]
         print("\n".join([f"usage: wcsim {command} {'|'.join(known)} [options]", "", *lines]))
         return ""
     got = f"unknown {command} command {words[0]!r}" if words else f"{command} needs a command"

@@ -20,7 +20,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profiles import HELD_OUT
+from wcsim.users.profiles import HELD_OUT, RECORDED, profile
 
 
 class Asked(Protocol):
@@ -63,11 +63,9 @@ def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume:
     Raises:
         PolicyError, ConfigError, HookError: A name stands for nothing, or the folder cannot be one.
     """
-    from wcsim.users.recorded import find_user
-
     check_folder("--out", out)
     require_known(config.learn.network, info.rewards, info.hook)
-    find_user(config.env.profile)
+    require_user(config.env.profile)
 
     from wcsim.agents.learning.build import with_window  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.networks.registry import find_network
@@ -145,6 +143,20 @@ def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> 
         find_reward_term(name)
     if hook:
         find_hook(hook)
+
+
+def require_user(name: str) -> None:
+    """Refuse a user that there is not; what replays a recorded joystick is loaded for one of those alone.
+
+    Raises:
+        ConfigError: There is no such profile, or no such recording.
+    """
+    if not name.startswith(RECORDED):
+        profile(name)
+        return
+    from wcsim.users.recorded import find_user
+
+    find_user(name)
 
 
 def how_to_test(run: Path, network: str, trained_in: str = "") -> str:

@@ -49,7 +49,7 @@ def run(words: list[str]) -> int:
         "run": RunOptions,
         "tour": TourOptions,
     }
-    name = subcommand(words, "town", known)
+    name = subcommand(words, "town", known, known.__getitem__)
     if name == "import":
         return run_import(parse(ImportOptions, words[1:], "town import"))
     if name == "list":

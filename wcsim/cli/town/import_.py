@@ -6,31 +6,33 @@ import math
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
 from wcsim.cli.town.report import print_report, report_json
+from wcsim.cli.town.stage_costs import StageClock, costs_json, print_costs
 from wcsim.cli.town.trial import checked
 from wcsim.errors import ConfigError
-from wcsim.towns.checks.check import TownReport
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.importing.elevation import Heights
-from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.area import Box
 from wcsim.towns.osm.download import download
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.street import load_street
 from wcsim.types import Street
+
+if TYPE_CHECKING:  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import TownReport
+    from wcsim.towns.importing.importer import ImportOrder
 
 _ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Stage = Callable[[str], None]  # what begins now, in words
 
 
 @dataclass
@@ -87,15 +89,21 @@ def run(options: ImportOptions) -> int:
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
     check_folder("--out", out)
     result = options.json.resolve() if options.json is not None else None  # this folder itself may be built anew
+    clock = StageClock(_say)
     with _fresh_folders(out.parent):
-        report, more = (_adopt(options, options.sumocfg, out), {}) if options.sumocfg else _build(options, out)
+        if options.sumocfg is None:
+            report, more = _build(options, out, clock.begin)
+        else:
+            report, more = _adopt(options, options.sumocfg, out, clock.begin), dict[str, Any]()
+    costs = clock.costs()
     print_report(report)
+    print_costs(costs)
     if result is not None:
-        write_json(result, {**report_json(report, time.monotonic() - started_s), **more})
+        write_json(result, {**report_json(report, time.monotonic() - started_s), **more, "cpu": costs_json(costs)})
     return 0
 
 
-def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
+def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> TownReport:
     given = [f.name for f in fields(options) if getattr(options, f.name) != f.default]
     idle = [f"--{name.replace('_', '-')}" for name in given if name not in _ADOPTED]
     if idle:
@@ -106,7 +114,7 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
         print(f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it")
     town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
     try:
-        report = checked(town, told=_stage)
+        report = checked(town, told=stage)
     except BaseException:  # what cannot be read is no town
         shutil.rmtree(town.folder, ignore_errors=True)
         raise
@@ -114,7 +122,7 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path) -> TownReport:
     return report
 
 
-def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
+def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport, dict[str, Any]]:
     """The check of a town that was built, and what else the result file says of it."""
     if options.osm is None and not options.bbox:
         raise ConfigError(
@@ -128,22 +136,27 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
     if options.osm is not None and options.url:
         raise ConfigError("--url is for a download and cannot be joined with --osm; leave one out")
     _check_numbers(options)
+
+    from wcsim.towns.importing.importer import import_town
+
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
-        made = import_town(_order(options, osm, box, out), _built_in_silence, _stage)
+        made = import_town(_order(options, osm, box, out), _built_in_silence, stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
     print(f"traffic keeps to the {made.side}")
-    report = checked(made.town, made.walkable_share, _stage)
+    report = checked(made.town, made.walkable_share, stage)
     counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
     more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 
 def _built_in_silence(town: Town) -> Street:
+    from wcsim.towns.street import load_street
+
     return load_street(town, lambda told: None)  # the import says its own stages
 
 
-def _stage(told: str) -> None:
+def _say(told: str) -> None:
     Console(stderr=True, highlight=False).print(told, style="dim", markup=False, soft_wrap=True)
 
 
@@ -154,6 +167,9 @@ def _needed(box: Box | None) -> Box:
 
 
 def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
+    from wcsim.towns.importing.elevation import Heights
+    from wcsim.towns.importing.importer import ImportOrder
+
     return ImportOrder(
         osm=osm,
         bbox=box,

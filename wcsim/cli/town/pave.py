@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -13,10 +13,11 @@ from rich.console import Console
 from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import try_town
-from wcsim.towns.checks.check import check_town
 from wcsim.towns.checks.cures import FASTEST_MPS
-from wcsim.towns.pave.pavements import Paved, pave_town
 from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:
+    from wcsim.towns.pave.pavements import Paved
 
 TOLD = 5
 
@@ -42,9 +43,14 @@ def run(options: PaveOptions) -> int:
     started_s = time.monotonic()
     in_bounds("--max-speed", options.max_speed, 1.0, 100.0)
     check_folder("--out", options.out)
+    bare = find_town(options.town, outside=options.allow_outside)
+
+    from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
+    from wcsim.towns.pave.pavements import pave_town
+
     told = Console(stderr=True, highlight=False, style="dim")
     told.print(f"building pavements into {options.out}", markup=False)
-    paved = pave_town(find_town(options.town, outside=options.allow_outside), options.out, options.max_speed)
+    paved = pave_town(bare, options.out, options.max_speed)
     town = find_town(str(paved.sumocfg))
     told.print("letting SUMO run its first steps")
     try_town(town)

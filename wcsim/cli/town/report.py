@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.towns.checks.check import TownReport
+if TYPE_CHECKING:  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import TownReport
 
 
 def print_report(report: TownReport) -> int:

@@ -10,11 +10,9 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from wcsim.bench.tour.lines import walking_lines
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.towns.scenario.town import find_town
-from wcsim.towns.sumo.net import read_net
 from wcsim.types import SeatSpec
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -65,10 +63,13 @@ def run(options: TourOptions) -> int:
 
 
 def _tour(options: TourOptions) -> TourReport:
+    town = find_town(options.town)
+
+    from wcsim.bench.tour.lines import walking_lines
     from wcsim.bench.tour.tour import tour
     from wcsim.bridge.world import World
+    from wcsim.towns.sumo.net import read_net
 
-    town = find_town(options.town)
     lines = walking_lines(read_net(town.net, town.file.origin_m), town.file.chair_ways)[:: options.every]
     with (
         World(town, _config(options.speed), (SeatSpec(max_steps=1_000_000_000),), options.seed) as world,

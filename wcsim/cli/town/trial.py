@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from wcsim.config import load_run_config
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import TownReport, check_town
 from wcsim.towns.scenario.town import Town
+
+if TYPE_CHECKING:
+    from wcsim.towns.checks.check import TownReport
 
 
 def checked(town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None) -> TownReport:
     """`check_town`, and SUMO's own refusal among the faults; `told` hears the stage. Raises TownError as that does."""
+    from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
+
+    told("checking the town")
     report = check_town(town, share)
     told("letting SUMO run its first steps")
     try:

@@ -24,7 +24,7 @@ from wcsim.agents.runs.run_folder import MANIFEST, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import in_town, resolve_config, steps_note
+from wcsim.cli.shared.run_config import in_town, require_user, resolve_config, steps_note
 from wcsim.cli.training.report import TickRate, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
@@ -45,7 +45,6 @@ from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.scenario.town import Town
 from wcsim.users.profiles import recordings
-from wcsim.users.recorded import find_user
 from wcsim.view.live_table import LiveTable
 
 MOST_CLIENTS = 64
@@ -123,7 +122,7 @@ def resolved(options: Options) -> tuple[Client, ...]:
     clients: list[Client] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
         config = resolve_config(options, network, files.get(name))
-        find_user(config.env.profile)
+        require_user(config.env.profile)
         clients.append(Client(name=name, seat=seat, config=config))
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:

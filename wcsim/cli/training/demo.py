@@ -17,8 +17,6 @@ from wcsim.config import load_run_config
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.view.filming import open_stage
-from wcsim.view.pictures import triptych, write_png
 
 
 @dataclass
@@ -67,7 +65,11 @@ def run(words: list[str]) -> int:
     write_json(folder / "test.json", test.as_json(results))
     console.print(f"[bold]3/3[/] a picture from {stage_town.name}")
     picture = folder / f"{stage_town.name}.png"
-    with open_stage(str(stage_town.folder), options.seed, 640) as stage:
+
+    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
+    from wcsim.view.pictures import triptych, write_png
+
+    with open_stage(stage_town, options.seed, 640) as stage:
         shot = stage.busiest_moment(15.0)
     write_png(picture, triptych(shot.rgb, shot.class_id, shot.depth_m))
     print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}")

@@ -13,7 +13,7 @@ import tyro
 from wcsim.agents.networks.names import client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
-from wcsim.cli.shared.run_config import how_to_test, require_known, resolve_config, steps_note
+from wcsim.cli.shared.run_config import how_to_test, require_known, require_user, resolve_config, steps_note
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, parse_json
 from wcsim.config.plant import known_plants
@@ -23,7 +23,6 @@ from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.server.specs import RunInfo, SeatRequest, seat_spec
 from wcsim.types import CLIENT_NAME
-from wcsim.users.recorded import find_user
 
 if TYPE_CHECKING:
     from wcsim.server.links.socket import SocketSeat, WorldOffer
@@ -77,7 +76,7 @@ def run(words: list[str]) -> int:
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
     config = resolve_config(options, options.network)
     require_known(config.learn.network, options.reward)
-    find_user(config.env.profile)
+    require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
     out = options.out if options.out is not None else Path("runs") / f"joined-{network}-{options.seed}"
     check_folder("--out", out)

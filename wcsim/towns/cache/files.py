@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.towns.cache.street_cache import cache_folder
+from wcsim.towns.cache.folder import cache_folder
 
 WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"

@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from wcsim.core.reading import shown
+from wcsim.towns.cache.folder import cache_folder, write_whole
 from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.ground.tiles import Packed
 from wcsim.types import Street
-
-
-def cache_folder() -> Path:
-    """Where wcsim keeps what it can make again: $XDG_CACHE_HOME/wcsim or ~/.cache/wcsim."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "wcsim"
-
-
-def shown_cache() -> str:
-    """The cache's folder for a message, with ~ for the home."""
-    folder, home = str(cache_folder()), str(Path.home())
-    return shown(f"~{folder[len(home):]}" if folder.startswith(f"{home}/") else folder)
 
 
 def cached_street(key: str, build: Callable[[], Packed]) -> Street:
@@ -37,22 +23,6 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     packed = build()
     write_whole(path, lambda file: _save(file, packed))
     return _read(path) or street_of(packed)  # from the file, if there is one, so that only what is used is in memory
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a cache file under another name and move it into place; a cache that cannot be written is no error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            write(temporary)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError:
-        return
 
 
 def _save(path: Path, packed: Packed) -> None:

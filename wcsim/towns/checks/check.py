@@ -36,6 +36,7 @@ RAYS = 4000
 _CHECKED_S = 600.0  # of the demand, from its begin
 _SPOT_M = 0.002
 _DRAWS = 50  # a net of a single street fills a small part of its surroundings
+_ROUNDS = 5  # in which they are drawn: each reads all of the ground's rasters
 _HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
 _HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
@@ -167,8 +168,9 @@ def _places(street: Street, count: int) -> F64:
     corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
     rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
-    for _ in range(_DRAWS):
-        xy_m = np.floor(rng.uniform(low, high, (count, 2)) / CELL_M) * CELL_M + 0.5 * CELL_M
+    for _ in range(_ROUNDS):
+        drawn = np.concatenate([rng.uniform(low, high, (count, 2)) for _ in range(_DRAWS // _ROUNDS)])
+        xy_m = np.floor(drawn / CELL_M) * CELL_M + 0.5 * CELL_M
         found.append(xy_m[np.isin(street.grid.class_at(xy_m), _STREET)])
         number += len(found[-1])
         if number >= count:

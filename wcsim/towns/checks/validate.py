@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.cache.street_cache import cache_folder, write_whole
+from wcsim.towns.cache.folder import cache_folder, write_whole
 from wcsim.towns.checks.cures import pave_cure
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.outputs import OutputNames

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
@@ -14,6 +13,7 @@ from wcsim.towns.osm.bridges import cut_bridges
 from wcsim.towns.osm.clean import filter_osm, strip_orphans
 from wcsim.towns.osm.sidewalk_rules import unpaved_ways, wrongly_paved
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.xml_io import xml_bytes
 from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
@@ -80,7 +80,7 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
 def _converted(order: NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
     root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
-    (folder / EXTRACT).write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    (folder / EXTRACT).write_bytes(xml_bytes(root))
     net = _read(convert_net(order, EXTRACT, folder))
     if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
         more = (*order.more, "--sidewalks.guess.exclude", ",".join(paved))

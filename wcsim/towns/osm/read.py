@@ -16,7 +16,15 @@ from wcsim.errors import TownError
 from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, size_m
 from wcsim.towns.sumo.tools import Limits, run_child
 from wcsim.towns.sumo.unpack import bunzip2
-from wcsim.towns.sumo.xml_io import MAX_TAG_BYTES, MAX_TAGS, MAX_XML_BYTES, parse_root, read_bytes, require_plain
+from wcsim.towns.sumo.xml_io import (
+    MAX_TAG_BYTES,
+    MAX_TAGS,
+    MAX_XML_BYTES,
+    parse_root,
+    read_bytes,
+    require_plain,
+    xml_bytes,
+)
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
 MARGIN_M = 150.0  # kept around the box: buildings and trees beside streets that reach out of it
@@ -38,7 +46,7 @@ class Extract:
 
     def xml(self) -> bytes:
         """As .osm XML."""
-        return bytes(ElementTree.tostring(self.root, encoding="utf-8", xml_declaration=True))
+        return xml_bytes(self.root)
 
 
 def read_extract(path: Path, box: Box | None = None) -> Extract:

@@ -21,19 +21,17 @@ class NamesFiles:
 
     def __init__(self, where: str) -> None:
         self._where = where
-        self._known: dict[str, bool] = {}
+        self._plain: set[str] = set()  # keys that were looked at and name no file
         self.found = False
 
     def __call__(self, tag: str, attributes: list[str]) -> None:
         """Note an element. Raises TownError for names of files that belong in no scenario."""
-        known = self._known
-        for key in attributes[::2]:
-            odd = known.get(key)
-            if odd is None:
-                odd = known[key] = _may_name(key.rpartition(":")[2])
-            if odd:
-                self._note(tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True)))
-                return
+        if self._plain.issuperset(attributes[::2]):
+            return
+        odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
+        self._plain.update(key for key in attributes[::2] if key not in odd)
+        if odd:
+            self._note(tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True)))
 
     def _note(self, tag: str, attributes: dict[str, str]) -> None:
         """An element with an attribute that names a file, or may do so."""

@@ -1,0 +1,38 @@
+"""Where the cache lies, and how a file comes into it. Loads nothing, for whoever only asks."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from wcsim.core.reading import shown
+
+
+def cache_folder() -> Path:
+    """Where wcsim keeps what it can make again: $XDG_CACHE_HOME/wcsim or ~/.cache/wcsim."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "wcsim"
+
+
+def shown_cache() -> str:
+    """The cache's folder for a message, with ~ for the home."""
+    folder, home = str(cache_folder()), str(Path.home())
+    return shown(f"~{folder[len(home) :]}" if folder.startswith(f"{home}/") else folder)
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a cache file under another name and move it into place; a cache that cannot be written is no error."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            write(temporary)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError:
+        return
