@@ -107,7 +107,7 @@ def test_people_go_where_their_velocity_leads_them_those_who_stepped_aside_too()
                     continue
                 assert gone_m == pytest.approx(0.1 * new.v_W_mps[:2], abs=0.003), new.id
                 moved = (new.deflect_m, old.deflect_m) != (0.0, 0.0)
-                stands = any(blocked.actor_id == new.id for blocked in world._open.people.blocked())
+                stands = any(blocked.actor_id == new.id for blocked in world._open.traffic.blocked())
                 people, aside = people + 1, aside + moved
                 slid += moved and stands and math.hypot(*gone_m) > 0.01
             before = now
