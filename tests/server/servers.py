@@ -7,7 +7,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +16,8 @@ from typing import Any
 
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
+from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
+from wcsim.server.launch.supervised_world import WORLD_ARGV
 from wcsim.server.links.base import SeatLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
@@ -23,24 +25,37 @@ from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
-STAND_IN = "wcsim.server.links.fake_world:FakeWorld"
+NOWHERE = "nowhere"  # the town of stand-ins
+REAL, STAND_IN = "wcsim.server.host.process", "wcsim.bench.barrier.fake_world"  # a world process with either
 WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
 
 def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
-    """A server with a stand-in for a world, all in `folder`."""
+    """A server, all in `folder`; a stand-in for a world, unless `changes` name a town."""
     rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
     order = WorldSpec(
-        town="nowhere",
+        town=NOWHERE,
         config_json=quick_config().model_dump_json(),
         seed=3,
         rules=rules,
         endpoint=f"ipc://{folder}/s/world",
         ring=str(folder / "ring"),
-        stand_in=STAND_IN,
     )
     return replace(order, **changes)
+
+
+class OtherWorlds(SubprocessSpawner):
+    """Starts another program wherever a launcher wants a world."""
+
+    def __init__(self, *argv: str) -> None:
+        self._argv = argv
+
+    def start(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> ProcessHandle:
+        """See `Spawner`."""
+        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
+            argv = (*self._argv, *argv[len(WORLD_ARGV) :])
+        return super().start(argv, env, log, status_fd)
 
 
 class Server:
@@ -60,7 +75,8 @@ class Server:
             os.close(self._pipe)
         self._pipe, theirs = os.pipe()
         self._file.write_bytes(to_line(replace(self.order, status_fd=theirs)))
-        command = [sys.executable, "-m", "wcsim.server.host.process", str(self._file)]
+        module = STAND_IN if self.order.town == NOWHERE else REAL
+        command = [sys.executable, "-m", module, str(self._file)]
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(theirs,), preexec_fn=self._before
         )
