@@ -6,25 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.actors import actor
 from tests.support.samples import KERB_M, strip_street
 from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
-from wcsim.core import frames
 from wcsim.scenes.build import find_scene
 from wcsim.scenes.run import open_scene, play
 from wcsim.types import ActorKind, ActorState
-
-
-def actor(x=0.0, y=0.0, yaw=0.0, speed=0.0, name="v:car", kind=ActorKind.CAR) -> ActorState:
-    """A car that moves along its heading."""
-    return ActorState(
-        id=name,
-        kind=kind,
-        p_W_m=np.array([x, y, 0.0]),
-        yaw_rad=yaw,
-        pitch_rad=0.0,
-        v_W_mps=speed * frames.forward(yaw, 0.0),
-        size_lwh_m=(4.5, 1.8, 1.5),
-    )
 
 
 def test_velocity_carries_the_old_pose_to_the_new_one():

@@ -18,7 +18,7 @@ from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
 from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
 from wcsim.server.launch.supervised_world import WORLD_ARGV
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
@@ -139,15 +139,15 @@ class Server:
         return replace(order, **changes)
 
 
-def joined(links: Sequence[SeatLink]) -> list[ClientSnapshot]:
+def joined(links: Sequence[WorldLink]) -> list[ClientSnapshot]:
     """All links join at the same time."""
     return together(links, lambda link: link.join())
 
 
-def driven(links: Sequence[SeatLink], ticks: int) -> list[ClientSnapshot]:
+def driven(links: Sequence[WorldLink], ticks: int) -> list[ClientSnapshot]:
     """All links drive so many ticks at the same time."""
 
-    def drive(link: SeatLink) -> ClientSnapshot:
+    def drive(link: WorldLink) -> ClientSnapshot:
         seen = link.join()
         for _ in range(ticks):
             seen = link.act(seen.tick, AHEAD)
@@ -156,7 +156,7 @@ def driven(links: Sequence[SeatLink], ticks: int) -> list[ClientSnapshot]:
     return together(links, drive)
 
 
-def together(links: Sequence[SeatLink], do: Callable[[SeatLink], ClientSnapshot]) -> list[ClientSnapshot]:
+def together(links: Sequence[WorldLink], do: Callable[[WorldLink], ClientSnapshot]) -> list[ClientSnapshot]:
     """The same with every link, each in a thread of its own: all wait for each other."""
     with ThreadPoolExecutor(len(links)) as pool:
         return list(pool.map(do, links))

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -15,13 +13,14 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import refuse_second_world
 from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
 from wcsim.config import RunConfig
+from wcsim.core.closing import Closing
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorState, Snapshot
 
 
-class TownTraffic:
+class TownTraffic(Closing):
     """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
 
     def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
@@ -60,12 +59,6 @@ class TownTraffic:
     def close(self) -> None:
         """End SUMO; a second call does nothing."""
         self._held.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _published(self) -> Snapshot:
         bare = Snapshot(epoch=0, tick=self._tick, time_s=self._sumo.time_s(), actors=(), signals=(), clients=())

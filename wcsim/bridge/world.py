@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from wcsim.bridge.sumo.session import refuse_second_world
 from wcsim.bridge.sumo.town_session import open_session, sumo_seed, warm_up, warmup_s
 from wcsim.bridge.tile_loader import TileLoader
 from wcsim.config import RunConfig
+from wcsim.core.closing import Closing
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.camera import CameraRig
@@ -36,7 +36,7 @@ from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snap
 from wcsim.types.street import joined_mesh
 
 
-class World:
+class World(Closing):
     """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
 
     def __init__(
@@ -152,12 +152,6 @@ class World:
         if self._epoch is not None:
             self._epoch.engine.close()
             self._epoch = None
-
-    def __enter__(self) -> World:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     # --- the five lines ---
 

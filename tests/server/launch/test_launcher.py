@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from tests.server.servers import OtherWorlds
+from tests.support.events import read_events
 from wcsim.server.launch.backoff import RestartRules
-from wcsim.server.launch.event_log import read_events
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules
 from wcsim.server.launch.supervised_client import MOST_LEFT_ALONE

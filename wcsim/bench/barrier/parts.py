@@ -19,7 +19,7 @@ import zmq
 
 from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.launch.parent_death import die_with_parent
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.seat_world import Specs
 from wcsim.server.specs import SeatRequest, WorldOrder
@@ -123,7 +123,7 @@ def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
             _say(_ticks(link, int(count)) if kind == b"ticks" else _rounds(socket, order, int(count)))
 
 
-def _ticks(link: SeatLink, count: int) -> list[float]:
+def _ticks(link: WorldLink, count: int) -> list[float]:
     tick, times_s = link.join().tick, []
     for _ in range(count):
         tick = link.act(tick, _AHEAD).tick

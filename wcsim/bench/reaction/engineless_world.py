@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.bridge.sumo.town_session import warm_up
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
+from wcsim.core.closing import Closing
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, Street
@@ -25,7 +25,7 @@ from wcsim.types import F64, ActorState, Street
 _TOUCH_M = 0.01  # bodies that share less than this only touch
 
 
-class ReactionStage:
+class ReactionStage(Closing):
     """A `ReactingTraffic` and any chairs; `deflected_into` and `contacts` collect what should not happen."""
 
     def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
@@ -86,12 +86,6 @@ class ReactionStage:
     def close(self) -> None:
         """End SUMO."""
         self._sumo.close()
-
-    def __enter__(self) -> ReactionStage:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _look(self, near: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
         for actor, bare in zip(self._traffic.actors, near, strict=True):
