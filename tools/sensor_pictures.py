@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bench.chair.yard import plane_street, step_street
+from wcsim.bench.chart import Line, Panel, chart
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import CameraConfig, CameraNoiseConfig, ChairConfig, ImuConfig, RunConfig
 from wcsim.core import seeding
@@ -16,7 +17,6 @@ from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, PlantState, SeatSpec, StreetMesh
-from wcsim.view.chart import Line, Panel, chart
 from wcsim.view.pictures import captioned, class_colours, depth_colours, write_png
 
 SEED, TOWN, DRIVE_TICKS = 4, "helsinki", 250

@@ -86,7 +86,7 @@ def test_a_seat_of_a_world_process_shows_what_a_world_of_ones_own_shows(corner, 
     expected = [drive(own, 30, None), drive(own, 5, 9)]
     own.close()
     world = {"town": str(corner), "seed": 4, "config_json": CONFIG.model_dump_json()}
-    order = stand_in_order(tmp_path, stand_in="", rules=Rules(capacity=1, config=CONFIG.world_digest()), **world)
+    order = stand_in_order(tmp_path, rules=Rules(capacity=1, config=CONFIG.world_digest()), **world)
     with Server(order, tmp_path) as server:
         server.status()
         env = WheelchairEnv(config=CONFIG, join=server.seat("env", spec=SPEC, config=CONFIG.world_digest()))

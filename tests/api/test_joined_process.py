@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.server.servers import Server, stand_in_order
 from wcsim.agents.clients import client
-from wcsim.agents.envs import seated_env
+from wcsim.agents.envs import wheelchair_env
 from wcsim.bridge import world
 from wcsim.bridge.sumo import open_scenario, session
 from wcsim.physics import engine
@@ -21,7 +21,7 @@ LIBRARIES = ("libsumo", "traci", "sumolib", "pybullet", "shapely", "networkx")
 MODULES = tuple(module.__name__ for module in (open_scenario, session, world, engine, kernels))
 CODE = f"""
 import json, sys
-import {client.__name__}, {seated_env.__name__}
+import {client.__name__}, {wheelchair_env.__name__}
 from wcsim import WheelchairEnv
 from wcsim.config import RunConfig
 from wcsim.server.specs import SeatRequest, of_line

@@ -17,7 +17,7 @@ from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.journal.replay import recompute
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
@@ -29,7 +29,7 @@ ON = "sensors.odometry=typical"
 SPEC = SeatSpec(max_steps=8)
 
 
-def ridden(link: SeatLink, ticks: int = 12) -> list[bytes]:
+def ridden(link: WorldLink, ticks: int = 12) -> list[bytes]:
     frame = link.join()
     frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
     for _ in range(ticks):

@@ -6,25 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.actors import actor
 from tests.support.samples import KERB_M, strip_street
 from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
-from wcsim.core import frames
 from wcsim.scenes.build import find_scene
 from wcsim.scenes.run import open_scene, play
 from wcsim.types import ActorKind, ActorState
-
-
-def actor(x=0.0, y=0.0, yaw=0.0, speed=0.0, name="v:car", kind=ActorKind.CAR) -> ActorState:
-    """A car that moves along its heading."""
-    return ActorState(
-        id=name,
-        kind=kind,
-        p_W_m=np.array([x, y, 0.0]),
-        yaw_rad=yaw,
-        pitch_rad=0.0,
-        v_W_mps=speed * frames.forward(yaw, 0.0),
-        size_lwh_m=(4.5, 1.8, 1.5),
-    )
 
 
 def test_velocity_carries_the_old_pose_to_the_new_one():
@@ -107,7 +94,7 @@ def test_people_go_where_their_velocity_leads_them_those_who_stepped_aside_too()
                     continue
                 assert gone_m == pytest.approx(0.1 * new.v_W_mps[:2], abs=0.003), new.id
                 moved = (new.deflect_m, old.deflect_m) != (0.0, 0.0)
-                stands = any(blocked.actor_id == new.id for blocked in world._open.people.blocked())
+                stands = any(blocked.actor_id == new.id for blocked in world._open.traffic.blocked())
                 people, aside = people + 1, aside + moved
                 slid += moved and stands and math.hypot(*gone_m) > 0.01
             before = now

@@ -7,7 +7,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,31 +16,46 @@ from typing import Any
 
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
-from wcsim.server.links.base import SeatLink
+from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
+from wcsim.server.launch.supervised_world import WORLD_ARGV
+from wcsim.server.links.base import WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
-STAND_IN = "wcsim.server.links.fake_world:FakeWorld"
+NOWHERE = "nowhere"  # the town of stand-ins
+REAL, STAND_IN = "wcsim.server.host.process", "wcsim.bench.barrier.fake_world"  # a world process with either
 WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
 
 def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
-    """A server with a stand-in for a world, all in `folder`."""
+    """A server, all in `folder`; a stand-in for a world, unless `changes` name a town."""
     rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
     order = WorldSpec(
-        town="nowhere",
+        town=NOWHERE,
         config_json=quick_config().model_dump_json(),
         seed=3,
         rules=rules,
         endpoint=f"ipc://{folder}/s/world",
         ring=str(folder / "ring"),
-        stand_in=STAND_IN,
     )
     return replace(order, **changes)
+
+
+class OtherWorlds(SubprocessSpawner):
+    """Starts another program wherever a launcher wants a world."""
+
+    def __init__(self, *argv: str) -> None:
+        self._argv = argv
+
+    def start(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> ProcessHandle:
+        """See `Spawner`."""
+        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
+            argv = (*self._argv, *argv[len(WORLD_ARGV) :])
+        return super().start(argv, env, log, status_fd)
 
 
 class Server:
@@ -60,7 +75,8 @@ class Server:
             os.close(self._pipe)
         self._pipe, theirs = os.pipe()
         self._file.write_bytes(to_line(replace(self.order, status_fd=theirs)))
-        command = [sys.executable, "-m", "wcsim.server.host.process", str(self._file)]
+        module = STAND_IN if self.order.town == NOWHERE else REAL
+        command = [sys.executable, "-m", module, str(self._file)]
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(theirs,), preexec_fn=self._before
         )
@@ -123,15 +139,15 @@ class Server:
         return replace(order, **changes)
 
 
-def joined(links: Sequence[SeatLink]) -> list[ClientSnapshot]:
+def joined(links: Sequence[WorldLink]) -> list[ClientSnapshot]:
     """All links join at the same time."""
     return together(links, lambda link: link.join())
 
 
-def driven(links: Sequence[SeatLink], ticks: int) -> list[ClientSnapshot]:
+def driven(links: Sequence[WorldLink], ticks: int) -> list[ClientSnapshot]:
     """All links drive so many ticks at the same time."""
 
-    def drive(link: SeatLink) -> ClientSnapshot:
+    def drive(link: WorldLink) -> ClientSnapshot:
         seen = link.join()
         for _ in range(ticks):
             seen = link.act(seen.tick, AHEAD)
@@ -140,7 +156,7 @@ def driven(links: Sequence[SeatLink], ticks: int) -> list[ClientSnapshot]:
     return together(links, drive)
 
 
-def together(links: Sequence[SeatLink], do: Callable[[SeatLink], ClientSnapshot]) -> list[ClientSnapshot]:
+def together(links: Sequence[WorldLink], do: Callable[[WorldLink], ClientSnapshot]) -> list[ClientSnapshot]:
     """The same with every link, each in a thread of its own: all wait for each other."""
     with ThreadPoolExecutor(len(links)) as pool:
         return list(pool.map(do, links))

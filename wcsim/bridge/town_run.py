@@ -11,6 +11,7 @@ import numpy as np
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of
 from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.town_session import warmup_s
 from wcsim.bridge.traffic import TownTraffic
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RunConfig
@@ -104,8 +105,7 @@ def record_town(
     validate_net(town.net, border=town.border)
     load_street(town, lambda told: None)  # it was said just now
     spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
-    warmup_s = config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
-    stage(f"starting SUMO, and warming its traffic up for {warmup_s:g} s")
+    stage(f"starting SUMO, and warming its traffic up for {warmup_s(town, config):g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
         opened(world.scenario)
         with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_z_m)) as writer:

@@ -5,25 +5,22 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from wcsim.bridge.recording.trace import state_hash
-from wcsim.bridge.sumo.open_scenario import open_scenario
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
+from wcsim.bridge.sumo.session import refuse_second_world
+from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
 from wcsim.config import RunConfig
-from wcsim.core import seeding
+from wcsim.core.closing import Closing
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorState, Snapshot
 
 
-class TownTraffic:
+class TownTraffic(Closing):
     """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
 
     def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
@@ -36,24 +33,9 @@ class TownTraffic:
         self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
         self._held = ExitStack()
         self._tick = 0
-        sumo_seed = seeding.derive(seed, "sumo")
         try:
-            self.scenario = open_scenario(town, settings_of(config, sumo_seed), place, self._held)
-            options = SumoOptions(
-                sumocfg=self.scenario.sumocfg,
-                origin_m=town.file.origin_m,
-                step_s=config.world.tick_s,
-                seed=sumo_seed,
-                demand_scale=config.world.demand_scale,
-                jam_teleport_s=config.world.jam_teleport_s,
-                z_origin_m=self.net_z_m,
-                author_scale=self.scenario.author_scale,
-                hook=place.hook,
-            )
-            self._sumo = self._held.enter_context(SumoSession(options))
-            warmup_s = config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
-            for _ in range(round(warmup_s / config.world.tick_s)):
-                self._sumo.step()
+            self.scenario, self._sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
+            warm_up(self._sumo, warmup_s(town, config), config.world.tick_s)
         except BaseException:
             self.close()
             raise
@@ -77,12 +59,6 @@ class TownTraffic:
     def close(self) -> None:
         """End SUMO; a second call does nothing."""
         self._held.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _published(self) -> Snapshot:
         bare = Snapshot(epoch=0, tick=self._tick, time_s=self._sumo.time_s(), actors=(), signals=(), clients=())

@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 
@@ -18,29 +17,26 @@ from wcsim.bridge import mirror
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
 from wcsim.bridge.epoch import Epoch, new_epoch
-from wcsim.bridge.reaction.commands import ChairInStreet, in_street, on_level
+from wcsim.bridge.reaction.commands import in_street
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
-from wcsim.bridge.sumo.open_scenario import open_scenario
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import SumoOptions, SumoSession, refuse_second_world
+from wcsim.bridge.sumo.session import refuse_second_world
+from wcsim.bridge.sumo.town_session import open_session, sumo_seed, warm_up, warmup_s
 from wcsim.bridge.tile_loader import TileLoader
 from wcsim.config import RunConfig
-from wcsim.core import seeding
+from wcsim.core.closing import Closing
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, SignalState, Snapshot
-from wcsim.types.street import FLAT, joined_mesh
-
-SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
+from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot
+from wcsim.types.street import joined_mesh
 
 
-class World:
+class World(Closing):
     """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
 
     def __init__(
@@ -65,23 +61,17 @@ class World:
         self.config = config
         self.street = load_street(town)
         self._seating = EgoSlots(specs, config, self.street, town)
-        self._hilly = self.street.grid.around(np.zeros(2)).relief is not FLAT
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
         self._epoch: Epoch | None = None
         self._tick = 0
-        self._chairs: tuple[ChairInStreet, ...] = ()  # as the street sees them in this tick
-        self._actors: tuple[ActorState, ...] = ()
-        self._before: dict[str, ActorState] = {}  # the actors a tick ago, by id
-        self._signals: tuple[SignalState, ...] = ()
         self._held = ExitStack()
         try:
             rig = CameraRig(joined_mesh(()), config.cameras, max(1, len(specs)), self.street.signal_heads)
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = TileLoader(self.street.tiles, rig, range_m)
-            self.scenario = open_scenario(town, settings_of(config, seeding.derive(seed, "sumo")), place, self._held)
-            self._sumo = self._held.enter_context(SumoSession(self._options(seed, place.hook)))
+            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_z_m, self._held)
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -102,7 +92,7 @@ class World:
 
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """A new epoch: everything from its beginning, as a new world with this seed and these chairs would be."""
-        self._sumo.rebuild(seeding.derive(seed, "sumo"))
+        self._sumo.rebuild(sumo_seed(seed))
         self.snapshot = self._begin(seed, out)
         return self.snapshot
 
@@ -119,19 +109,20 @@ class World:
         Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
         """
         new = self._seating.admit(self._open.engine, self._rig, seat, spec)
-        actors, signals = self._actors, self._signals
+        traffic = self._open.traffic
+        actors, signals = traffic.actors, traffic.signals
         try:
             return self._joined(new, out)
         except BaseException:
             self._seating.revoke(seat)
-            self._actors, self._signals = actors, signals
+            traffic.actors, traffic.signals = actors, signals
             raise
 
     def dismiss(self, seat: int) -> None:
         """Take a seat's chair out of the street, now. Raises ProtocolError when the seat is free or not there."""
         self._seating.dismiss(seat)
         self._rig.reset(seat)  # its last images may be in somebody's buffers
-        self._read_actors()
+        self._open.traffic.look_again(self._places())
         self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
     def counts(self) -> tuple[int, int]:
@@ -145,7 +136,7 @@ class World:
         places_W_m[self.seats.index(moved)] = p_W_m[:2]
         self._load_tiles(places_W_m)
         moved.chair.place(p_W_m, yaw_rad)
-        self._read_actors()
+        self._open.traffic.look_again(self._places())
 
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
@@ -162,24 +153,15 @@ class World:
             self._epoch.engine.close()
             self._epoch = None
 
-    def __enter__(self) -> World:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     # --- the five lines ---
 
     def _react(self, commands: Sequence[Command]) -> None:
         """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._chairs = tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
-            pilot = self._sumo.pilot
-            here = self._level(self._actors)
-            orders = self._open.drivers.react(here, self._chairs, pilot)
-            for order in (*orders, *self._open.people.holds(here, self._chairs)):
-                pilot.apply(order)
+            self._open.traffic.react(
+                tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
+            )
             self._sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
@@ -189,15 +171,14 @@ class World:
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor near a chair, and the street under and around the chairs."""
+        traffic, places_W_m = self._open.traffic, self._places()
         with self.stopwatch.measure("read"):
-            near = self._shown(self._admitted(self._near_chairs(), self._chairs))
+            near = traffic.read(places_W_m)
         with self.stopwatch.measure("mirror"):
             self._choose_step()
-            self._before = {actor.id: actor for actor in self._actors}
-            self._open.people.update(self._level(near), self._chairs)
-            self._take(near)
-            self._open.bodies.place(mirror.moves(self._before, self._actors, self.config.world.tick_s))
-        self._load_tiles(self._places())
+            traffic.move(near, places_W_m)
+            self._open.bodies.place(mirror.moves(traffic.before, traffic.actors, self.config.world.tick_s))
+        self._load_tiles(places_W_m)
 
     def _drive(self, commands: Sequence[Command]) -> None:
         """The chairs are driven, substep by substep."""
@@ -241,12 +222,10 @@ class World:
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        self._actors, self._before, self._signals = (), {}, ()
-        for _ in range(round(self._warmup_s() / self.config.world.tick_s)):
-            self._sumo.step()
+        warm_up(self._sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
         if self._epoch is not None:
             self._epoch.engine.close()
-        self._epoch = new_epoch(self.config, self.street.grid, seed)
+        self._epoch = new_epoch(self.config, self.street.grid, self._sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))
@@ -260,7 +239,7 @@ class World:
     def _check_mirror(self) -> None:
         """Raises PhysicsError when the bodies are not where the actors are."""
         with self.stopwatch.measure("mirror"):
-            self._open.check.check(self._actors)
+            self._open.check.check(self._open.traffic.actors)
 
     def _joined(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """Begin a seat's next episode and show it in the snapshot of now."""
@@ -280,49 +259,36 @@ class World:
         for seat in seats:
             seat.stand()
         if seats:
-            self._read_actors()
+            self._open.traffic.look_again(self._places())
         for seat in seats:
-            seat.look(self._sumo.time_s(), self._others(seat), self._signals)
+            self._look_around(seat)
         return tuple(self._seen(seat, out, first=True) for seat in seats)
 
     def _client(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
         with self.stopwatch.measure("user"):
-            seat.look(self._sumo.time_s(), self._others(seat), self._signals)
+            self._look_around(seat)
         client = self._seen(seat, out, first=False)
         if client.events.arrived or client.events.gave_up:
             seat.next_destination()
         return client
 
     def _seen(self, seat: Ego, out: ImageSink | None, first: bool) -> ClientSnapshot:
+        traffic = self._open.traffic
         with self.stopwatch.measure("render"):
             poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
             buffers = None if out is None else out.buffers(seat.index, first)
-            sensors = seat.observe(self._tick, self._actors, poses, self._signals, buffers)
+            sensors = seat.observe(self._tick, traffic.actors, poses, traffic.signals, buffers)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
+    def _look_around(self, seat: Ego) -> None:
+        """The seat's user sees what is around now."""
+        seat.look(self._sumo.time_s(), self._others(seat), self._open.traffic.signals)
+
     def _load_tiles(self, places_W_m: F64) -> None:
         self._loader.load(places_W_m, self._open.engine, self._open.tiles, self.stopwatch)
-
-    def _read_actors(self) -> None:
-        """See the actors near the chairs again, after a chair has moved to another place."""
-        self._take(self._shown(self._near_chairs()))
-
-    def _take(self, near: tuple[ActorState, ...]) -> None:
-        """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
-        there = mirror.on_ground(self._open.people.shifted(near), self.street.grid)
-        self._actors = mirror.walked(self._before, there, self.config.world.tick_s)
-        self._signals = self._sumo.signals(self._places(), SIGNAL_REACH_M)
-
-    def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
-        return self._open.articulation.bent(self._open.wide_turns.shown(near, self._sumo.pilot))
-
-    def _near_chairs(self) -> tuple[ActorState, ...]:
-        """The actors near any chair as SUMO has them."""
-        return self._sumo.actors(self._places(), self.config.world.mirror_radius_m)
 
     def _places(self) -> F64:
         """Where the chairs are, (n, 2)."""
@@ -330,52 +296,23 @@ class World:
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
-        return self._actors + tuple(other.as_actor() for other in self.seats if other is not seat)
+        return self._open.traffic.actors + tuple(other.as_actor() for other in self.seats if other is not seat)
 
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """What stands or moves near a place where somebody wants to start."""
         chairs = tuple(seat.as_actor() for seat in self.seats if seat.spawned)
         return self._sumo.actors_at(xy_W_m[None, :2], radius_m) + chairs
 
-    def _admitted(self, near: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
-        """All but those that SUMO has just put on top of a chair; these leave the street again."""
-        away = self._open.drivers.turned_away(self._level(near), chairs, self._sumo.come)
-        for actor_id in away:
-            self._sumo.turn_away(actor_id)
-        return tuple(actor for actor in near if actor.id not in away) if away else near
-
-    def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """Those on the level of a chair."""
-        return on_level(actors, self._chairs) if self._hilly else actors
-
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:
         bare = Snapshot(
             epoch=self.epoch,
             tick=self._tick,
             time_s=self._sumo.time_s(),
-            actors=self._actors,
-            signals=self._signals,
+            actors=self._open.traffic.actors,
+            signals=self._open.traffic.signals,
             clients=clients,
         )
         return replace(bare, state_hash=state_hash(bare))
-
-    def _options(self, seed: int, hook: str) -> SumoOptions:
-        world = self.config.world
-        return SumoOptions(
-            sumocfg=self.scenario.sumocfg,
-            origin_m=self.town.file.origin_m,
-            step_s=world.tick_s,
-            seed=seeding.derive(seed, "sumo"),
-            demand_scale=world.demand_scale,
-            jam_teleport_s=world.jam_teleport_s,
-            z_origin_m=self.street.net_z_m,
-            author_scale=self.scenario.author_scale,
-            hook=hook,
-        )
-
-    def _warmup_s(self) -> float:
-        town_s = self.town.file.warmup_s
-        return self.config.world.warmup_s if town_s is None else town_s
 
     @property
     def _open(self) -> Epoch:

@@ -15,6 +15,11 @@ Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
 Pixels = Annotated[int, Field(ge=8, le=2048)]
 
 
+def _by_word(given: Any, typical: dict[str, Any]) -> Any:
+    """What a table's place holds: a table, or the word "none" or "typical" for one."""
+    return {"none": None, "typical": typical}.get(given, given) if isinstance(given, str) else given
+
+
 class DepthNoiseConfig(Model):
     """A stereo camera's errors. The defaults are those of a small active stereo camera indoors or in the shade."""
 
@@ -74,8 +79,7 @@ class CameraConfig(Model):
     @field_validator("noise", mode="before")
     @classmethod
     def _noise_by_name(cls, noise: Any) -> Any:
-        named: dict[str, Any] = {"none": None, "typical": {"depth": {}, "classes": {}, "rgb": {}}}
-        return named.get(noise, noise) if isinstance(noise, str) else noise
+        return _by_word(noise, {"depth": {}, "classes": {}, "rgb": {}})
 
     @model_validator(mode="after")
     def _sees_something(self) -> CameraConfig:
@@ -150,10 +154,9 @@ class SensorsConfig(Model):
     @model_validator(mode="before")
     @classmethod
     def _by_name(cls, data: Any) -> Any:
-        named: dict[str, Any] = {"none": None, "typical": {}}
         if not isinstance(data, dict):
             return {} if data == "none" else data
-        return {key: named.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
+        return {key: _by_word(value, {}) for key, value in data.items()}
 
     odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None
 

@@ -66,7 +66,6 @@ class WorldSpec:
     recovery: Recovery = "new_epoch"
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
-    stand_in: str = ""  # module:Class of another world than bridge.World, for benches
 
     @property
     def world(self) -> WorldOrder:

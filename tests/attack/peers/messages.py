@@ -14,10 +14,10 @@ import numpy as np
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.host.loop import Hosted, ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.launch.lifeline import Lifelines
-from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import REMEMBERED

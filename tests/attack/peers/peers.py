@@ -21,7 +21,7 @@ ANSWER_MS = 30_000
 def real_order(town: Path, folder: Path, **changes: object) -> WorldSpec:
     """A world process with a real world in it, whose network door is on loopback."""
     order = stand_in_order(folder, **{"seats": 4, "listen": "tcp://127.0.0.1:*", **changes})
-    return replace(order, town=str(town), stand_in="")
+    return replace(order, town=str(town))
 
 
 def a_join(spec: SeatSpec | None = None, **other: object) -> m.Join:

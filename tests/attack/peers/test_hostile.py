@@ -27,7 +27,7 @@ def besieged(folder: Path, town: str, rounds: int, phase_s: float) -> dict[str, 
     listen = {"listen": "tcp://127.0.0.1:*", "keys": str(keys), "run": str(folder / "run")}
     order = stand_in_order(folder, rules=rules, **listen)
     if town:
-        order = replace(order, town=town, stand_in="")
+        order = replace(order, town=town)
     with Server(order, folder) as server:
         network = server.status().listening
         orders = [hostile.honest_order(order.endpoint, name, seat, folder) for seat, name in enumerate(NAMES)]

@@ -140,7 +140,7 @@ def test_a_chair_that_leaves_leaves_nothing_behind(corner):
         for _ in range(20):
             (client,) = follow(world).clients
             assert np.isfinite(client.plant.p_WB_m).all()
-        assert len(world._chairs) == 1
+        assert len(world._open.traffic.chairs) == 1
 
 
 def test_the_street_lets_go_of_whom_it_held_when_the_last_chair_leaves(corner):
@@ -150,7 +150,7 @@ def test_the_street_lets_go_of_whom_it_held_when_the_last_chair_leaves(corner):
         world.dismiss(0)
         assert world.snapshot.actors == ()
         follow_for(world, 2)
-        assert world._open.drivers.blocked() == () and world._open.people.blocked() == ()
+        assert world._open.traffic.blocked() == ()
         assert world._open.bodies.count == 0
 
 

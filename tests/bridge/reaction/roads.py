@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
+from tests.support import actors
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.bridge.reaction.commands import ChairInStreet
 from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane
@@ -14,18 +15,7 @@ from wcsim.types import ActorKind, ActorState
 
 LANE_M = 3.2
 
-
-def actor(kind=ActorKind.CAR, x=0.0, y=0.0, yaw=0.0, speed=10.0, size=(4.5, 1.8, 1.5), name="v:car", piece=0):
-    return ActorState(
-        id=name,
-        kind=kind,
-        p_W_m=np.array([x, y, 0.0]),
-        yaw_rad=yaw,
-        pitch_rad=0.0,
-        v_W_mps=speed * np.array([math.cos(yaw), math.sin(yaw), 0.0]),
-        size_lwh_m=size,
-        piece=piece,
-    )
+actor = partial(actors.actor, speed=10.0, size=actors.CAR_LWH_M)
 
 
 def walker(x: float, y: float, yaw: float = 0.0, name: str = "p:a", speed: float = 1.2) -> ActorState:

@@ -176,12 +176,14 @@ def test_a_world_draws_habits_for_each_episode_and_seat(corner):
         assert len({drawn.reaction_s for drawn in first}) == len({drawn.attention for drawn in first}) == 2
         hashes(world, 2)
         car = actor()
-        assert [chair.habits.reaction_s(car) for chair in world._chairs] == [dict(d.reaction_s)["all"] for d in first]
+        assert [chair.habits.reaction_s(car) for chair in world._open.traffic.chairs] == [
+            dict(d.reaction_s)["all"] for d in first
+        ]
         second = world.respawn(0).drawn
         assert second == draw(world.config.vary, 1, 5, 0, 1) != first[0]
         hashes(world, 1)
-        assert world._chairs[0].habits.reaction_s(car) == dict(second.reaction_s)["all"]
-        assert world._chairs[1].habits.reaction_s(car) == dict(first[1].reaction_s)["all"]
+        assert world._open.traffic.chairs[0].habits.reaction_s(car) == dict(second.reaction_s)["all"]
+        assert world._open.traffic.chairs[1].habits.reaction_s(car) == dict(first[1].reaction_s)["all"]
         world.rebuild(5)
         assert [client.drawn for client in world.snapshot.clients] == first
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import QUICK, files_in
+from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
@@ -24,7 +25,6 @@ from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
-from wcsim.server.launch.event_log import read_events
 
 SMALL = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),

@@ -72,7 +72,7 @@ def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_pa
 @pytest.mark.proof
 def test_a_real_world_is_made_again_to_the_bit(tmp_path, corner):
     order = stand_in_order(
-        tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", stand_in="", town=str(corner)
+        tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", town=str(corner)
     )
     with Server(order, tmp_path) as server, ExitStack() as held:
         links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
@@ -174,7 +174,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
     ("changes", "words"),
     [
         ({"listen": "tcp://0.0.0.0:0"}, "ConfigError: tcp://0.0.0.0:0 can be reached from other machines"),
-        ({"stand_in": "", "town": "atlantis"}, "TownError: unknown town 'atlantis'"),
+        ({"town": "atlantis"}, "TownError: unknown town 'atlantis'"),
     ],
 )
 def test_an_order_that_cannot_be_used_is_said_in_a_line(tmp_path, changes, words):

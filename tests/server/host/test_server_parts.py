@@ -10,16 +10,15 @@ from dataclasses import replace
 import pytest
 
 from tests.server.servers import stand_in_order
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import ConfigError
-from wcsim.server.host.recovery import REGATHER_S, kept_members, open_server
+from wcsim.server.host.recovery import REGATHER_S, open_server
 from wcsim.server.journal.journal import JOURNAL, JournalWriter, read_header
-from wcsim.server.journal.records import Admitted, Dismissed, EpochBegun, Respawned, Ticked
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.rate_limit import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits
 from wcsim.server.transport.sockets import ServerSockets
-from wcsim.types import SeatSpec
 
 
 def nobody():
@@ -85,26 +84,6 @@ def test_the_end_of_a_process_and_of_the_reader_is_news():
     os.close(writer)
 
 
-def test_who_is_in_after_the_records_of_a_journal():
-    spec = SeatSpec()
-
-    def came(seat, tick, name):
-        return Admitted(epoch=0, tick=tick, seat=seat, spec=spec, name=name)
-
-    records = [
-        EpochBegun(epoch=0, seed=1, fresh=True),
-        came(1, 0, "b"),
-        came(0, 0, "a"),
-        Respawned(epoch=0, tick=0, seat=1),
-        Respawned(epoch=0, tick=0, seat=1),
-    ]
-    assert [(kept.seat, kept.name, kept.life) for kept in kept_members(records)] == [(0, "a", 0), (1, "b", 2)]
-    records += [Ticked(epoch=0, tick=1, commands=(), state_hash=""), Dismissed(epoch=0, tick=1, seat=0)]
-    assert [(kept.seat, kept.life) for kept in kept_members(records)] == [(1, 0)]
-    assert [kept.seat for kept in kept_members([*records, EpochBegun(epoch=1, seed=2)])] == [1]
-    assert kept_members([*records, EpochBegun(epoch=1, seed=2, fresh=True)]) == ()
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -127,21 +106,16 @@ def test_a_folder_that_others_can_enter_is_no_place_for_a_socket(tmp_path):
         ServerSockets(f"ipc://{tmp_path}/s/world")
 
 
-def test_a_stand_in_that_is_not_there(tmp_path):
-    with pytest.raises(ConfigError, match="module:Class"):
-        open_server(stand_in_order(tmp_path, stand_in="no:Such"))
-
-
 def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_does(tmp_path):
     order = stand_in_order(tmp_path, run=str(tmp_path / "new"), rules=Rules(capacity=2, expected=2, gather_s=20.0))
-    first = open_server(order).journal
+    first = open_server(order, FakeWorld).journal
     assert first is not None
     first.close()
     (tmp_path / "died").mkdir()
     JournalWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
     again = replace(order, run=str(tmp_path / "died"))
     for epoch, gather_s in ((0, 20.0), (1, REGATHER_S)):
-        opened = open_server(again)
+        opened = open_server(again, FakeWorld)
         assert (opened.core.cycle.epoch, opened.core.cycle.rules.gather_s) == (epoch, gather_s)
         assert opened.journal is not None
         opened.journal.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from tests.server.servers import STAND_IN, OtherWorlds
 from tests.support.worlds import quick_config
 from wcsim.bench.soak.stub_client import read_sights
 from wcsim.server.journal.journal import JOURNAL, iter_journal
@@ -41,6 +42,7 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
     states: list[LaunchState] = []
+    worlds = OtherWorlds(sys.executable, "-m", STAND_IN)
     with workplace() as place:
         order = WorldSpec(
             town="",
@@ -50,10 +52,9 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
             endpoint=endpoint_in(place),
             ring=str(place / "ring"),
             run=str(tmp_path),
-            stand_in="wcsim.server.links.fake_world:FakeWorld",
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
-        outcome = Launcher(order, plans, tmp_path, place, show=states.append).run()
+        outcome = Launcher(order, plans, tmp_path, place, show=states.append, spawner=worlds).run()
     assert outcome.code == 0, outcome.message
     ledgers = [(seat, read_ledger(tmp_path / f"c{seat}.ledger")) for seat in range(6)]
     for _, entries in ledgers:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tests.support.worlds import quick_config
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.host.world_host import WorldHost, sealed
 from wcsim.server.journal.records import Admitted
-from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Received, Rules

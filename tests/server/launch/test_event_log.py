@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from wcsim.server.launch.event_log import EVENTS, RunLog, read_events
+from tests.support.events import read_events
+from wcsim.server.launch.event_log import EVENTS, RunLog
 
 
 def test_events_are_read_back(tmp_path):

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.server.servers import OtherWorlds
+from tests.support.events import read_events
 from wcsim.server.launch.backoff import RestartRules
-from wcsim.server.launch.event_log import read_events
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.spawner import SubprocessSpawner
 from wcsim.server.launch.states import ClientPlan, LaunchRules
 from wcsim.server.launch.supervised_client import MOST_LEFT_ALONE
 from wcsim.server.launch.supervised_world import WORLD_ARGV
@@ -37,16 +37,6 @@ QUICK = LaunchRules(
     client=RestartRules(first_s=0.01, longest_s=0.05),
     world=RestartRules(first_s=0.01, longest_s=0.05),
 )
-
-
-class StubWorlds(SubprocessSpawner):
-    """Starts the stub wherever a world is to be started."""
-
-    def start(self, argv, env, log, status_fd):
-        """See `Spawner`."""
-        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
-            argv = (*STUB, "world", *argv[len(WORLD_ARGV) :])
-        return super().start(argv, env, log, status_fd)
 
 
 def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False, spawner=None):
@@ -76,7 +66,7 @@ def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, or
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
-    return Launcher(order, plans, folder, place, rules, show, spawner or StubWorlds())
+    return Launcher(order, plans, folder, place, rules, show, spawner or OtherWorlds(*STUB, "world"))
 
 
 def counted(folder, event):

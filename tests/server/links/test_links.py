@@ -23,7 +23,7 @@ from wcsim.errors import (
     VersionMismatchError,
     WorldFullError,
 )
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.child_world import ProcessLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
@@ -61,12 +61,12 @@ def reference(corner):
 class Opened:
     """A link, and every frame it gave from a new world."""
 
-    link: SeatLink
+    link: WorldLink
     frames: list[bytes]
 
 
 @contextmanager
-def over_tcp(corner, folder, keys: str) -> Iterator[SeatLink]:
+def over_tcp(corner, folder, keys: str) -> Iterator[WorldLink]:
     """A seat for a client on another machine."""
     world = WorldSpec(
         town=str(corner),

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server.journal.ledger import ledger_facts, read_ledger
-from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules

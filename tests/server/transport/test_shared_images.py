@@ -12,10 +12,10 @@ import pytest
 
 from tests.support.worlds import quick_config
 from wcsim.agents.clients.client import exit_of
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server.launch.states import ClientExit
-from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of

@@ -13,7 +13,6 @@ from wcsim.towns.checks.check import check_town
 from wcsim.towns.checks.faults import Findings, faults_of, notes_of
 from wcsim.towns.importing.build_net import CHAIR_WAYS, build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
-from wcsim.towns.osm.area import parse_box
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.town import Town
@@ -80,7 +79,7 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
-    extract = read_extract(osm, parse_box("-1.538528,53.795722,-1.531532,53.799858"))
+    extract = read_extract(osm, (-1.538528, 53.795722, -1.531532, 53.799858))
     order = NetOrder(name="x", box=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())

@@ -20,7 +20,6 @@ from wcsim.towns.importing import jam_trial
 from wcsim.towns.importing.elevation import Heights
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.importing.work_folder import clear_stale, workplace
-from wcsim.towns.osm.area import parse_box
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -68,7 +67,8 @@ def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOr
 
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
-    box = parse_box((osm / "bbox").read_text(encoding="utf-8"))
+    west, south, east, north = map(float, (osm / "bbox").read_text(encoding="utf-8").split(","))
+    box = (west, south, east, north)
     town = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0)).town
     assert read_bytes(town.net) == read_bytes(manhattan_town.net)
     assert town.poly is not None and manhattan_town.poly is not None

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from wcsim.agents.envs.env_spec import SEED_LIMIT, Face, drawn_seed
 from wcsim.agents.envs.episode_view import Chair, Info
 from wcsim.errors import ProtocolError
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.group import SeatGroup, open_group
 from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.reward_terms import RewardTerm
@@ -45,7 +45,7 @@ class Chairs:
         frames = self._group.respawn()
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
-    def link(self, seat: int) -> SeatLink:
+    def link(self, seat: int) -> WorldLink:
         """The link of a seat. Raises ProtocolError when there is no world."""
         if self._group is None:
             raise ProtocolError("step() came before reset(); call reset() first")

@@ -9,6 +9,7 @@ With `join` the environment makes no world: it takes its seat in a running one, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Unpack
 
 import gymnasium
@@ -25,11 +26,13 @@ from wcsim.agents.envs.env_spec import (
     make_face,
 )
 from wcsim.agents.envs.episode_view import Chair
+from wcsim.config import RunConfig
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
 from wcsim.server.links.base import Waits, WorldLink
 from wcsim.server.links.open import open_link
 from wcsim.server.specs import SeatRequest
 from wcsim.supervisor.observation import Observation
+from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.types import ClientSnapshot
 
 
@@ -155,3 +158,20 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         except BaseException:
             self.close()
             raise
+
+
+class SeatedEnv(WheelchairEnv):
+    """A `WheelchairEnv` in a joined world whose seat was taken before; it closes the link."""
+
+    def __init__(
+        self, link: WorldLink, config: RunConfig, town: str = "", reward_terms: Sequence[RewardTerm] = ()
+    ) -> None:
+        """Use this link; cameras and actions of the configuration are the server's."""
+        super().__init__(town, config=config, reward_terms=reward_terms)
+        self._seat = link
+
+    def _open(self, seed: int | None) -> ClientSnapshot:
+        """The frame that the seat has; the world's seed is the server's."""
+        del seed
+        self._link = self._seat
+        return self._seat.join()

@@ -21,10 +21,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.bench.barrier.parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.config import RunConfig
 from wcsim.errors import LinkTimeoutError
-from wcsim.server.links.fake_world import FakeWorld
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
@@ -35,7 +35,6 @@ from wcsim.types import SeatSpec
 BLOCK_TICKS = 100
 _WARM_TICKS = 20
 _START_S = 120.0
-_STAND_IN = "wcsim.bench.barrier.parts:TimedWorld"
 _SESSION = bytes(m.SESSION_BYTES)
 
 Blocks = list[list[float]]  # times of each party
@@ -181,11 +180,10 @@ def _world(
         listen="tcp://127.0.0.1:*" if keys else "",
         keys=keys,
         status_fd=1,
-        stand_in=_STAND_IN,
     )
     path = folder / "world.json"
     path.write_bytes(to_line(order))
-    command = [sys.executable, "-m", "wcsim.server.host.process", str(path)]
+    command = [sys.executable, "-m", "wcsim.bench.barrier.parts", "world", str(path)]
     world = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     held.callback(_killed, world)
     return world

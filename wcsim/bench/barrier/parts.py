@@ -1,8 +1,9 @@
 """The processes of the barrier bench: `python -m wcsim.bench.barrier.parts ROLE ORDER_FILE`.
 
-A `client` has a seat in a world and a socket to an `echo` server, which does with bare messages what a world does with
-its own: wait for one of each client, ask the first client, wait for its answer, send one to each. Blocks of ticks and
-of echo rounds are asked for on stdin, so that both are measured in turns; times of each are written to stdout.
+The `world` is a process with a `TimedWorld`. A `client` has a seat in a world and a socket to an `echo` server, which
+does with bare messages what a world does with its own: wait for one of each client, ask the first client, wait for its
+answer, send one to each. Blocks of ticks and of echo rounds are asked for on stdin, so that both are measured in turns;
+times of each are written to stdout.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ from pathlib import Path
 import msgspec
 import zmq
 
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.launch.parent_death import die_with_parent
-from wcsim.server.links.base import SeatLink
-from wcsim.server.links.fake_world import FakeWorld
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
+from wcsim.server.seat_world import Specs
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import KnownKeys, authenticator, client_keys, server_keys, server_public
-from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, SensorFrame, Snapshot
+from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
 
 TICK_TIMES = "tick-times.json"  # in the run folder of a `TimedWorld`
 _WAIT_MS = 60_000
@@ -56,7 +58,7 @@ class PartOrder:
 class TimedWorld(FakeWorld):
     """A stand-in that notes when each tick was done, and writes that down when it is closed."""
 
-    def __init__(self, order: WorldOrder, specs: tuple[SeatSpec | None, ...], seed: int, *, epoch: int = 0) -> None:
+    def __init__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> None:
         super().__init__(order, specs, seed, epoch=epoch)
         self._file = Path(order.run) / TICK_TIMES
         self._times_s: list[float] = []
@@ -89,8 +91,12 @@ def _again(client: ClientSnapshot) -> ClientSnapshot:
 
 
 def main(words: Sequence[str]) -> int:
-    """Play a role until stdin ends."""
+    """Play a role until stdin ends, or be the world process of a `WorldSpec`."""
     role, path = words
+    if role == "world":
+        from wcsim.server.host.process import main as host  # clients and the echo load no simulator
+
+        return host([path], TimedWorld)
     die_with_parent()
     order = msgspec.json.decode(Path(path).read_bytes(), type=PartOrder)
     with zmq.Context() as context:
@@ -117,7 +123,7 @@ def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
             _say(_ticks(link, int(count)) if kind == b"ticks" else _rounds(socket, order, int(count)))
 
 
-def _ticks(link: SeatLink, count: int) -> list[float]:
+def _ticks(link: WorldLink, count: int) -> list[float]:
     tick, times_s = link.join().tick, []
     for _ in range(count):
         tick = link.act(tick, _AHEAD).tick

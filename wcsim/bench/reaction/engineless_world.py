@@ -1,4 +1,4 @@
-"""The street with wheelchairs that are led by hand, without an engine: who touches whom, seen from above.
+"""A world's traffic with wheelchairs that are led by hand, without an engine: who touches whom, seen from above.
 
 Contacts are overlaps of the chair's rectangle with a vehicle's box or a person's disc, as the bridge mirrors them.
 """
@@ -7,67 +7,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
 
 import numpy as np
 
+from wcsim.bridge.reacting_traffic import ReactingTraffic
 from wcsim.bridge.reaction.attention import street_habits
-from wcsim.bridge.reaction.commands import ActorCommand, Blocked, ChairInStreet, is_person
-from wcsim.bridge.reaction.drivers import StreetReaction
-from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.reaction.commands import ROADWAY, ActorCommand, Blocked, ChairInStreet, is_person
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
+from wcsim.bridge.sumo.town_session import warm_up
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
+from wcsim.core.closing import Closing
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town
-from wcsim.types import F64, ActorState, ClassId, Street
+from wcsim.types import F64, ActorState, Street
 
-_ON_ROAD = (int(ClassId.ROAD), int(ClassId.CROSSWALK), int(ClassId.RAIL_TRACK))
 _TOUCH_M = 0.01  # bodies that share less than this only touch
 
 
-class ReactionStage:
-    """SUMO, the reaction and any chairs; `deflected_into` and `contacts` collect what should not happen."""
+class ReactionStage(Closing):
+    """A `ReactingTraffic` and any chairs; `deflected_into` and `contacts` collect what should not happen."""
 
     def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
         """Start SUMO and let it run for `warmup_s`. Raises WorldInUseError, SumoError."""
         self._ground = street.grid
         self.half_m = plant_spec(ChairConfig()).outline.half_lw_m  # of its chairs
         self._config = config
-        self._actors: tuple[ActorState, ...] = ()
         self.contacts: set[str] = set()
         self.deflected_into: set[str] = set()
         self._sumo = SumoSession(_options(town, street, config, seed))
-        self.attend(config.attention_share, seed)
-        for _ in range(round(warmup_s / config.tick_s)):
-            self._sumo.step()
-
-    def attend(self, share: float, seed: int) -> None:
-        """Begin anew with another share of attentive people; nobody must be under orders."""
-        habits = street_habits(self._config.model_copy(update={"attention_share": share}), seed)
-        self._swing = SwingOut(self._ground, self._config.tick_s)
-        self._street = StreetReaction(self._config, habits, self._swing)
-        self._deflection = PedestrianAvoidance(self._ground, self._config.tick_s, habits.people)
+        self._traffic = ReactingTraffic(config, street.grid, self._sumo, street_habits(config, seed))
+        warm_up(self._sumo, warmup_s, config.tick_s)
 
     def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """One tick with the chairs where they are; the actors near them afterwards."""
-        pilot = self._sumo.pilot
-        for order in (
-            *self._street.react(self._actors, chairs, pilot),
-            *self._deflection.holds(self._actors, chairs),
-        ):
-            pilot.apply(order)
+        here_W_m = np.array([chair.p_W_m for chair in chairs]).reshape(-1, 2)
+        self._traffic.react(tuple(chairs))
         self._sumo.step()
-        near = self.near(np.array([chair.p_W_m for chair in chairs]).reshape(-1, 2), self._config.mirror_radius_m)
-        away = self._street.turned_away(near, chairs, self._sumo.come)
-        for actor_id in away:
-            pilot.turn_away(actor_id)
-        near = self._swing.shown(tuple(actor for actor in near if actor.id not in away), pilot)
-        self._deflection.update(near, chairs)
-        self._actors = self._deflection.shifted(near)
+        near = self._traffic.read(here_W_m)
+        self._traffic.move(near, here_W_m)
         self._look(near, chairs)
-        return self._actors
+        return self._traffic.actors
 
     def apply(self, order: ActorCommand) -> None:
         """Have an actor told something."""
@@ -75,11 +55,12 @@ class ReactionStage:
 
     def blocked(self) -> tuple[Blocked, ...]:
         """Who stands because of a chair now."""
-        return (*self._street.blocked(), *self._deflection.blocked())
+        return self._traffic.blocked()
 
     def passing(self) -> tuple[str, ...]:
         """Who is on a way round a chair now."""
-        return (*self._street.passing(), *(a.id for a in self._actors if a.deflect_m and is_person(a)))
+        aside = (actor.id for actor in self._traffic.actors if actor.deflect_m and is_person(actor))
+        return (*self._traffic.passing(), *aside)
 
     @property
     def tick_s(self) -> float:
@@ -92,28 +73,26 @@ class ReactionStage:
 
     def chair(self, p_W_m: F64, yaw_rad: float, speed_mps: float = 0.0) -> ChairInStreet:
         """A chair at a place of this street."""
-        heading = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
-        on_road = int(self._ground.class_at(p_W_m)) in _ON_ROAD
+        x, y = p_W_m.tolist()
         return ChairInStreet(
-            p_W_m=p_W_m, v_W_mps=speed_mps * heading, on_road=on_road, half_m=self.half_m, yaw_rad=yaw_rad
+            p_W_m=p_W_m,
+            v_W_mps=speed_mps * np.array([math.cos(yaw_rad), math.sin(yaw_rad)]),
+            on_road=self._ground.class_here(x, y) in ROADWAY,
+            half_m=self.half_m,
+            yaw_rad=yaw_rad,
+            z_m=self._ground.height_here(x, y),
         )
 
     def close(self) -> None:
         """End SUMO."""
         self._sumo.close()
 
-    def __enter__(self) -> ReactionStage:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     def _look(self, near: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
-        for actor, bare in zip(self._actors, near, strict=True):
+        for actor, bare in zip(self._traffic.actors, near, strict=True):
             for chair in chairs:
                 if touches_chair(actor, chair):
-                    self.contacts.add(actor.id)
-            if actor is not bare and self._pushed_into_something(actor, bare, near):
+                    self.contacts.add(actor.whole_id)
+            if (actor.p_W_m[:2] != bare.p_W_m[:2]).any() and self._pushed_into_something(actor, bare, near):
                 self.deflected_into.add(actor.id)
 
     def _pushed_into_something(self, actor: ActorState, bare: ActorState, near: Sequence[ActorState]) -> bool:
@@ -126,7 +105,7 @@ class ReactionStage:
             other.id != actor.id
             and _overlap_m(actor, other) > max(_TOUCH_M, _overlap_m(bare, other_bare) + _TOUCH_M)
             and (is_person(other) or _overlap_m(bare, other_bare) <= _TOUCH_M)  # else SUMO itself has them meet
-            for other, other_bare in zip(self._actors, near, strict=True)
+            for other, other_bare in zip(self._traffic.actors, near, strict=True)
             if abs(other.p_W_m[0] - actor.p_W_m[0]) + abs(other.p_W_m[1] - actor.p_W_m[1]) < 15.0
         )
 

@@ -49,7 +49,6 @@ class SoakOrder:
     seed: int = 0
     lease_s: float = 3.0
     recovery: Recovery = "new_epoch"
-    stand_in: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,7 +233,6 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         name="soak",
         run=str(order.folder),
         recovery=order.recovery,
-        stand_in=order.stand_in,
     )
 
 

@@ -22,7 +22,7 @@ from types import FrameType
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
 from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.launch.states import ClientExit
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.specs import ClientStatus, SeatRequest, read_order, to_line
 from wcsim.types import ClientSnapshot
@@ -69,7 +69,7 @@ class _Notes:
         self._count = self._file.tell() // _SEEN.size
         self._said_s = 0.0
 
-    def note(self, link: SeatLink, seen: ClientSnapshot) -> None:
+    def note(self, link: WorldLink, seen: ClientSnapshot) -> None:
         """One more frame."""
         now_s = time.monotonic()
         self._file.write(_SEEN.pack(now_s, link.epoch, seen.tick))
@@ -105,7 +105,7 @@ def main(words: Sequence[str]) -> int:
     return ClientExit.STOPPED if ends.asked else ClientExit.DONE
 
 
-def _drive(link: SeatLink, notes: _Notes, ends: _Ends, steps: int, think_s: float) -> None:
+def _drive(link: WorldLink, notes: _Notes, ends: _Ends, steps: int, think_s: float) -> None:
     seen = link.join()
     notes.note(link, seen)
     for _ in range(steps):

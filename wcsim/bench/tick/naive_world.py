@@ -16,8 +16,8 @@ import numpy as np
 from wcsim.bench.tick.naive import NaiveLoop
 from wcsim.bridge.sumo.open_scenario import open_scenario
 from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.town_session import sumo_seed, warmup_s
 from wcsim.config import RunConfig
-from wcsim.core import seeding
 from wcsim.towns.scenario.overrides import forced, settings_of
 from wcsim.towns.scenario.town import open_town
 from wcsim.towns.street import load_street
@@ -35,14 +35,13 @@ class NaiveWorld:
         street = load_street(town)
         self.origin_m = town.file.origin_m
         self._held = ExitStack()
-        settings = settings_of(config, seeding.derive(seed, "sumo"))
+        settings = settings_of(config, sumo_seed(seed))
         scenario = open_scenario(town, settings, RunPlace(), self._held)
         words = ["sumo", "--configuration-file", str(scenario.sumocfg)]
         for name, value in forced(settings, scenario.author_scale):
             words += [f"--{name}", value]
         libsumo.start(words)
-        warmup_s = town.file.warmup_s if town.file.warmup_s is not None else config.world.warmup_s
-        for _ in range(round(warmup_s / config.world.tick_s)):
+        for _ in range(round(warmup_s(town, config) / config.world.tick_s)):
             libsumo.simulationStep()
         router, rng = Router(street.walk), np.random.default_rng(seed)
         starts = []

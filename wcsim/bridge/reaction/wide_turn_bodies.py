@@ -18,6 +18,7 @@ from wcsim.bridge.reaction.commands import is_person
 from wcsim.bridge.reaction.swept_path import AHEAD_M, TAIL_M, Roads, Tube, moved_line, points_of, way_ahead
 from wcsim.bridge.reaction.wide_turns import STEP_M, normals, offsets_m
 from wcsim.core import frames
+from wcsim.core.joystick import towards
 from wcsim.types import F64, ActorKind, ActorState, Ground
 
 LONG_M = 7.0  # what is shorter keeps off the pavement by itself
@@ -132,7 +133,7 @@ class SwingOut:
         way, aside_m, left = self._aside(actor, roads, old)
         if old is not None:  # onto another way by degrees
             most_m = ASIDE_SHARE * math.dist(front_W_m, old.front_W_m)
-            aside_m = _towards(old.aside_m[0], aside_m[0], most_m), _towards(old.aside_m[1], aside_m[1], most_m)
+            aside_m = towards(old.aside_m[0], aside_m[0], most_m), towards(old.aside_m[1], aside_m[1], most_m)
         shown_W_m, yaw_rad = _place(actor, front_W_m, aside_m, left)
         v_W_mps = None if old is None else (shown_W_m - old.shown_W_m) / self._tick_s
         return _Driven(
@@ -184,10 +185,6 @@ class SwingOut:
 def _front(actor: ActorState) -> F64:
     length_m = actor.size_lwh_m[0]
     return frames.front_from_centre(actor.p_W_m, actor.yaw_rad, actor.pitch_rad, length_m)[:2]
-
-
-def _towards(now_m: float, wish_m: float, most_m: float) -> float:
-    return now_m + min(max(wish_m - now_m, -most_m), most_m)
 
 
 def _shift_m(tube: Tube, other: Tube) -> float | None:

@@ -13,12 +13,12 @@ import struct
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from wcsim.bridge.recording.framing import framed
 from wcsim.config import ChairConfig
+from wcsim.core.closing import Closing
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
 
@@ -122,7 +122,7 @@ def record_of(
     )
 
 
-class TraceWriter:
+class TraceWriter(Closing):
     """Appends records to a trace file; a context manager."""
 
     def __init__(self, path: Path, header: TraceHeader) -> None:
@@ -151,12 +151,6 @@ class TraceWriter:
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> TraceWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _put(self, payload: bytes) -> None:
         self._file.write(framed(payload))

@@ -18,6 +18,7 @@ from wcsim.bridge.sumo.actors import ActorReader, SignalReader
 from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import open_hook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
+from wcsim.core.closing import Closing
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import Settings, forced
 from wcsim.types import F64, ActorState, SignalState
@@ -69,7 +70,7 @@ class SumoOptions:
         return words
 
 
-class SumoSession:
+class SumoSession(Closing):
     """The one SUMO simulation of this process."""
 
     def __init__(self, options: SumoOptions) -> None:
@@ -167,12 +168,6 @@ class SumoSession:
         if self._open:
             self._open = False
             libsumo.close()
-
-    def __enter__(self) -> SumoSession:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _guarded(self, call: Any) -> None:
         """Run a libsumo call and turn its exceptions into SumoError."""

@@ -95,7 +95,7 @@ def fitted(config: RunConfig, world: RunConfig) -> RunConfig:
 
 def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.envs.seated_env import SeatedEnv
+    from wcsim.agents.envs.wheelchair_env import SeatedEnv
     from wcsim.agents.learning.build import checked_device, with_window
     from wcsim.agents.learning.train import train
     from wcsim.agents.runs.own_terms import find_reward_term

@@ -13,13 +13,14 @@ import msgspec
 
 from wcsim.errors import AccessError, OverloadedError, WcsimError
 from wcsim.server.host.status import Reporter
-from wcsim.server.host.world_host import Keep, SeatWorld, WorldHost
+from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.members import Member, Pending
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.seat_world import SeatWorld
 from wcsim.server.specs import WorldSpec
 from wcsim.server.transport.entry import at_the_door
 from wcsim.server.transport.rate_limit import PeerLimits

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from wcsim.bridge.world import World
 from wcsim.core import seeding
+from wcsim.server.seat_world import Specs
 from wcsim.server.specs import WorldOrder
 from wcsim.towns.scenario.town import find_town
 
 
-def made_world(order: WorldOrder, epoch: int = 0) -> World:
-    """A world with free seats; each epoch has a seed of its own."""
-    town, seed = find_town(order.town), epoch_seed(order.seed, epoch)
-    return World(town, order.config, (None,) * order.seats, seed, order.place, epoch=epoch)
+def made_world(order: WorldOrder) -> World:
+    """A world with free seats."""
+    return street_world(order, (None,) * order.seats, order.seed)
+
+
+def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
+    """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
+    return World(find_town(order.town), order.config, specs, seed, order.place, epoch=epoch)
 
 
 def epoch_seed(seed: int, epoch: int) -> int:

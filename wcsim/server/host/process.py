@@ -17,6 +17,7 @@ from types import FrameType
 
 from wcsim.errors import ConfigError, DiskFullError, HookError, JournalError, TownError, WcsimError
 from wcsim.server.host.loop import Hosted, ServerLoop
+from wcsim.server.host.made_world import street_world
 from wcsim.server.host.recovery import Opened, open_server
 from wcsim.server.host.status import Reporter
 from wcsim.server.journal.records import Ended, JournalRecord
@@ -24,6 +25,7 @@ from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
+from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec, read_order
 from wcsim.server.transport.shared_images import RingSink, pictures_of
 from wcsim.server.transport.sockets import ServerSockets
@@ -32,8 +34,8 @@ _ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
 _PARENT_GONE = signal.SIGUSR1
 
 
-def main(words: list[str]) -> int:
-    """Host the world of an order file; returns the exit code."""
+def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
+    """Host the world of an order file; returns the exit code. Benches and tests give a `make` of their own."""
     if len(words) != 1:
         return _failed(ConfigError(f"got {len(words)} arguments; expected an order file"))
     try:
@@ -45,7 +47,7 @@ def main(words: list[str]) -> int:
         with ExitStack() as held:
             with ends.at_once():
                 reporter.loading()
-                opened, loop = _prepared(order, reporter, held)
+                opened, loop = _prepared(order, make, reporter, held)
                 gc.freeze()  # what is loaded now stays: looking through it again and again would cost single ticks
             reason = loop.run(ends.asked)
             if opened.journal is not None:
@@ -63,11 +65,13 @@ def main(words: list[str]) -> int:
     return 0
 
 
-def _prepared(order: WorldSpec, reporter: Reporter, held: ExitStack) -> tuple[Opened, ServerLoop]:
+def _prepared(
+    order: WorldSpec, make: MakesWorld[SeatWorld], reporter: Reporter, held: ExitStack
+) -> tuple[Opened, ServerLoop]:
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(Lifelines(order.status_fd))
-    opened = open_server(order)
+    opened = open_server(order, make)
     if opened.journal is not None:
         held.enter_context(opened.journal)
     held.callback(opened.world.close)

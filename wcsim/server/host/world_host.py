@@ -10,7 +10,7 @@ import hashlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import msgspec
@@ -36,36 +36,13 @@ from wcsim.server.protocol.events import (
     Stepped,
 )
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot
+from wcsim.server.seat_world import SeatWorld
+from wcsim.types import Snapshot
 
 log = logging.getLogger("wcsim.server.host.world_host")
 
 Post = Callable[[Peer, m.Reply], None]
 Keep = Callable[[JournalRecord], None]
-
-
-class SeatWorld(Protocol):
-    """A world with seats, as the hub uses it: `bridge.world.World`, or a stand-in of benches and tests."""
-
-    snapshot: Snapshot
-
-    def tick(self, commands: Sequence[Command], out: ImageSink | None = None) -> Snapshot:
-        """Carry the world from tick n to n + 1."""
-
-    def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
-        """Put a chair into the street for a free seat."""
-
-    def dismiss(self, seat: int) -> None:
-        """Take a seat's chair out of the street."""
-
-    def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
-        """Begin a seat's next episode."""
-
-    def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
-        """A new epoch."""
-
-    def close(self) -> None:
-        """End it."""
 
 
 class SlottedSink(ImageSink, Protocol):

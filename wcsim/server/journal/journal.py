@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from wcsim.bridge.recording.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
+from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
 from wcsim.server.journal.records import Admitted as Admitted
@@ -56,7 +56,7 @@ class Journal:
     torn: bool
 
 
-class JournalWriter:
+class JournalWriter(Closing):
     """Appends to a journal; a context manager. Afterwards every record is on disk."""
 
     def __init__(self, path: Path, header: JournalHeader) -> None:
@@ -149,12 +149,6 @@ class JournalWriter:
             self._sync()
         finally:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _put(self, payload: bytes) -> None:
         """One unbuffered write; on a full disk the part that was written is taken back."""

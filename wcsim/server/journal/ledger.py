@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from io import FileIO
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import DiskFullError, JournalError
 from wcsim.server.journal.records import JournalRecord, Ticked
@@ -50,7 +49,7 @@ class LedgerFacts:
     lives: int  # joins, respawns and new epochs
 
 
-class LedgerWriter:
+class LedgerWriter(Closing):
     """Appends to a ledger, which may have been begun in an earlier life; a killed process loses nothing."""
 
     def __init__(self, path: Path) -> None:
@@ -92,12 +91,6 @@ class LedgerWriter:
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _to_end(self) -> None:
         """Go behind the last whole entry, and cut off what follows it."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from wcsim.bridge.recording.fcd import write_steps
 from wcsim.bridge.recording.trace import TickRecord, TraceHeader, chair_box_m, record_of
@@ -29,10 +30,12 @@ from wcsim.server.journal.journal import (
     iter_journal,
     read_header,
 )
+from wcsim.server.protocol.barrier import Kept
+from wcsim.server.seat_world import MakesEpoch, SeatWorld, Specs
 from wcsim.towns.scenario.town import find_town, streets_hash
-from wcsim.types import SeatSpec
 
 T = TypeVar("T")
+W = TypeVar("W", bound=SeatWorld)
 Progress = Callable[[int], None]  # (ticks done)
 Iterations = Generator[T, None, None]
 """An iterator that holds a world, which ends with it: exhaust it, or close it."""
@@ -102,20 +105,21 @@ def verify(
     return result
 
 
-def rebuild_world(journal: Path, place: RunPlace | None = None) -> tuple[World, tuple[JournalRecord, ...]]:
-    """The world exactly as it was after the last record, and the records of its last epoch.
+def rebuild_world(journal: Path, make: MakesEpoch[W]) -> tuple[W, tuple[Kept, ...]]:
+    """The world exactly as it was after the last record, and who sits in it.
 
-    `place` says where the world runs; the hook in it must be the journal's own.
+    `make` makes the world of the last epoch: that of `journal_worlds`, or a stand-in's.
 
     Raises:
         ReplayMismatchError: A tick gave another state than the journal says.
-        WcsimError: As `recompute` does.
+        WcsimError: What `make` raises; or it is no journal, or its records do not follow from each other.
     """
-    player = _Player(read_header(journal), place or RunPlace())
+    player = _Player(make, read_header(journal).capacity)
     records: list[JournalRecord] = []
     for record in iter_journal(journal):
         if isinstance(record, EpochBegun):
-            player.seat_all(records)
+            for before in records:
+                player.seats.note(before)
             records = []
         records.append(record)
     if not records or not isinstance(records[0], EpochBegun):
@@ -124,10 +128,28 @@ def rebuild_world(journal: Path, place: RunPlace | None = None) -> tuple[World, 
         for record in records:
             world = player.play(record)
             _require_equal(world, record)
+        return world, player.seats.kept()
     except BaseException:
         player.close()
         raise
-    return world, tuple(records)
+
+
+def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
+    """Makes the worlds of a journal; `hook` has to be the journal's own step hook.
+
+    Raises ConfigError for another hook and for settings that cannot be used, TownError when the town is not there or
+    has other streets than it had.
+    """
+    if header.hook != hook:
+        raise ConfigError(
+            f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got {hook or 'none'!r}; "
+            "a hook is code: name it yourself (--hook) if you trust it"
+        )
+    town = find_town(header.town)
+    if streets_hash(town) != header.town_sha256:
+        raise TownError(f"{header.town}: has other streets than when the journal was made; restore its net")
+    config, place = parse(RunConfig, _config_of(header), "the configuration in the journal"), RunPlace(hook=hook)
+    return lambda specs, seed, epoch: World(town, config, specs, seed, place, epoch=epoch)
 
 
 def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
@@ -165,7 +187,7 @@ def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
     )
 
 
-def _require_equal(world: World, record: JournalRecord) -> None:
+def _require_equal(world: SeatWorld, record: JournalRecord) -> None:
     if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
         raise ReplayMismatchError(
             f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
@@ -177,7 +199,8 @@ def _replayed(
     journal: Path, epoch: int | None, until_tick: int | None, hook: str
 ) -> Iterations[tuple[World, JournalRecord]]:
     """Each record of the wanted epochs, with the world after it; the world is closed with the iterator."""
-    player = _Player(read_header(journal), RunPlace(hook=hook))
+    header = read_header(journal)
+    player = _Player(journal_worlds(header, hook), header.capacity)
     known: set[int] = set()
     try:
         for record in iter_journal(journal):
@@ -192,7 +215,7 @@ def _replayed(
             if player.plays or (begins and wanted):
                 yield player.play(record), record
             else:
-                player.note(record)
+                player.seats.note(record)
     finally:
         player.close()
     if not known:
@@ -201,22 +224,49 @@ def _replayed(
         raise WcsimError(f"{journal}: has no epoch {epoch}; expected one of {sorted(known)}")
 
 
-class _Player:
+class Seats:
+    """Who sits where, by what a journal says."""
+
+    def __init__(self) -> None:
+        self._taken: dict[int, Admitted] = {}
+        self._lives: Counter[int] = Counter()  # respawns of a seat since the last tick
+
+    def note(self, record: JournalRecord) -> None:
+        """Hear the next record."""
+        match record:
+            case Admitted():
+                self._taken[record.seat] = record
+                del self._lives[record.seat]
+            case Dismissed():
+                self._taken.pop(record.seat, None)
+            case Respawned():
+                self._lives[record.seat] += 1
+            case Ticked():
+                self._lives.clear()
+            case EpochBegun():
+                self._lives.clear()
+                if record.fresh:
+                    self._taken.clear()
+
+    def specs(self, capacity: int) -> Specs:
+        """The seats of a world."""
+        return tuple(taken.spec if (taken := self._taken.get(seat)) else None for seat in range(capacity))
+
+    def kept(self) -> tuple[Kept, ...]:
+        """Who is in, in seat order."""
+        return tuple(
+            Kept(seat=seat, name=it.name, spec=it.spec, life=self._lives[seat], claim=bytes.fromhex(it.claim))
+            for seat, it in sorted(self._taken.items())
+        )
+
+
+class _Player(Generic[W]):
     """Does to a world what a journal says was done, and keeps who sits where while there is no world."""
 
-    def __init__(self, header: JournalHeader, place: RunPlace) -> None:
-        if header.hook != place.hook:
-            raise ConfigError(
-                f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got "
-                f"{place.hook or 'none'!r}; a hook is code: name it yourself (--hook) if you trust it"
-            )
-        self._header, self._place = header, place
-        self._town = find_town(header.town)
-        if streets_hash(self._town) != header.town_sha256:
-            raise TownError(f"{header.town}: has other streets than when the journal was made; restore its net")
-        self._config = parse(RunConfig, _config_of(header), "the configuration in the journal")
-        self._seats: dict[int, SeatSpec] = {}
-        self._world: World | None = None
+    def __init__(self, make: MakesEpoch[W], capacity: int) -> None:
+        self.seats = Seats()
+        self._make, self._capacity = make, capacity
+        self._world: W | None = None
 
     @property
     def plays(self) -> bool:
@@ -229,25 +279,13 @@ class _Player:
             self._world.close()
             self._world = None
 
-    def seat_all(self, records: Iterable[JournalRecord]) -> None:
-        """Note the records of an epoch that is over."""
-        for record in records:
-            self.note(record)
-
-    def note(self, record: JournalRecord) -> None:
-        """Keep who sits where after a record."""
-        if isinstance(record, Admitted):
-            self._seats[record.seat] = record.spec
-        elif isinstance(record, Dismissed):
-            self._seats.pop(record.seat, None)
-        elif isinstance(record, EpochBegun) and record.fresh:
-            self._seats.clear()
-
-    def play(self, record: JournalRecord) -> World:
+    def play(self, record: JournalRecord) -> W:
         """Do what a record says; raises WcsimError when it does not follow from those before."""
-        self.note(record)
+        self.seats.note(record)
         if isinstance(record, EpochBegun):
-            return self._begin(record)
+            self.close()
+            self._world = self._make(self.seats.specs(self._capacity), record.seed, record.epoch)
+            return self._world
         if self._world is None:
             raise WcsimError(f"{record} comes before any epoch has begun; the journal is damaged")
         if not isinstance(record, Ended):
@@ -255,14 +293,8 @@ class _Player:
             _do(self._world, record)
         return self._world
 
-    def _begin(self, record: EpochBegun) -> World:
-        self.close()
-        specs = tuple(self._seats.get(number) for number in range(self._header.capacity))
-        self._world = World(self._town, self._config, specs, record.seed, self._place, epoch=record.epoch)
-        return self._world
 
-
-def _do(world: World, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
     if isinstance(record, Ticked):
         world.tick(record.commands)
     elif isinstance(record, Admitted):
@@ -273,7 +305,7 @@ def _do(world: World, record: Admitted | Dismissed | Respawned | Ticked) -> None
         world.respawn(record.seat)
 
 
-def _require_now(world: World, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
     here, ticks = world.snapshot, isinstance(record, Ticked)
     if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
         raise WcsimError(

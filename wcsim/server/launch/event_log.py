@@ -8,13 +8,8 @@ import os
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-
-from wcsim.core.reading import FileKind, parse_json, read_bytes, shown
-from wcsim.errors import JournalError
 
 EVENTS = "events.jsonl"
-_KIND = FileKind(what="the events of a run", limit_bytes=1 << 30, error=JournalError)
 
 
 class RunLog:
@@ -37,32 +32,8 @@ class RunLog:
         with contextlib.suppress(OSError), self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line, allow_nan=False) + "\n")
 
-
     def _end_torn_line(self) -> None:
         """What a killed process has left half written stays a line of its own."""
         with contextlib.suppress(OSError), self._path.open("rb+") as file:
             if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) >= 0 and file.read(1) != b"\n":
                 file.write(b"\n")
-
-
-def read_events(folder: Path) -> list[dict[str, Any]]:
-    """All whole lines of a run's events; empty when there are none.
-
-    A line that is no event, as one that was torn, is the event "damaged" with its text: none is left out.
-
-    Raises:
-        JournalError: The file cannot be read.
-    """
-    path = folder / EVENTS
-    if not path.exists():
-        return []
-    lines = read_bytes(path, _KIND).split(b"\n")[:-1]
-    return [_event(line.decode("utf-8", errors="replace")) for line in lines]
-
-
-def _event(line: str) -> dict[str, Any]:
-    try:
-        event = parse_json(line, EVENTS, _KIND)
-    except JournalError:
-        event = {}
-    return event if isinstance(event.get("event"), str) else {"event": "damaged", "line": shown(line)}

@@ -6,11 +6,11 @@ import contextlib
 import os
 import select
 from collections.abc import Collection
-from types import TracebackType
-from typing import Self
+
+from wcsim.core.closing import Closing
 
 
-class Lifelines:
+class Lifelines(Closing):
     """Watches processes, and the pipe to whoever started this one; a context manager."""
 
     def __init__(self, pipe: int = -1) -> None:
@@ -63,12 +63,6 @@ class Lifelines:
         for pid in list(self._pidfds):
             self._forget(pid)
         self._epoll.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _forget(self, pid: int) -> None:
         number = self._pidfds.pop(pid)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import secrets
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
 
+from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, WcsimError
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
@@ -29,63 +28,8 @@ class Waits:
     link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
 
 
-class WorldLink(Protocol):
-    """One seat of a world."""
-
-    def join(self) -> ClientSnapshot:
-        """The frame the seat has now: the first one of its episode when nothing was done yet."""
-
-    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
-        """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
-
-        Raises:
-            WorldRestartedError: A new epoch began; `join()` has its first frame.
-            LinkError: See `wcsim.errors` for what else a client can see.
-        """
-
-    def send(self, tick: int, joystick: Joystick) -> None:
-        """The first half of `act`: say what to do."""
-
-    def receive(self) -> ClientSnapshot:
-        """The second half of `act`, of `respawn` too: wait for the frame."""
-
-    def respawn(self) -> ClientSnapshot:
-        """Begin the seat's next episode now, without a tick."""
-
-    def rebuild(self, seed: int) -> ClientSnapshot:
-        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
-
-    def beat(self, progress: int) -> None:
-        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`."""
-
-    @property
-    def seat(self) -> int:
-        """The number of the seat; -1 before the first `join`."""
-
-    @property
-    def epoch(self) -> int:
-        """The epoch of the last frame; -1 before the first one."""
-
-    @property
-    def master(self) -> bool:
-        """Whether this client is the one that ticks."""
-
-    @property
-    def waits(self) -> Waits:
-        """Where the time went so far."""
-
-    def close(self) -> None:
-        """Leave; a second call does nothing."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None: ...
-
-
-class SeatLink(ABC):
-    """What all links share: a client core, driven by calls that wait."""
+class WorldLink(Closing):
+    """One seat of a world: a client core, driven by calls that wait; a transport carries its messages."""
 
     def __init__(self, core: ClientCore, ledger: LedgerWriter | None = None) -> None:
         self.core = core
@@ -120,7 +64,7 @@ class SeatLink(ABC):
     # --- what a client calls ---
 
     def join(self) -> ClientSnapshot:
-        """See `WorldLink.join`."""
+        """The frame the seat has now: the first one of its episode when nothing was done yet."""
         if self.core.phase.value == "off":
             self.ask_join()
             return self._await()
@@ -133,23 +77,28 @@ class SeatLink(ABC):
         self.take(self.core.join(self._now_s()))
 
     def send(self, tick: int, joystick: Joystick) -> None:
-        """See `WorldLink.send`."""
+        """The first half of `act`: say what to do."""
         self._refuse_closed()
         self._raise_error()
         self.take(self.core.act(tick, joystick, self._now_s()))
 
     def receive(self) -> ClientSnapshot:
-        """See `WorldLink.receive`."""
+        """The second half of `act`, of `respawn` too: wait for the frame."""
         self._refuse_closed()
         return self._await()
 
     def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
-        """See `WorldLink.act`."""
+        """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
+
+        Raises:
+            WorldRestartedError: A new epoch began; `join()` has its first frame.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
         self.send(tick, joystick)
         return self.receive()
 
     def respawn(self) -> ClientSnapshot:
-        """See `WorldLink.respawn`."""
+        """Begin the seat's next episode now, without a tick."""
         self.ask_respawn()
         return self.receive()
 
@@ -160,38 +109,38 @@ class SeatLink(ABC):
         self.take(self.core.respawn(self._now_s()))
 
     def rebuild(self, seed: int) -> ClientSnapshot:
-        """See `WorldLink.rebuild`."""
+        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
         self._refuse_closed()
         self._raise_error()
         self.take(self.core.rebuild(seed, self._now_s()))
         return self.receive()
 
     def beat(self, progress: int) -> None:
-        """See `WorldLink.beat`."""
+        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`."""
         self.take(self.core.beat(progress))
 
     @property
     def seat(self) -> int:
-        """See `WorldLink.seat`."""
+        """The number of the seat; -1 before the first `join`."""
         return self.core.seat
 
     @property
     def epoch(self) -> int:
-        """See `WorldLink.epoch`."""
+        """The epoch of the last frame; -1 before the first one."""
         return self.core.epoch
 
     @property
     def master(self) -> bool:
-        """See `WorldLink.master`."""
+        """Whether this client is the one that ticks."""
         return self.core.master
 
     @property
     def waits(self) -> Waits:
-        """See `WorldLink.waits`."""
+        """Where the time went so far."""
         return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s)
 
     def close(self) -> None:
-        """See `WorldLink.close`."""
+        """Leave; a second call does nothing."""
         if self._closed:
             return
         try:
@@ -201,14 +150,6 @@ class SeatLink(ABC):
             if self._ledger is not None:
                 self._ledger.close()
             self._end()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self.close()
 
     # --- inside ---
 

@@ -1,4 +1,4 @@
-"""A world in a child process of its own with one seat; used when a world already lives in this process."""
+"""A world in a child process of its own, for one seat or a group; used when a world already lives in this process."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import sys
 import tempfile
 import time
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 
 from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
+from wcsim.server.links.group import SeatGroup
 from wcsim.server.links.local import local_rules
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
@@ -138,6 +140,31 @@ class ProcessLink(ChildSeat):
             super()._end()
         finally:
             self._child.close()
+
+
+class ProcessGroup(SeatGroup):
+    """A world process with all its seats; an epoch that begins again is a new process."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        """Start the world; raises what opening it in this process would raise."""
+        super().__init__()
+        self._order = order
+        self._connect(order.seed)
+
+    def close(self) -> None:
+        """See `SeatGroup.close`."""
+        self.leave()
+        self._child.close()
+        self.links = ()
+
+    def _renew(self, seed: int) -> None:
+        self._child.close()
+        self._connect(seed)
+
+    def _connect(self, seed: int) -> None:
+        order = self._order
+        self._child = WorldChild(replace(order, seed=seed), expected=order.seats)
+        self.links = [ChildSeat(self._child, order.seat, seat, f"chair-{seat}") for seat in range(order.seats)]
 
 
 def _ready(line: bytes) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.server.host.made_world import made_world
-from wcsim.server.links.base import SeatLink
+from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalServer
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot
@@ -22,7 +22,7 @@ class SeatGroup(ABC):
     """A world of its own with a link to each of its seats, in seat order; a link may be closed before the others."""
 
     def __init__(self) -> None:
-        self.links: Sequence[SeatLink] = ()
+        self.links: Sequence[WorldLink] = ()
 
     def join(self) -> Frames:
         """Take all seats; nobody gets one before all have asked."""
@@ -83,6 +83,6 @@ def open_group(order: WorldOrder) -> SeatGroup:
     """All seats of a new world: in this process while no world lives here, otherwise in a process of its own."""
     if not world_in_this_process():
         return LocalGroup(order)
-    from wcsim.server.links.child_group import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+    from wcsim.server.links.child_world import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
 
     return ProcessGroup(order)

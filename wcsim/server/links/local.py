@@ -11,13 +11,14 @@ from collections import deque
 
 from wcsim.errors import ProtocolError, TickTimeoutError
 from wcsim.server.host.made_world import made_world
-from wcsim.server.host.world_host import SeatWorld, WorldHost
-from wcsim.server.links.base import SeatLink, new_session
+from wcsim.server.host.world_host import WorldHost
+from wcsim.server.links.base import WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received, Rules
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.seat_world import SeatWorld
 from wcsim.server.specs import WorldOrder
 from wcsim.types import SeatSpec
 
@@ -105,7 +106,7 @@ class LocalServer:
         return WorldHost(core, self.world, lambda peer, message: inbox.append((peer, message)))
 
 
-class LocalSeat(SeatLink):
+class LocalSeat(WorldLink):
     """One seat of a `LocalServer`."""
 
     def __init__(self, server: LocalServer, peer: Peer, ask: Ask) -> None:

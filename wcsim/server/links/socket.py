@@ -17,7 +17,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.errors import AccessError, ConfigError, ProtocolError
 from wcsim.server.journal.ledger import LedgerWriter
-from wcsim.server.links.base import SeatLink, new_session
+from wcsim.server.links.base import WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen
 from wcsim.server.specs import SeatRequest
@@ -48,7 +48,7 @@ def open_seat(order: SeatRequest) -> SocketSeat:
     return SocketSeat(order)
 
 
-class SocketSeat(SeatLink):
+class SocketSeat(WorldLink):
     """See the module's text."""
 
     def __init__(self, order: SeatRequest) -> None:

@@ -11,12 +11,12 @@ import os
 import select
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
+from wcsim.core.closing import Closing
 from wcsim.errors import ConfigError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Peer
@@ -43,7 +43,7 @@ class Heard(NamedTuple):
     key: str | None
 
 
-class ServerSockets:
+class ServerSockets(Closing):
     """Where messages come in and go out; a context manager."""
 
     def __init__(self, endpoint: str, listen: str = "", keys: str = "") -> None:
@@ -129,12 +129,6 @@ class ServerSockets:
         self._sockets.clear()
         self._context.term()
         self._wakes.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _listen(self, address: str, keys: str) -> None:
         if not keys:

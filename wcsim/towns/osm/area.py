@@ -14,20 +14,6 @@ LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take m
 _M_PER_DEG = 111_320.0
 
 
-def parse_box(text: str) -> Box:
-    """A box from "west,south,east,north". Raises TownError.
-
-    >>> parse_box("24.9,60.1,25.0,60.2")
-    (24.9, 60.1, 25.0, 60.2)
-    """
-    try:
-        west, south, east, north = (float(part) for part in text.split(","))
-    except ValueError:
-        raise TownError(f"bounding box {text!r} is not west,south,east,north in degrees") from None
-    check_box((west, south, east, north))
-    return west, south, east, north
-
-
 def check_box(box: Box) -> None:
     """Raise TownError unless a box is one that a town can be made of."""
     west, south, east, north = box

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from wcsim.bench.chart import Line, Panel, chart, steps
 from wcsim.errors import ConfigError
-from wcsim.view.chart import Line, Panel, chart, steps
 
 T = np.linspace(0.0, 10.0, 200)
 

@@ -1,13 +1,15 @@
 """A world without simulators: for benches, soaks and tests of what lies around a world.
 
 Chairs go where their joysticks point, a tick costs next to nothing, and the state is a hash over everything that was
-done, so that a journal of it can be verified like any other.
+done, so that a journal of it can be verified like any other. `python -m wcsim.bench.barrier.fake_world ORDER_FILE` is a
+world process with it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import struct
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +18,7 @@ import numpy as np
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images
+from wcsim.server.seat_world import Specs
 from wcsim.server.specs import WorldOrder
 from wcsim.types import (
     CameraFrame,
@@ -54,9 +57,9 @@ class _Chair:
 
 
 class FakeWorld:
-    """See the module's text; used like `bridge.world.World` (`server.hub.SeatWorld`)."""
+    """See the module's text; used like `bridge.world.World` (`SeatWorld`)."""
 
-    def __init__(self, order: WorldOrder, specs: tuple[SeatSpec | None, ...], seed: int, *, epoch: int = 0) -> None:
+    def __init__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> None:
         """A world with a chair for each of `specs` that is not None."""
         self._config, self.epoch = order.config, epoch - 1
         self._chairs = {seat: _Chair(spec, -1) for seat, spec in enumerate(specs) if spec is not None}
@@ -212,3 +215,9 @@ def _plant(chair: _Chair) -> PlantState:
         pitch_rad=0.0,
         yaw_rad=0.0,
     )
+
+
+if __name__ == "__main__":
+    from wcsim.server.host.process import main
+
+    raise SystemExit(main(sys.argv[1:], FakeWorld))

@@ -1,0 +1,42 @@
+"""The traffic near chairs without an engine: the same tick as a world's, for who leads the chairs by hand."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import numpy as np
+
+from tests.support.worlds import follow, open_world
+from wcsim.bridge.reacting_traffic import ReactingTraffic
+from wcsim.bridge.reaction.attention import street_habits
+from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
+from wcsim.core import seeding
+
+TICKS = 250
+
+
+def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(corner):
+    with open_world(corner, seed=4, seats=2) as world:
+        town, config, street = world.town, world.config, world.street
+        places, actors, chairs, signals = [world._places()], [world.snapshot.actors], [], []
+        for _ in range(TICKS):
+            snapshot = follow(world)
+            chairs.append(world._open.traffic.chairs)
+            places.append(np.array([chair.p_W_m for chair in chairs[-1]]))
+            actors.append(snapshot.actors)
+            signals.append(snapshot.signals)
+            assert all(client.first is None for client in snapshot.clients), "nobody is put elsewhere"
+    with ExitStack() as held:
+        _, sumo = open_session(town, config, 4, RunPlace(), street.net_z_m, held)
+        warm_up(sumo, warmup_s(town, config), config.world.tick_s)
+        habits = street_habits(config.world, seeding.derive(4, "street"))
+        traffic = ReactingTraffic(config.world, street.grid, sumo, habits)
+        traffic.look_again(places[0])
+        assert traffic.actors == actors[0]
+        for tick in range(TICKS):
+            traffic.react(chairs[tick])
+            sumo.step()
+            traffic.move(traffic.read(places[tick + 1]), places[tick + 1])
+            assert (traffic.actors, traffic.signals) == (actors[tick + 1], signals[tick])
+    assert any(actor.deflect_m for near in actors for actor in near), "somebody stepped aside"
