@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.jit import kernel
-from wcsim.types import F32, F64, I32, U8
+from wcsim.physics.renderer.placing import half_diagonal
+from wcsim.types import F32, F64, I32, U8, Bool
 
 U32Array = npt.NDArray[np.uint32]
 Word = np.uint32 | int
@@ -55,14 +56,11 @@ class ModelArrays(NamedTuple):
 
 
 class InstanceArrays(NamedTuple):
-    """The actors, see `Instances`."""
+    """The actors, see `Instances`, in their places."""
 
     template: I32
-    p_W_m: F64
-    yaw_rad: F64
-    pitch_rad: F64
-    roll_rad: F64
-    scale_m: F64
+    T_WM: F64  # (n, 3, 4) unit model box to world
+    balls: F32  # (n, 4) x, y, z of W, radius: all of each is inside
     colour_seed: U32Array
     lamps: I32  # (n,) SUMO's vehicle signals
 
@@ -71,7 +69,6 @@ class View(NamedTuple):
     """A camera."""
 
     T_CW: F64  # (3, 4)
-    T_WC: F64  # (3, 4)
     focal_px: float
     near_m: float
     range_m: float
@@ -94,9 +91,12 @@ def fill(
 ) -> None:
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
-    if min(y0, y1, y2) > height - 0.5 or max(y0, y1, y2) < 0.5:
+    top, bottom, left, right = min(y0, y1, y2), max(y0, y1, y2), min(x0, x1, x2), max(x0, x1, x2)
+    if top > height - 0.5 or bottom < 0.5 or left > width - 0.5 or right < 0.5:
         return
-    if min(x0, x1, x2) > width - 0.5 or max(x0, x1, x2) < 0.5:
+    first_row = max(0, int(np.ceil(top - 0.5)))
+    last_row = min(height - 1, int(np.ceil(bottom - 0.5)) - 1)
+    if first_row > last_row or np.ceil(left - 0.5) == np.ceil(right - 0.5):  # between the middles of pixels
         return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if abs(area) < 1e-12:
@@ -110,8 +110,6 @@ def fill(
         x0, y0, x2, y2 = x2, y2, x0, y0
     if y2 < y1:
         x1, y1, x2, y2 = x2, y2, x1, y1
-    first_row = max(0, int(np.ceil(y0 - 0.5)))
-    last_row = min(height - 1, int(np.ceil(y2 - 0.5)) - 1)
     long_edge = (x2 - x0) / (y2 - y0)
     upper_edge = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
     lower_edge = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
@@ -246,32 +244,6 @@ def draw_model(
 
 
 @kernel
-def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: F64) -> None:
-    """Unit model box to world: T_WM (n, 3, 4) = place . yaw . pitch (nose up) . roll . size."""
-    for i in range(len(yaw)):
-        cy, sy, cp, sp = np.cos(yaw[i]), np.sin(yaw[i]), np.cos(pitch[i]), np.sin(pitch[i])
-        cr, sr = np.cos(roll[i]), np.sin(roll[i])
-        T = T_WM[i]
-        T[0, 0], T[0, 1], T[0, 2] = cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr
-        T[1, 0], T[1, 1], T[1, 2] = sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr
-        T[2, 0], T[2, 1], T[2, 2] = sp, cp * sr, cp * cr
-        for row in range(3):
-            for k in range(3):
-                T[row, k] *= scale[i, k]
-            T[row, 3] = p_W_m[i, row]
-
-
-@kernel
-def half_diagonal(T: F64) -> float:
-    """Half the diagonal of a placed model's box, with room for a stride and for rounding; T (3, 4) its place."""
-    total = 0.0
-    for row in range(3):
-        for k in range(3):
-            total += T[row, k] * T[row, k]
-    return float(0.54 * np.sqrt(total) + 1e-3)
-
-
-@kernel
 def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
     """Depth of the middle of each ball (n, 4: x, y, z of W, radius), or OUT where the whole ball is out of view."""
     t0, t1, t2, t3 = view.T_CW[2, 0], view.T_CW[2, 1], view.T_CW[2, 2], view.T_CW[2, 3]
@@ -312,35 +284,34 @@ def near_first(depth: F32, range_m: float, order: I32) -> int:
 
 
 @kernel
-def visible(street: StreetArrays, T_WM: F64, view: View, width: int, height: int, culling: bool, order: I32) -> int:
+def visible(
+    street: StreetArrays, actors: InstanceArrays, shown: Bool, view: View, width: int, height: int, culling: bool,
+    order: I32,
+) -> int:
     """Write what may be seen into `order`, near ones first: chunks as c, actors as chunks + i; returns how many."""
-    chunks, n = len(street.spheres), len(T_WM)
+    chunks, n = len(street.spheres), len(shown)
     depth = np.zeros(chunks + n, np.float32)
     if culling:
-        balls = np.empty((n, 4), np.float32)
-        for i in range(n):
-            for row in range(3):
-                balls[i, row] = T_WM[i, row, 3] + 0.5 * T_WM[i, row, 2]
-            balls[i, 3] = half_diagonal(T_WM[i])
         cull(street.spheres, view, width, height, depth[:chunks])
-        cull(balls, view, width, height, depth[chunks:])
+        cull(actors.balls, view, width, height, depth[chunks:])
+    for i in range(n):
+        if not shown[i]:
+            depth[chunks + i] = OUT
     return near_first(depth, view.range_m, order)
 
 
 @kernel
 def draw(
-    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, numbered: bool,
-    out: Target,
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, shown: Bool, view: View, culling: bool,
+    numbered: bool, out: Target,
 ) -> None:
-    """Draw a whole picture: depth and class, and words, `numbered` or colours, when there is a buffer for them."""
+    """Draw a whole picture with the actors that are `shown` (n,): depth and class, and words, if there is a buffer."""
     height, width = out.inverse_z.shape
     out.inverse_z[:] = 0.0
     out.class_id[:] = SKY_ID
-    chunks, n = len(street.spheres), len(actors.template)
-    T_WM = np.empty((n, 3, 4))
-    place_models(actors.p_W_m, actors.yaw_rad, actors.pitch_rad, actors.roll_rad, actors.scale_m, T_WM)
+    chunks, n = len(street.spheres), len(shown)
     order = np.empty(chunks + n, np.int32)
-    count = visible(street, T_WM, view, width, height, culling, order)
+    count = visible(street, actors, shown, view, width, height, culling, order)
     size = 1
     for k in range(count):
         i = order[k]
@@ -357,7 +328,7 @@ def draw(
             draw_chunk(street, i, view, scratch, out)
             continue
         i -= chunks
-        T = T_WM[i]
+        T = actors.T_WM[i]
         for row in range(3):
             for column in range(4):
                 total = view.T_CW[row, 3] if column == 3 else 0.0
