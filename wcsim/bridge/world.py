@@ -31,7 +31,6 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.sensors.drawing_threads import cores
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.town import Town
@@ -78,13 +77,8 @@ class World:
         self._signals: tuple[SignalState, ...] = ()
         self._held = ExitStack()
         try:
-            rig = CameraRig(
-                joined_mesh(()),
-                config.cameras,
-                max(1, len(specs)),
-                self.street.signal_heads,
-                config.world.draw_threads or cores(),
-            )
+            seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
+            rig = CameraRig(joined_mesh(()), config.cameras, seats, heads, threads)
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = TileLoader(self.street.tiles, rig, range_m)
@@ -294,6 +288,8 @@ class World:
 
     def _shoot(self, seats: Sequence[Ego], out: ImageSink | None, first: bool) -> dict[int, Surroundings]:
         """Take the pictures of all these seats together; what each sees, by seat."""
+        if not seats:
+            return {}
         with self.stopwatch.measure("render"):
             poses = tuple(seat.pose() for seat in self.seats) if len(self.seats) > 1 else ()
             scenes = {}

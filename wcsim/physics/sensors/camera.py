@@ -23,7 +23,7 @@ from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_noise import CameraNoise, camera_noise
-from wcsim.physics.sensors.drawing_threads import DrawingThreads
+from wcsim.physics.sensors.drawing_threads import DrawingThreads, cores
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
@@ -99,14 +99,14 @@ class CameraRig:
             cameras: the cameras of every chair.
             seats: number of wheelchairs, at least 1.
             heads: the heads of the traffic lights, whose lamps are drawn.
-            threads: how many threads draw, at least 1; the pictures are the same with any number.
+            threads: how many threads draw, 0 for one a core; the pictures are the same with any number.
 
         Raises:
-            ConfigError: when there is no camera, no seat or no thread.
+            ConfigError: when there is no camera or no seat, or fewer than no threads.
         """
-        if not cameras or min(seats, threads) < 1:
+        if not cameras or seats < 1 or threads < 0:
             got = f"{len(cameras)} cameras, {seats} seats and {threads} threads"
-            raise ConfigError(f"a rig got {got}; expected at least one of each")
+            raise ConfigError(f"a rig got {got}; expected at least one camera and one seat, and 0 threads or more")
         self.cameras = cameras
         self._renderers: dict[str, Renderer] = {}
         self.show(mesh)
@@ -115,7 +115,7 @@ class CameraRig:
             warm_up(raster)
         self._cast = Cast(heads)
         self._range_m = max(camera.range_m for camera in cameras)
-        self._threads = DrawingThreads(threads)
+        self._threads = DrawingThreads(threads or cores())
         self._taken: dict[int, tuple[Surroundings, tuple[CameraFrame, ...]]] = {}
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
