@@ -1,6 +1,7 @@
 """The camera rig: where cameras look, when they shoot, and whose buffers they use."""
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -191,8 +192,9 @@ PEOPLE = tuple(actor(ActorKind.PEDESTRIAN, 5.0 + 0.3 * i, 3.0 + 0.4 * i, 0.12, n
 
 
 def scenes(tick):
-    """Five chairs that see each other and a crowd; two of them count whom they see."""
-    plants = [plant(x + 0.1 * tick, y, yaw=0.1 * seat) for seat, (x, y) in enumerate(PLACES)]
+    """Five chairs that see each other and a crowd, every other one looks back; two of them count whom they see."""
+    turns = [0.1 * seat + math.pi * (seat % 2) for seat in range(len(PLACES))]
+    plants = [plant(x + 0.1 * tick, y, yaw=yaw) for (x, y), yaw in zip(PLACES, turns, strict=True)]
     chairs = tuple(chair_pose(seat, here, USUAL_OUTLINE) for seat, here in enumerate(plants))
     return {
         seat: Surroundings(
@@ -227,6 +229,24 @@ def test_pictures_are_the_same_bytes_with_any_number_of_threads_and_taken_one_by
     alone = taken(mesh, 1, together=False)
     assert any(shown for shown in alone if isinstance(shown, dict)), "nobody was counted"
     assert taken(mesh, threads, together=True) == alone
+
+
+def test_two_pictures_at_once_do_not_meet(mesh, monkeypatch):
+    pair = {seat: scene for seat, scene in scenes(0).items() if scene.counted}
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+        alone = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+    assert len(pair) == 2 and alone[0] != alone[1] and alone[0][1]
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+        both, render = threading.Barrier(2, timeout=20.0), RasterRenderer.render
+
+        def drawn_and_waited(*all):
+            render(*all)
+            both.wait()  # neither goes on before the other has drawn
+
+        monkeypatch.setattr(RasterRenderer, "render", drawn_and_waited)
+        rig.shoot_all(pair)
+        seen = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+    assert seen == alone
 
 
 def test_pictures_taken_together_are_not_taken_again(mesh, monkeypatch):
