@@ -199,6 +199,8 @@ def test_bench_camera_gives_the_ratio(wcsim, folder, corner):
     assert 0.0 < result["ms_median"] < 100.0
     for reference in (result["tiny"], result["embree"]):
         assert min(reference["class"], reference["depth"]) > 0.99
+    (town,) = result["towns"].values()
+    assert town["six_cameras"]["gain"] > 0.0 and "6 cameras in" in told.out
 
 
 def test_bench_chair_gives_rows_beside_their_ranges(wcsim, folder):

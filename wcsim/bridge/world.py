@@ -28,6 +28,7 @@ from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
+from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
@@ -67,7 +68,8 @@ class World(Closing):
         self._tick = 0
         self._held = ExitStack()
         try:
-            rig = CameraRig(joined_mesh(()), config.cameras, max(1, len(specs)), self.street.signal_heads)
+            seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
+            rig = CameraRig(joined_mesh(()), config.cameras, seats, heads, threads)
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = TileLoader(self.street.tiles, rig, range_m)
@@ -199,7 +201,8 @@ class World(Closing):
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
-        clients = tuple(self._client(seat, out) for seat in self.seats)
+        scenes = self._shoot(self.seats, out, first=False)
+        clients = tuple(self._client(seat, scenes[seat.index]) for seat in self.seats)
         over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
         ended = tuple(seat for seat in self.seats if seat.index in over)
         first = {client.seat: client for client in self._open_episodes(ended, out)}
@@ -262,23 +265,35 @@ class World(Closing):
             self._open.traffic.look_again(self._places())
         for seat in seats:
             self._look_around(seat)
-        return tuple(self._seen(seat, out, first=True) for seat in seats)
+        scenes = self._shoot(seats, out, first=True)
+        return tuple(self._seen(seat, scenes[seat.index], first=True) for seat in seats)
 
-    def _client(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
+    def _client(self, seat: Ego, scene: Surroundings) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
         with self.stopwatch.measure("user"):
             self._look_around(seat)
-        client = self._seen(seat, out, first=False)
+        client = self._seen(seat, scene, first=False)
         if client.events.arrived or client.events.gave_up:
             seat.next_destination()
         return client
 
-    def _seen(self, seat: Ego, out: ImageSink | None, first: bool) -> ClientSnapshot:
+    def _shoot(self, seats: Sequence[Ego], out: ImageSink | None, first: bool) -> dict[int, Surroundings]:
+        """Take the pictures of all these seats together; what each sees, by seat."""
+        if not seats:
+            return {}
         traffic = self._open.traffic
         with self.stopwatch.measure("render"):
-            poses = tuple(other.pose() for other in self.seats) if len(self.seats) > 1 else ()
-            buffers = None if out is None else out.buffers(seat.index, first)
-            sensors = seat.observe(self._tick, traffic.actors, poses, traffic.signals, buffers)
+            poses = tuple(seat.pose() for seat in self.seats) if len(self.seats) > 1 else ()
+            scenes = {}
+            for seat in seats:
+                buffers = None if out is None else out.buffers(seat.index, first)
+                scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
+            self._rig.shoot_all(scenes)
+        return scenes
+
+    def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
+        with self.stopwatch.measure("render"):
+            sensors = seat.observe(scene)
         with self.stopwatch.measure("truth"):
             truth = seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)

@@ -37,6 +37,7 @@ class WorldConfig(Model):
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
     visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
     visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more
+    draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # for the cameras' pictures; 0: as many as there are cores
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:

@@ -19,7 +19,6 @@ from wcsim.physics.renderer.instances import (
     instances_of,
     rotation_of,
     rotation_quaternion,
-    transforms,
 )
 from wcsim.physics.renderer.models import riders
 from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templates, template_of
@@ -165,7 +164,7 @@ def test_one_turn_in_three_spellings(yaw, pitch, roll):
     q = np.array(rotation_quaternion(yaw, pitch, roll))
     chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q, outline=USUAL_OUTLINE)
     row = chair_instances([chair])
-    T_WM = transforms(row)[0]
+    T_WM = row.placed.T_WM[0]
     R = rotation_of(q)
     assert T_WM[:, :3] / USUAL_OUTLINE.size_lwh_m == pytest.approx(R, abs=1e-9)
     assert T_WM[:, 3] == pytest.approx(chair.p_WB_m + R @ (USUAL_OUTLINE.middle_x_m, 0.0, 0.0))

@@ -65,7 +65,7 @@ def lit(rgb: np.ndarray, class_id: np.ndarray) -> tuple[set[str], dict[str, floa
     ],
 )  # fmt: skip
 def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestrian, colours):
-    lamps = SignalLamps((head(1, pedestrian),)).near(np.array(EYE), 40.0, state("O" + letter))
+    lamps = SignalLamps((head(1, pedestrian),)).near(np.array([EYE]), 40.0, state("O" + letter))[0]
     T_CW = look_at(EYE, HEAD_W_M)
     for renderer in renderers:
         out = new_images(CAMERA.width_px, CAMERA.height_px, rgb=True)
@@ -83,21 +83,21 @@ def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestr
 def test_only_heads_that_face_the_camera_and_are_near_are_drawn():
     heads = (head(), head(yaw=0.0), head(p=(60.0, 0.0, 2.7)), head(p=(14.0, 5.0, 2.7), yaw=-2.4))
     lamps = SignalLamps(heads)
-    assert len(lamps.near(np.array(EYE), 40.0, state("g"))) == 2
-    assert len(lamps.near(np.array(EYE), 60.0, state("g"))) == 3
-    assert len(SignalLamps(()).near(np.array(EYE), 40.0, state("g"))) == 0
+    assert len(lamps.near(np.array([EYE]), 40.0, state("g"))[0]) == 2
+    assert len(lamps.near(np.array([EYE]), 60.0, state("g"))[0]) == 3
+    assert len(SignalLamps(()).near(np.array([EYE]), 40.0, state("g"))[0]) == 0
 
 
 def test_a_light_that_says_nothing_or_too_little_is_dark_and_comes_back():
     lamps = SignalLamps((head(0, tls="a"), head(3, tls="b")))
     both = (SignalState(tls_id="a", colours="rr"), SignalState(tls_id="b", colours="gggg"))
-    eye = np.array(EYE)
-    first = lamps.near(eye, 40.0, both).template.tolist()
+    eye = np.array([EYE])
+    first = lamps.near(eye, 40.0, both)[0].template.tolist()
     assert first[0] != first[1]
-    alone = lamps.near(eye, 40.0, both[:1]).template.tolist()
-    short = lamps.near(eye, 40.0, (both[0], SignalState(tls_id="b", colours="ggg"))).template.tolist()
+    alone = lamps.near(eye, 40.0, both[:1])[0].template.tolist()
+    short = lamps.near(eye, 40.0, (both[0], SignalState(tls_id="b", colours="ggg")))[0].template.tolist()
     assert alone == short and alone[0] == first[0] and alone[1] not in first
-    assert lamps.near(eye, 40.0, both).template.tolist() == first
+    assert lamps.near(eye, 40.0, both)[0].template.tolist() == first
 
 
 def test_a_rig_shows_the_lights_of_now():
@@ -124,8 +124,8 @@ def test_three_hundred_heads_cost_next_to_nothing():
     lamps = SignalLamps(heads)
     ranges_m = itertools.cycle((40.0, 41.0))
     signals = tuple(SignalState(tls_id=f"t{k:02}", colours="rgyG" * 3) for k in range(25))
-    assert len(lamps.near(np.array(EYE), 41.0, signals)) < 30
-    assert multiple(lambda: lamps.near(np.array(EYE), next(ranges_m), signals)) < 0.6  # about a tenth of that
+    assert len(lamps.near(np.array([EYE]), 41.0, signals)[0]) < 30
+    assert multiple(lambda: lamps.near(np.array([EYE]), next(ranges_m), signals)) < 0.6  # about a tenth of that
 
 
 def test_the_kernel_s_numbers_are_those_of_the_paints():

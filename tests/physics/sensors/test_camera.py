@@ -1,6 +1,8 @@
 """The camera rig: where cameras look, when they shoot, and whose buffers they use."""
 
 import math
+import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import SeatBuffers, new_images
-from wcsim.physics.renderer.instances import ChairPose, instances_of, rotation_quaternion
+from wcsim.physics.renderer.instances import ChairPose, chair_pose, instances_of, rotation_quaternion
+from wcsim.physics.renderer.raster import RasterRenderer
+from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import (
     CameraRig,
     FreeCamera,
@@ -173,9 +177,95 @@ def test_a_rig_needs_cameras_and_seats(mesh):
         CameraRig(mesh, (), seats=1)
     with pytest.raises(ConfigError, match="at least one"):
         CameraRig(mesh, (SMALL,), seats=0)
+    with pytest.raises(ConfigError, match="-1 threads"):
+        CameraRig(mesh, (SMALL,), seats=1, threads=-1)
 
 
 def test_a_free_camera_has_its_target_in_the_middle(mesh):
     camera = FreeCamera(mesh, pinhole(CameraConfig(width_px=81, height_px=61)))
     images = camera.look(look_at((0, 0, 1.5), (8, 3, 0.5)), instances_of([actor(ActorKind.OTHER, 8, 3)]))
     assert images.class_id[30, 40] == ClassId.DYNAMIC and images.rgb is not None
+
+
+PLACES = [(1.5 * seat, 5.5 - 0.8 * (seat % 2)) for seat in range(5)]
+PEOPLE = tuple(actor(ActorKind.PEDESTRIAN, 5.0 + 0.3 * i, 3.0 + 0.4 * i, 0.12, number=i) for i in range(8))
+
+
+def scenes(tick):
+    """Five chairs that see each other and a crowd, every other one looks back; two of them count whom they see."""
+    turns = [0.1 * seat + math.pi * (seat % 2) for seat in range(len(PLACES))]
+    plants = [plant(x + 0.1 * tick, y, yaw=yaw) for (x, y), yaw in zip(PLACES, turns, strict=True)]
+    chairs = tuple(chair_pose(seat, here, USUAL_OUTLINE) for seat, here in enumerate(plants))
+    return {
+        seat: Surroundings(
+            tick=tick, plant=here, actors=PEOPLE, chairs=chairs, signals=(), buffers=None, counted=seat % 2 == 1
+        )
+        for seat, here in enumerate(plants)
+    }
+
+
+def taken(mesh, threads, together, ticks=4):
+    """What five chairs with a noisy colour camera and a slow one saw: all bytes, and whom they counted."""
+    bright = CameraConfig(name="colour", width_px=64, height_px=48, rgb=True, noise="typical")
+    slow = CameraConfig(name="slow", width_px=40, height_px=30, every_ticks=2, yaw_deg=40.0)
+    seen = []
+    with CameraRig(mesh, (bright, slow), len(PLACES), threads=threads) as rig:
+        rig.begin(3)
+        rig.mount(1, (bright, slow), 0.6)
+        for tick in range(ticks):
+            now = scenes(tick)
+            if together:
+                rig.shoot_all(now)
+            for seat, scene in now.items():
+                for frame in rig.frames(seat, scene):
+                    colours = b"" if frame.rgb is None else frame.rgb.tobytes()
+                    seen.append((frame.taken_tick, frame.depth_m.tobytes(), frame.class_id.tobytes(), colours))
+                seen.append(rig.shown_px(seat))
+    return seen
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_pictures_are_the_same_bytes_with_any_number_of_threads_and_taken_one_by_one(mesh, threads):
+    alone = taken(mesh, 1, together=False)
+    assert any(shown for shown in alone if isinstance(shown, dict)), "nobody was counted"
+    assert taken(mesh, threads, together=True) == alone
+
+
+def test_two_pictures_at_once_do_not_meet(mesh, monkeypatch):
+    pair = {seat: scene for seat, scene in scenes(0).items() if scene.counted}
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+        alone = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+    assert len(pair) == 2 and alone[0] != alone[1] and alone[0][1]
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+        both, render = threading.Barrier(2, timeout=20.0), RasterRenderer.render
+
+        def drawn_and_waited(*all):
+            render(*all)
+            both.wait()  # neither goes on before the other has drawn
+
+        monkeypatch.setattr(RasterRenderer, "render", drawn_and_waited)
+        rig.shoot_all(pair)
+        seen = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+    assert seen == alone
+
+
+def test_pictures_taken_together_are_not_taken_again(mesh, monkeypatch):
+    shots = []
+    render = RasterRenderer.render
+    monkeypatch.setattr(RasterRenderer, "render", lambda *all: shots.append(1) or render(*all))
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+        del shots[:]  # one to warm up
+        now = scenes(0)
+        rig.shoot_all(now)
+        frames = [rig.frames(seat, scene)[0] for seat, scene in now.items()]
+        assert len(shots) == len(PLACES) and rig.frames(2, now[2])[0] is frames[2]
+        rig.frames(2, scenes(1)[2])
+        assert len(shots) == len(PLACES) + 1
+
+
+def test_buffers_that_do_not_fit_are_refused_in_every_thread(mesh):
+    with CameraRig(mesh, (SMALL,), len(PLACES), threads=3) as rig:
+        wrong = SeatBuffers(images=(new_images(40, 30, False),))
+        with pytest.raises(ConfigError, match="new_images"):
+            rig.shoot_all({seat: replace(scene, buffers=wrong) for seat, scene in scenes(0).items()})
+        assert rig.shoot(0, 1, plant(), (), ())[0].taken_tick == 1

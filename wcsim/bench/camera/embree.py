@@ -11,7 +11,7 @@ import numpy as np
 
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import Instances, transforms
+from wcsim.physics.renderer.instances import Instances
 from wcsim.types import F32, F64, U8, Bool, ClassId
 
 
@@ -56,7 +56,7 @@ def triangles(store: GeometryStore, instances: Instances) -> tuple[F64, U8]:
     corners = [store.vertices_W_m[store.global_faces()].astype(np.float64)]
     classes = [store.face_class]
     table = store.templates
-    for t, T_WM in zip(instances.template, transforms(instances), strict=True):
+    for t, T_WM in zip(instances.template, instances.placed.T_WM, strict=True):
         vertices = table.vertices[table.vertices_of[t] : table.vertices_of[t + 1]].astype(np.float64)
         rows = slice(table.faces_of[t], table.faces_of[t + 1])
         corners.append((vertices @ T_WM[:, :3].T + T_WM[:, 3])[table.faces[rows]])

@@ -34,6 +34,7 @@ _PERSON_LWH_M = (0.215, 0.478, 1.719)
 class Scene:
     """Cameras on pavements around one place, and actors within RADIUS_M of it."""
 
+    places: tuple[tuple[F64, float], ...]  # where the chairs stand (3,), and their yaw
     poses: tuple[F64, ...]  # world to camera, (3, 4) each
     actors: tuple[ActorState, ...]
 
@@ -58,7 +59,7 @@ def scatter(street: Street, camera: CameraConfig, poses: int, actors: int, seed:
     mounted = mount(camera)
     matrices = tuple(camera_matrix(pose_of(p_W_m, yaw_rad, 0.0), mounted) for p_W_m, yaw_rad in places)
     taken = [(p_W_m[0], p_W_m[1], 0.8) for p_W_m, _ in places]
-    return Scene(poses=matrices, actors=_actors(street, centre, actors, taken, rng))
+    return Scene(places=tuple(places), poses=matrices, actors=_actors(street, centre, actors, taken, rng))
 
 
 def ground_m(grid: Ground, x_m: float, y_m: float) -> float:

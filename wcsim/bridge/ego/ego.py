@@ -206,16 +206,16 @@ class Ego:
         rng = seeding.generator(self._seed, "goal", self.index, self._episode, self._step)
         self._follow(self._router.route((x, y), self._draw_goal(rng, (x, y))))
 
-    def observe(
+    def surroundings(
         self,
         tick: int,
         actors: Sequence[ActorState],
         chairs: Sequence[ChairPose],
         signals: Sequence[SignalState],
         buffers: SeatBuffers | None = None,
-    ) -> SensorFrame:
-        """All sensors of this tick; the images are made in `buffers` when they are given."""
-        scene = Surroundings(
+    ) -> Surroundings:
+        """What there is to see in this tick; the images are made in `buffers` when they are given."""
+        return Surroundings(
             tick=tick,
             plant=self.chair.state(),
             actors=actors,
@@ -224,9 +224,12 @@ class Ego:
             buffers=buffers,
             counted=self.spec.truth_visible,
         )
+
+    def observe(self, scene: Surroundings) -> SensorFrame:
+        """All sensors of this tick."""
         frame = self.chair.sensors.observe(scene)
         if scene.counted:
-            self._shown_actors.see(tick, self._rig.shown_px(self.index))
+            self._shown_actors.see(scene.tick, self._rig.shown_px(self.index))
         return frame
 
     def events(self, jam_teleports: int, first: bool) -> Events:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.instances import Instances
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,9 @@ class Pinhole:
 class Renderer(Protocol):
     """A renderer over one `GeometryStore`."""
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
+    def render(
+        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
+    ) -> None:
         """Draw into `out` what a camera sees.
 
         Args:
@@ -36,6 +38,7 @@ class Renderer(Protocol):
             T_CW: (3, 4) world to camera frame, x right, y down, z forward.
             instances: the actors and wheelchairs to draw with the street.
             out: the buffers, written in place.
+            shown: (n,) which of the instances are there for this camera; all of them when None.
 
         Raises:
             ConfigError: when a buffer has another size or type, or cannot be written.

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.physics.renderer.kernels import place_models
+from wcsim.physics.renderer.kernels import InstanceArrays
 from wcsim.physics.renderer.models.catalog import Template, template_of
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
-from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Bool, Outline, PlantState
+from wcsim.physics.renderer.placing import place_models, put_round
+from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]
 
@@ -36,6 +37,10 @@ class Instances:
     scale_m: F64  # (n, 3) length, width, height
     colour_seed: U32  # (n,)
     lamps: I32  # (n,) SUMO's vehicle signals, for brake lights and turn lamps
+    placed: InstanceArrays = field(init=False, repr=False, compare=False)  # made here, for all pictures of them
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "placed", _placed(self))
 
     def __len__(self) -> int:
         return len(self.template)
@@ -104,39 +109,26 @@ def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
     )
 
 
-def joined(first: Instances, second: Instances) -> Instances:
-    """The rows of both."""
-    if len(second) == 0:
-        return first
-    if len(first) == 0:
-        return second
+def joined(*parts: Instances) -> Instances:
+    """The rows of all parts, at least one, one part after another."""
+    some = [part for part in parts if len(part)]
+    if len(some) == 1 or not some:
+        return (*some, *parts)[0]
     return Instances(
-        template=np.concatenate([first.template, second.template]),
-        p_W_m=np.concatenate([first.p_W_m, second.p_W_m]),
-        yaw_rad=np.concatenate([first.yaw_rad, second.yaw_rad]),
-        pitch_rad=np.concatenate([first.pitch_rad, second.pitch_rad]),
-        roll_rad=np.concatenate([first.roll_rad, second.roll_rad]),
-        scale_m=np.concatenate([first.scale_m, second.scale_m]),
-        colour_seed=np.concatenate([first.colour_seed, second.colour_seed]),
-        lamps=np.concatenate([first.lamps, second.lamps]),
+        template=np.concatenate([part.template for part in some]),
+        p_W_m=np.concatenate([part.p_W_m for part in some]),
+        yaw_rad=np.concatenate([part.yaw_rad for part in some]),
+        pitch_rad=np.concatenate([part.pitch_rad for part in some]),
+        roll_rad=np.concatenate([part.roll_rad for part in some]),
+        scale_m=np.concatenate([part.scale_m for part in some]),
+        colour_seed=np.concatenate([part.colour_seed for part in some]),
+        lamps=np.concatenate([part.lamps for part in some]),
     )
-
-
-def chosen(instances: Instances, rows: Bool) -> Instances:
-    """The rows (n,) bool of all."""
-    return Instances(**{name: getattr(instances, name)[rows] for name in Instances.__dataclass_fields__})
-
-
-def transforms(instances: Instances) -> F64:
-    """Unit model box to world, (n, 3, 4) float64: turn, size and place of every instance."""
-    T_WM = np.empty((len(instances), 3, 4))
-    place_models(instances.p_W_m, instances.yaw_rad, instances.pitch_rad, instances.roll_rad, instances.scale_m, T_WM)
-    return T_WM
 
 
 def rotation_of(q: F64) -> F64:
     """Rotation matrix (3, 3) of a quaternion (4,) x, y, z, w of any length but zero."""
-    x, y, z, w = np.asarray(q, np.float64) / np.linalg.norm(q)
+    x, y, z, w = (np.asarray(q, np.float64) / math.sqrt(np.dot(q, q))).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -174,6 +166,13 @@ def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F
 def figures(height_m: F64, seed: U32) -> I32:
     """Which figure (n,) of `templates.FIGURES` each person is: a child, or one of two kinds of grown-ups."""
     return np.where(height_m < _CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
+
+
+def _placed(rows: Instances) -> InstanceArrays:
+    T_WM, balls = np.empty((len(rows), 3, 4)), np.empty((len(rows), 4), np.float32)
+    place_models(rows.p_W_m, rows.yaw_rad, rows.pitch_rad, rows.roll_rad, rows.scale_m, T_WM)
+    put_round(T_WM, balls)
+    return InstanceArrays(rows.template, T_WM, balls, rows.colour_seed, rows.lamps)
 
 
 def _rows(vectors: Sequence[F64]) -> F64:

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.jit import kernel
-from wcsim.types import F32, F64, I32, U8
+from wcsim.physics.renderer.placing import half_diagonal
+from wcsim.types import F32, F64, I32, U8, Bool
 
 U32Array = npt.NDArray[np.uint32]
 Word = np.uint32 | int
@@ -55,14 +56,11 @@ class ModelArrays(NamedTuple):
 
 
 class InstanceArrays(NamedTuple):
-    """The actors, see `Instances`."""
+    """The actors, see `Instances`, in their places."""
 
     template: I32
-    p_W_m: F64
-    yaw_rad: F64
-    pitch_rad: F64
-    roll_rad: F64
-    scale_m: F64
+    T_WM: F64  # (n, 3, 4) unit model box to world
+    balls: F32  # (n, 4) x, y, z of W, radius: all of each is inside
     colour_seed: U32Array
     lamps: I32  # (n,) SUMO's vehicle signals
 
@@ -71,7 +69,6 @@ class View(NamedTuple):
     """A camera."""
 
     T_CW: F64  # (3, 4)
-    T_WC: F64  # (3, 4)
     focal_px: float
     near_m: float
     range_m: float
@@ -94,9 +91,7 @@ def fill(
 ) -> None:
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
-    if min(y0, y1, y2) > height - 0.5 or max(y0, y1, y2) < 0.5:
-        return
-    if min(x0, x1, x2) > width - 0.5 or max(x0, x1, x2) < 0.5:
+    if not on_screen(x0, y0, x1, y1, x2, y2, width, height):
         return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if abs(area) < 1e-12:
@@ -147,19 +142,10 @@ def fill(
 
 @kernel
 def clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
-    """Cut the triangle of the points a, b, c of p (camera frame) at the near plane and fill what is in front of it."""
+    """Cut the triangle of a, b, c of p, on both sides of the near plane, there; fill what is in front of it."""
     height, width = out.inverse_z.shape
     f, near, cx, cy = view.focal_px, view.near_m, 0.5 * width, 0.5 * height
     behind = int(p[a, 2] < near) + int(p[b, 2] < near) + int(p[c, 2] < near)
-    if behind == 0:
-        wa, wb, wc = 1.0 / p[a, 2], 1.0 / p[b, 2], 1.0 / p[c, 2]
-        fill(
-            p[a, 0] * f * wa + cx, p[a, 1] * f * wa + cy, wa, p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, wb,
-            p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy, wc, class_id, word, out,
-        )  # fmt: skip
-        return
-    if behind == 3:
-        return
     # Turn the corners so that the odd one (alone on its side of the plane) comes first.
     odd_behind = behind == 1
     if (p[b, 2] < near) == odd_behind:
@@ -191,15 +177,46 @@ def to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
 
 
 @kernel
-def draw_chunk(street: StreetArrays, chunk: int, view: View, scratch: F32, out: Target) -> None:
-    """Draw one chunk of the street."""
-    to_camera(street.vertices, street.chunk_vertices[chunk], street.chunk_vertices[chunk + 1], view.T_CW, scratch)
+def to_screen(p: F32, count: int, view: View, width: int, height: int, screen: F64) -> None:
+    """Project the first points of p (n, 3): column, row and 1/z into `screen` (3, n); naught for one behind."""
+    cx, cy = 0.5 * width, 0.5 * height
+    for i in range(count):
+        w = 1.0 / p[i, 2]
+        screen[0, i] = p[i, 0] * view.focal_px * w + cx
+        screen[1, i] = p[i, 1] * view.focal_px * w + cy
+        screen[2, i] = w
+
+
+@kernel
+def on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, width: int, height: int) -> bool:
+    """Whether a screen triangle may cover the middle of a pixel."""
+    top, bottom, left, right = min(y0, y1, y2), max(y0, y1, y2), min(x0, x1, x2), max(x0, x1, x2)
+    if top > height - 0.5 or bottom < 0.5 or left > width - 0.5 or right < 0.5:
+        return False
+    return bool(np.ceil(top - 0.5) < np.ceil(bottom - 0.5) and np.ceil(left - 0.5) < np.ceil(right - 0.5))
+
+
+@kernel
+def draw_chunk(street: StreetArrays, chunk: int, view: View, p: F32, screen: F64, out: Target) -> None:
+    """Draw one chunk of the street.
+
+    Here and in `draw_model` only what is on the screen is handed on: a call with arrays costs more than most triangles.
+    """
+    height, width = out.inverse_z.shape
+    first, end = street.chunk_vertices[chunk], street.chunk_vertices[chunk + 1]
+    to_camera(street.vertices, first, end, view.T_CW, p)
+    to_screen(p, end - first, view, width, height, screen)
     for face in range(street.chunk_faces[chunk], street.chunk_faces[chunk + 1]):
         a, b, c = street.faces[face, 0], street.faces[face, 1], street.faces[face, 2]
-        az, bz, cz = scratch[a, 2], scratch[b, 2], scratch[c, 2]
+        az, bz, cz = p[a, 2], p[b, 2], p[c, 2]
         if min(az, bz, cz) > view.range_m or max(az, bz, cz) < view.near_m:
             continue
-        clip_and_fill(scratch, a, b, c, street.face_class[face], face, view, out)
+        if min(az, bz, cz) < view.near_m:
+            clip_and_fill(p, a, b, c, street.face_class[face], face, view, out)
+            continue
+        x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
+        if on_screen(x0, y0, x1, y1, x2, y2, width, height):
+            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], face, out)
 
 
 @kernel
@@ -213,22 +230,30 @@ def lit_paint(paint: int, lamps: int) -> int:
 
 @kernel
 def draw_model(
-    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, scratch: F32,
-    out: Target,
+    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, p: F32,
+    screen: F64, out: Target,
 ) -> None:
     """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped.
 
     Its words are colours, or its `number` where that is not below 0.
     """
     painted = out.words.shape[0] > 0 and number < 0
-    to_camera(models.vertices, models.vertices_of[t], models.vertices_of[t + 1], T_CM, scratch)
+    height, width = out.inverse_z.shape
+    first, end = models.vertices_of[t], models.vertices_of[t + 1]
+    to_camera(models.vertices, first, end, T_CM, p)
+    to_screen(p, end - first, view, width, height, screen)
     for face in range(models.faces_of[t], models.faces_of[t + 1]):
         a, b, c = models.faces[face, 0], models.faces[face, 1], models.faces[face, 2]
-        ax, ay, az = scratch[a, 0], scratch[a, 1], scratch[a, 2]
-        ux, uy, uz = scratch[b, 0] - ax, scratch[b, 1] - ay, scratch[b, 2] - az
-        vx, vy, vz = scratch[c, 0] - ax, scratch[c, 1] - ay, scratch[c, 2] - az
+        ax, ay, az = p[a, 0], p[a, 1], p[a, 2]
+        ux, uy, uz = p[b, 0] - ax, p[b, 1] - ay, p[b, 2] - az
+        vx, vy, vz = p[c, 0] - ax, p[c, 1] - ay, p[c, 2] - az
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         if solid and nx * ax + ny * ay + nz * az >= 0.0:
+            continue
+        if max(az, p[b, 2], p[c, 2]) < view.near_m:
+            continue
+        x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
+        if min(az, p[b, 2], p[c, 2]) >= view.near_m and not on_screen(x0, y0, x1, y1, x2, y2, width, height):
             continue
         word = COLOURED | np.uint32(max(number, 0))
         if painted:
@@ -242,33 +267,10 @@ def draw_model(
             word = COLOURED
             for k in range(3):
                 word |= np.uint32(min(models.paints[paint, variant, k] * shade, 255.0)) << np.uint32(8 * k)
-        clip_and_fill(scratch, a, b, c, models.face_class[face], word, view, out)
-
-
-@kernel
-def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: F64) -> None:
-    """Unit model box to world: T_WM (n, 3, 4) = place . yaw . pitch (nose up) . roll . size."""
-    for i in range(len(yaw)):
-        cy, sy, cp, sp = np.cos(yaw[i]), np.sin(yaw[i]), np.cos(pitch[i]), np.sin(pitch[i])
-        cr, sr = np.cos(roll[i]), np.sin(roll[i])
-        T = T_WM[i]
-        T[0, 0], T[0, 1], T[0, 2] = cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr
-        T[1, 0], T[1, 1], T[1, 2] = sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr
-        T[2, 0], T[2, 1], T[2, 2] = sp, cp * sr, cp * cr
-        for row in range(3):
-            for k in range(3):
-                T[row, k] *= scale[i, k]
-            T[row, 3] = p_W_m[i, row]
-
-
-@kernel
-def half_diagonal(T: F64) -> float:
-    """Half the diagonal of a placed model's box, with room for a stride and for rounding; T (3, 4) its place."""
-    total = 0.0
-    for row in range(3):
-        for k in range(3):
-            total += T[row, k] * T[row, k]
-    return float(0.54 * np.sqrt(total) + 1e-3)
+        if min(az, p[b, 2], p[c, 2]) < view.near_m:
+            clip_and_fill(p, a, b, c, models.face_class[face], word, view, out)
+        else:
+            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], models.face_class[face], word, out)
 
 
 @kernel
@@ -312,35 +314,34 @@ def near_first(depth: F32, range_m: float, order: I32) -> int:
 
 
 @kernel
-def visible(street: StreetArrays, T_WM: F64, view: View, width: int, height: int, culling: bool, order: I32) -> int:
+def visible(
+    street: StreetArrays, actors: InstanceArrays, shown: Bool, view: View, width: int, height: int, culling: bool,
+    order: I32,
+) -> int:
     """Write what may be seen into `order`, near ones first: chunks as c, actors as chunks + i; returns how many."""
-    chunks, n = len(street.spheres), len(T_WM)
+    chunks, n = len(street.spheres), len(shown)
     depth = np.zeros(chunks + n, np.float32)
     if culling:
-        balls = np.empty((n, 4), np.float32)
-        for i in range(n):
-            for row in range(3):
-                balls[i, row] = T_WM[i, row, 3] + 0.5 * T_WM[i, row, 2]
-            balls[i, 3] = half_diagonal(T_WM[i])
         cull(street.spheres, view, width, height, depth[:chunks])
-        cull(balls, view, width, height, depth[chunks:])
+        cull(actors.balls, view, width, height, depth[chunks:])
+    for i in range(n):
+        if not shown[i]:
+            depth[chunks + i] = OUT
     return near_first(depth, view.range_m, order)
 
 
 @kernel
 def draw(
-    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, view: View, culling: bool, numbered: bool,
-    out: Target,
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, shown: Bool, view: View, culling: bool,
+    numbered: bool, out: Target,
 ) -> None:
-    """Draw a whole picture: depth and class, and words, `numbered` or colours, when there is a buffer for them."""
+    """Draw a whole picture with the actors that are `shown` (n,): depth and class, and words, if there is a buffer."""
     height, width = out.inverse_z.shape
     out.inverse_z[:] = 0.0
     out.class_id[:] = SKY_ID
-    chunks, n = len(street.spheres), len(actors.template)
-    T_WM = np.empty((n, 3, 4))
-    place_models(actors.p_W_m, actors.yaw_rad, actors.pitch_rad, actors.roll_rad, actors.scale_m, T_WM)
+    chunks, n = len(street.spheres), len(shown)
     order = np.empty(chunks + n, np.int32)
-    count = visible(street, T_WM, view, width, height, culling, order)
+    count = visible(street, actors, shown, view, width, height, culling, order)
     size = 1
     for k in range(count):
         i = order[k]
@@ -349,15 +350,15 @@ def draw(
         else:
             t = actors.template[i - chunks]
             size = max(size, models.vertices_of[t + 1] - models.vertices_of[t])
-    scratch = np.empty((size, 3), np.float32)
+    p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
     T_CM = np.empty((3, 4))
     for k in range(count):
         i = order[k]
         if i < chunks:
-            draw_chunk(street, i, view, scratch, out)
+            draw_chunk(street, i, view, p, screen, out)
             continue
         i -= chunks
-        T = T_WM[i]
+        T = actors.T_WM[i]
         for row in range(3):
             for column in range(4):
                 total = view.T_CW[row, 3] if column == 3 else 0.0
@@ -370,7 +371,7 @@ def draw(
         solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
         seed, lamps = actors.colour_seed[i], actors.lamps[i]
         number = i if numbered else -1
-        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, scratch, out)
+        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, p, screen, out)
     finish(view, out)
 
 

@@ -10,7 +10,7 @@ from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB, paint_table
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 
 class RasterRenderer:
@@ -45,26 +45,29 @@ class RasterRenderer:
         )
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
+    def render(
+        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
+    ) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
         wordless = out.rgb is None and out.instance is None
         words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
         target, view = kernels.Target(out.depth_m, out.class_id, words), self._view(camera, T_CW)
+        actors = instances.placed
+        if shown is None:
+            shown = np.ones(len(instances), np.bool_)
         if out.instance is not None:  # a word holds a row or a colour: who wants both has it drawn twice
-            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, True, target)
+            kernels.draw(self._street, self._models, actors, shown, view, self._cull, True, target)
             shading.tell_apart(words, out.class_id, out.instance)
         if out.instance is None or out.rgb is not None:
-            kernels.draw(self._street, self._models, _arrays(instances), view, self._cull, False, target)
+            kernels.draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
-            shading.colour(self._street, view, out.depth_m, words, out.rgb)
+            shading.colour(self._street, view, _inverse(view.T_CW), out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
         T_CW = np.ascontiguousarray(T_CW, np.float64)
-        R_WC = np.linalg.inv(T_CW[:, :3])
         return kernels.View(
             T_CW=T_CW,
-            T_WC=np.c_[R_WC, -R_WC @ T_CW[:, 3]],
             focal_px=float(camera.focal_px),
             near_m=float(camera.near_m),
             range_m=float(camera.range_m),
@@ -80,14 +83,9 @@ def warm_up(renderer: RasterRenderer) -> None:
     renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True, instance=True))
 
 
-def _arrays(instances: Instances) -> kernels.InstanceArrays:
-    return kernels.InstanceArrays(
-        template=instances.template,
-        p_W_m=instances.p_W_m,
-        yaw_rad=instances.yaw_rad,
-        pitch_rad=instances.pitch_rad,
-        roll_rad=instances.roll_rad,
-        scale_m=instances.scale_m,
-        colour_seed=instances.colour_seed,
-        lamps=instances.lamps,
-    )
+def _inverse(T_CW: F64) -> F64:
+    """Camera to world, (3, 4), of a rigid T_CW."""
+    T_WC = np.empty((3, 4))
+    R_WC = T_CW[:, :3].T
+    T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ T_CW[:, 3]
+    return T_WC

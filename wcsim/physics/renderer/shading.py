@@ -9,7 +9,7 @@ import numpy as np
 
 from wcsim.core.jit import kernel
 from wcsim.physics.renderer.kernels import COLOURED, PLAIN, SKY_ID, STRIPES, StreetArrays, U32Array, View
-from wcsim.types import F32, I32, U8
+from wcsim.types import F32, F64, I32, U8
 
 # Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
 HALF = np.float32(0.5)
@@ -49,7 +49,7 @@ def sky_ramp(view: View) -> U8:
 
 
 @kernel
-def colour(street: StreetArrays, view: View, depth_m: F32, words: U32Array, rgb: U8) -> None:
+def colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
     """Write the shaded picture (H, W, 3) from words and depth: faces with their patterns, actors, haze, sky."""
     height, width = depth_m.shape
     far, limit = np.float32(view.range_m), np.float32(1.0 / view.range_m)
@@ -57,7 +57,7 @@ def colour(street: StreetArrays, view: View, depth_m: F32, words: U32Array, rgb:
     clear_m = CLEAR * far
     fog_even = np.uint32(int(view.light[2]) | int(view.light[4]) << 16)
     fog_green = np.uint32(view.light[3])
-    T = view.T_WC.astype(np.float32)
+    T = T_WC.astype(np.float32)
     ramp = sky_ramp(view)
     for row in range(height):
         v = np.float32((row + 0.5 - 0.5 * height) / view.focal_px)
@@ -84,6 +84,16 @@ def colour(street: StreetArrays, view: View, depth_m: F32, words: U32Array, rgb:
             rgb[row, i, 0] = word & LOW
             rgb[row, i, 1] = word >> BYTE & LOW
             rgb[row, i, 2] = word >> TWO_BYTES & LOW
+
+
+@kernel
+def brighten(rgb: U8, table: U8) -> None:
+    """Replace each colour value of a picture (H, W, 3) by that of the table (256,), in place."""
+    height, width, _ = rgb.shape
+    for row in range(height):
+        for i in range(width):
+            for k in range(3):
+                rgb[row, i, k] = table[rgb[row, i, k]]
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.models.catalog import Template
 from wcsim.physics.renderer.models.special_vehicles import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
-from wcsim.types import F64, I32, SignalHead, SignalState
+from wcsim.types import F64, I32, Bool, SignalHead, SignalState
 
 AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep
 _VEHICLE_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, 2 * (LAMP_APART_M + LAMP_RADIUS_M))
@@ -60,16 +60,26 @@ class SignalLamps:
         self._signals: Sequence[SignalState] = ()
         self._template: I32 = np.full(len(heads), Template.SIGNAL_OFF, np.int32)
 
-    def near(self, eye_W_m: F64, range_m: float, signals: Sequence[SignalState]) -> Instances:
-        """The lamps that shine towards a camera at the eye (3,), not further than range_m from it."""
+    def near(self, eyes_W_m: F64, range_m: float, signals: Sequence[SignalState]) -> tuple[Instances, Bool]:
+        """The lamps that shine towards any camera, not further than range_m from it, and which are for which.
+
+        Args:
+            eyes_W_m: where the cameras are, (m, 3).
+            range_m: how far they see.
+            signals: the traffic lights of now.
+
+        Returns:
+            The lamps, n of them, and (m, n) which of them each camera sees.
+        """
         if not self._heads:
-            return self._rows(np.zeros(0, np.int64))
+            return self._rows(np.zeros(0, np.int64)), np.zeros((len(eyes_W_m), 0), np.bool_)
         if signals is not self._signals:
             self._light(signals)
-        gap = eye_W_m[:2] - self._p_W_m[:, :2]
-        towards = np.einsum("ij,ij->i", gap, self._ahead_W) > 0.0
-        seen = towards & (np.einsum("ij,ij->i", gap, gap) < range_m * range_m)
-        return self._rows(np.flatnonzero(seen))
+        gap = eyes_W_m[:, None, :2] - self._p_W_m[:, :2]
+        towards = np.einsum("kij,ij->ki", gap, self._ahead_W) > 0.0
+        seen = towards & (np.einsum("kij,kij->ki", gap, gap) < range_m * range_m)
+        rows = np.flatnonzero(seen.any(axis=0))
+        return self._rows(rows), seen[:, rows]
 
     def _light(self, signals: Sequence[SignalState]) -> None:
         """Take the template of every head from the states of now."""

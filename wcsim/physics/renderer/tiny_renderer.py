@@ -7,6 +7,7 @@ TinyRenderer samples pixel CORNERS, its pixel (u, v) is the ray through (u, v + 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -20,7 +21,7 @@ from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, rotation_quaternion
 from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table, paint_table
-from wcsim.types import F64, U8, ClassId
+from wcsim.types import F64, U8, Bool, ClassId
 
 _FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
 _PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
@@ -70,10 +71,12 @@ class TinyRenderer:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images) -> None:
+    def render(
+        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
+    ) -> None:
         """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
         check_images(camera, out)
-        self._place(instances)
+        self._place(instances, range(len(instances)) if shown is None else np.flatnonzero(shown).tolist())
         width, height = camera.width_px, camera.height_px
         _, _, rgba, depth, body = pybullet.getCameraImage(
             width,
@@ -97,11 +100,11 @@ class TinyRenderer:
         if out.rgb is not None:
             out.rgb[:] = np.asarray(rgba, np.uint8).reshape(height, width, 4)[..., :3]
 
-    def _place(self, instances: Instances) -> None:
-        """Put a body of the right model under every instance and park the rest."""
+    def _place(self, instances: Instances, rows: Sequence[int]) -> None:
+        """Put a body of the right model under these instances and park the rest."""
         self._used = dict.fromkeys(self._pool, 0)
         self._instance_of.clear()
-        for i in range(len(instances)):
+        for i in rows:
             length, width, height = (round(float(side), 6) for side in instances.scale_m[i])
             colour = int(instances.colour_seed[i]) % VARIANTS
             model = _Model(int(instances.template[i]), (length, width, height), colour)

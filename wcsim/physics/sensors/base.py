@@ -45,15 +45,15 @@ class Mount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What there is to see from a wheelchair after a tick; arguments of `CameraRig.shoot`."""
+    """What there is to see from a wheelchair after a tick."""
 
-    tick: int
-    plant: PlantState
-    actors: Sequence[ActorState]
-    chairs: Sequence[ChairPose]
-    signals: Sequence[SignalState]
-    buffers: SeatBuffers | None
-    counted: bool
+    tick: int  # that the images show
+    plant: PlantState  # where the wheelchair is
+    actors: Sequence[ActorState]  # a tuple that is given again (the same object) is not read again
+    chairs: Sequence[ChairPose]  # the wheelchairs, this one among them or not
+    signals: Sequence[SignalState]  # of now
+    buffers: SeatBuffers | None  # where the images go; None: the rig's own
+    counted: bool  # whether the pixels of every actor are counted, for `CameraRig.shown_px`
 
 
 class Sensor(Protocol):

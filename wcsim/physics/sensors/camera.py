@@ -14,33 +14,18 @@ from wcsim.config import CameraConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
+from wcsim.physics.renderer import shading
 from wcsim.physics.renderer.base import Pinhole, Renderer
+from wcsim.physics.renderer.cast import Cast, names
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import (
-    ChairPose,
-    Instances,
-    actor_instances,
-    chair_instances,
-    chosen,
-    joined,
-    rotation_of,
-)
+from wcsim.physics.renderer.instances import ChairPose, Instances, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer, warm_up
-from wcsim.physics.renderer.signal_lamps import SignalLamps
 from wcsim.physics.renderer.visible_pixels import shown_px
-from wcsim.physics.sensors.camera_noise import camera_noise
+from wcsim.physics.sensors.base import Surroundings
+from wcsim.physics.sensors.camera_noise import CameraNoise, camera_noise
+from wcsim.physics.sensors.drawing_threads import DrawingThreads, cores
 from wcsim.physics.sensors.pixel_noise import child
-from wcsim.types import (
-    F64,
-    U8,
-    ActorState,
-    CameraFrame,
-    PlantState,
-    SignalHead,
-    SignalState,
-    StreetMesh,
-    chair_actor_id,
-)
+from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 
@@ -59,14 +44,37 @@ class _Shutter:
     shown_px: Mapping[str, float] = field(default_factory=dict)  # by actor, in the last picture
 
 
-@dataclass(slots=True)
-class _Cast:
-    """The actors and the wheelchairs of a tick as instances; all seats of the tick share them."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shot:
+    """A picture to be taken: all that a thread needs for it."""
 
-    actors: Sequence[ActorState] = ()
-    instances: Instances = field(default_factory=lambda: actor_instances(()))
-    chairs: Sequence[ChairPose] = ()
-    chair_instances: Instances = field(default_factory=lambda: chair_instances(()))
+    shutter: _Shutter
+    renderer: Renderer
+    camera: Pinhole
+    T_CW: F64
+    instances: Instances
+    shown: Bool
+    out: Images
+    light: float
+    noise: CameraNoise | None
+    noise_key: int
+    names: Sequence[str] | None  # of the rows whose pixels are counted
+
+    def take(self) -> None:
+        """Draw it, count who is in it, and lay its errors over it."""
+        counts = {}
+        if self.names is None:
+            self.renderer.render(self.camera, self.T_CW, self.instances, self.out, self.shown)
+        else:
+            instance = np.empty(self.out.class_id.shape, np.int32)
+            numbered = replace(self.out, instance=instance)
+            self.renderer.render(self.camera, self.T_CW, self.instances, numbered, self.shown)
+            counts = shown_px(instance, self.names)
+        self.shutter.shown_px = counts
+        if self.out.rgb is not None and self.light != 1.0:
+            shading.brighten(self.out.rgb, brightened(self.light))
+        if self.noise is not None:
+            self.noise.lay_over(self.out, self.noise_key)
 
 
 class CameraRig:
@@ -82,6 +90,7 @@ class CameraRig:
         cameras: tuple[CameraConfig, ...],
         seats: int,
         heads: Sequence[SignalHead] = (),
+        threads: int = 1,
     ) -> None:
         """Build the geometry and compile the rasteriser.
 
@@ -90,19 +99,24 @@ class CameraRig:
             cameras: the cameras of every chair.
             seats: number of wheelchairs, at least 1.
             heads: the heads of the traffic lights, whose lamps are drawn.
+            threads: how many threads draw, 0 for one a core; the pictures are the same with any number.
 
         Raises:
-            ConfigError: when there is no camera or no seat.
+            ConfigError: when there is no camera or no seat, or fewer than no threads.
         """
-        if not cameras or seats < 1:
-            raise ConfigError(f"a rig got {len(cameras)} cameras and {seats} seats; expected at least one of each")
+        if not cameras or seats < 1 or threads < 0:
+            got = f"{len(cameras)} cameras, {seats} seats and {threads} threads"
+            raise ConfigError(f"a rig got {got}; expected at least one camera and one seat, and 0 threads or more")
         self.cameras = cameras
         self._renderers: dict[str, Renderer] = {}
         self.show(mesh)
         raster = self._renderers.get("numba")
         if isinstance(raster, RasterRenderer):
             warm_up(raster)
-        self._lamps = SignalLamps(heads)
+        self._cast = Cast(heads)
+        self._range_m = max(camera.range_m for camera in cameras)
+        self._threads = DrawingThreads(threads or cores())
+        self._taken: dict[int, tuple[Surroundings, tuple[CameraFrame, ...]]] = {}
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
         self._light = [1.0] * seats
@@ -110,7 +124,6 @@ class CameraRig:
         for noise in filter(None, self._noises):
             noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
-        self._cast = _Cast()
         self.begin(0)
 
     def __enter__(self) -> CameraRig:
@@ -122,7 +135,11 @@ class CameraRig:
         self.close()
 
     def close(self) -> None:
-        """Let go of the renderers and their geometry; a second call does nothing."""
+        """End the threads, let go of the renderers and their geometry; a second call does nothing."""
+        self._threads.close()
+        self._let_go()
+
+    def _let_go(self) -> None:
         for renderer in self._renderers.values():
             if hasattr(renderer, "close"):
                 renderer.close()
@@ -130,7 +147,7 @@ class CameraRig:
 
     def show(self, street: StreetMesh | GeometryStore) -> None:
         """Draw this part of the street from now on."""
-        self.close()
+        self._let_go()
         self.store = street if isinstance(street, GeometryStore) else GeometryStore(street)
         self._renderers = {name: _renderer(name, self.store) for name in sorted({c.renderer for c in self.cameras})}
 
@@ -162,34 +179,46 @@ class CameraRig:
         signals: Sequence[SignalState] = (),
         counted: bool = False,
     ) -> tuple[CameraFrame, ...]:
-        """Take (or repeat) the image of every camera of a seat.
+        """Take the images of one seat alone; see `Surroundings` for the arguments and `shoot_all` for the rest."""
+        scene = Surroundings(
+            tick=tick, plant=plant, actors=actors, chairs=chairs, signals=signals, buffers=buffers, counted=counted
+        )
+        return self.frames(seat, scene)
+
+    def frames(self, seat: int, scene: Surroundings) -> tuple[CameraFrame, ...]:
+        """What the cameras of a seat see; those taken in this very scene by `shoot_all`, or else taken now."""
+        if seat not in self._taken or self._taken[seat][0] is not scene:
+            self.shoot_all({seat: scene})
+        return self._taken[seat][1]
+
+    def shoot_all(self, scenes: Mapping[int, Surroundings]) -> None:
+        """Take (or repeat) the image of every camera of these seats, in all threads; `frames` hands them out.
+
+        A camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`. A seat's own wheelchair, among
+        the scene's or not, is never drawn.
 
         Args:
-            seat: whose cameras.
-            tick: the tick that the images show.
-            plant: where the seat's wheelchair is.
-            actors: what moves in the street; a tuple that is given again (the same object) is not read again.
-            chairs: the wheelchairs, the seat's own among them or not; it is never drawn. A tuple, as with the actors.
-            buffers: where to write; the rig's own buffers when None.
-            signals: the traffic lights of now; a head whose light is not among them is dark.
-            counted: whether the pixels of every actor are counted, for `shown_px`.
-
-        Returns:
-            One frame a camera; a camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`.
+            scenes: what there is to see, by seat, all of one moment: the same actors, chairs and signals.
 
         Raises:
             ConfigError: when given buffers do not fit the cameras.
         """
-        others = self._other_chairs(seat, chairs)
-        lamps = self._lamps.near(plant.p_WB_m, max(camera.range_m for camera in self.cameras), signals)
-        instances = joined(joined(self._actors(actors), others), lamps)
-        names = _names(seat, actors, chairs) if counted else None
-        T_WB = pose_matrix(plant.p_WB_m, plant.q_WB)
-        shots = []
-        for index, shutter in enumerate(self._shutters[seat]):
-            own = buffers.images[index] if buffers is not None else None
-            shots.append(self._shot(seat, index, shutter, tick, T_WB, instances, own, names))
-        return tuple(shots)
+        due = {
+            (seat, index): shutter
+            for seat, scene in scenes.items()
+            for index, shutter in enumerate(self._shutters[seat])
+            if not self._repeats(index, shutter, scene.tick)
+        }
+        shots = self._shots(scenes, due)
+        self._threads.run([shot.take for shot in shots if isinstance(shot.renderer, RasterRenderer)])
+        for shot in shots:
+            if not isinstance(shot.renderer, RasterRenderer):  # PyBullet's draws one picture at a time
+                shot.take()
+        for (seat, index), shot in zip(due, shots, strict=True):
+            shot.shutter.last = _frame(self.cameras[index].name, scenes[seat].tick, shot.out)
+        for seat, scene in scenes.items():
+            pairs = enumerate(self._shutters[seat])
+            self._taken[seat] = (scene, tuple([_last(shutter, scene.buffers, index) for index, shutter in pairs]))
 
     def shown_px(self, seat: int) -> dict[str, float]:
         """Pixels of each actor in the pictures of the seat's last shot, all cameras together, without their noise.
@@ -202,59 +231,40 @@ class CameraRig:
                 total[name] = total.get(name, 0.0) + pixels
         return total
 
-    def _shot(
-        self,
-        seat: int,
-        index: int,
-        shutter: _Shutter,
-        tick: int,
-        T_WB: F64,
-        instances: Instances,
-        own: Images | None,
-        names: Sequence[str] | None,
-    ) -> CameraFrame:
-        camera = self.cameras[index]
-        if shutter.last is not None and 0 <= tick - shutter.last.taken_tick < camera.every_ticks:
-            if own is not None and not np.may_share_memory(own.depth_m, shutter.last.depth_m):
-                shutter.last = copied(shutter.last, own)
-            return shutter.last
-        out = own if own is not None else shutter.buffers[shutter.turn]
-        shutter.turn = (shutter.turn + 1) % BUFFERS
-        T_CW = camera_matrix(T_WB, self._mounts[seat][index])
-        shutter.shown_px = self._drawn(index, T_CW, instances, out, names)
-        if out.rgb is not None and self._light[seat] != 1.0:
-            np.take(brightened(self._light[seat]), out.rgb, out=out.rgb)
-        noise = self._noises[index]
-        if noise is not None:  # a tick that ends an episode takes two pictures
-            noise.lay_over(out, child(shutter.key, 2 * tick + (shutter.last is None)))
-        shutter.last = _frame(camera.name, tick, out)
-        return shutter.last
+    def _repeats(self, index: int, shutter: _Shutter, tick: int) -> bool:
+        return shutter.last is not None and 0 <= tick - shutter.last.taken_tick < self.cameras[index].every_ticks
 
-    def _drawn(
-        self, index: int, T_CW: F64, instances: Instances, out: Images, names: Sequence[str] | None
-    ) -> Mapping[str, float]:
-        """Draw a picture; the pixels of those in it when they have names."""
-        renderer, camera = self._renderers[self.cameras[index].renderer], self._pinholes[index]
-        if names is None:
-            renderer.render(camera, T_CW, instances, out)
-            return {}
-        instance = np.empty(out.class_id.shape, np.int32)
-        renderer.render(camera, T_CW, instances, replace(out, instance=instance))
-        return shown_px(instance, names)
-
-    def _other_chairs(self, seat: int, chairs: Sequence[ChairPose]) -> Instances:
-        if not isinstance(chairs, tuple):  # a list may have changed since
-            return chair_instances([chair for chair in chairs if chair.seat != seat])
-        if chairs is not self._cast.chairs:
-            self._cast.chairs, self._cast.chair_instances = chairs, chair_instances(chairs)
-        return chosen(self._cast.chair_instances, np.array([chair.seat != seat for chair in chairs], np.bool_))
-
-    def _actors(self, actors: Sequence[ActorState]) -> Instances:
-        if not isinstance(actors, tuple):  # a list may have changed since
-            return actor_instances(actors)
-        if actors is not self._cast.actors:
-            self._cast.actors, self._cast.instances = actors, actor_instances(actors)
-        return self._cast.instances
+    def _shots(self, scenes: Mapping[int, Surroundings], due: Mapping[tuple[int, int], _Shutter]) -> list[_Shot]:
+        """The pictures of these cameras (seat, number); what all share of the street is made once."""
+        if not due:
+            return []
+        seats, now = list(scenes), next(iter(scenes.values()))
+        eyes_W_m = np.array([scene.plant.p_WB_m for scene in scenes.values()])
+        rows, shown = self._cast.seen(now.actors, now.chairs, now.signals, seats, eyes_W_m, self._range_m)
+        who = names(now.actors, now.chairs) if any(scene.counted for scene in scenes.values()) else None
+        poses = {seat: pose_matrix(scene.plant.p_WB_m, scene.plant.q_WB) for seat, scene in scenes.items()}
+        shots = []
+        for (seat, index), shutter in due.items():
+            scene = scenes[seat]
+            out = shutter.buffers[shutter.turn] if scene.buffers is None else scene.buffers.images[index]
+            shutter.turn = (shutter.turn + 1) % BUFFERS
+            shots.append(
+                _Shot(
+                    shutter=shutter,
+                    renderer=self._renderers[self.cameras[index].renderer],
+                    camera=self._pinholes[index],
+                    T_CW=camera_matrix(poses[seat], self._mounts[seat][index]),
+                    instances=rows,
+                    shown=shown[seats.index(seat)],
+                    out=out,
+                    light=self._light[seat],
+                    noise=self._noises[index],
+                    # a tick that ends an episode takes two pictures
+                    noise_key=child(shutter.key, 2 * scene.tick + (shutter.last is None)),
+                    names=who if scene.counted else None,
+                )
+            )
+        return shots
 
 
 class FreeCamera:
@@ -314,7 +324,9 @@ def pose_of(p_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float) -> F64
 
 def pose_matrix(p_WB_m: F64, q_WB: F64) -> F64:
     """Pose (3, 4) of a body from its place (3,) and quaternion (4,) x, y, z, w."""
-    return np.column_stack([rotation_of(q_WB), np.asarray(p_WB_m, np.float64)])
+    T_WB = np.empty((3, 4))
+    T_WB[:, :3], T_WB[:, 3] = rotation_of(q_WB), p_WB_m
+    return T_WB
 
 
 def camera_matrix(T_WB: F64, T_BM: F64) -> F64:
@@ -322,7 +334,9 @@ def camera_matrix(T_WB: F64, T_BM: F64) -> F64:
     R_WM = T_WB[:, :3] @ T_BM[:, :3]
     p_WM = T_WB[:, :3] @ T_BM[:, 3] + T_WB[:, 3]
     R_CW = _R_CM @ R_WM.T
-    return np.column_stack([R_CW, -R_CW @ p_WM])
+    T_CW = np.empty((3, 4))
+    T_CW[:, :3], T_CW[:, 3] = R_CW, -R_CW @ p_WM
+    return T_CW
 
 
 def look_along(p_W_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float) -> F64:
@@ -346,12 +360,6 @@ def _renderer(name: str, store: GeometryStore) -> Renderer:
     return RasterRenderer(store)
 
 
-def _names(seat: int, actors: Sequence[ActorState], chairs: Sequence[ChairPose]) -> list[str]:
-    """Who is who in the instances of a shot: the actors, then the chairs but the seat's own."""
-    others = [chair_actor_id(chair.seat) for chair in chairs if chair.seat != seat]
-    return [actor.whole_id for actor in actors] + others
-
-
 def _new_buffers(camera: CameraConfig) -> tuple[Images, ...]:
     return tuple(new_images(camera.width_px, camera.height_px, camera.rgb) for _ in range(BUFFERS))
 
@@ -365,6 +373,16 @@ def _frame(name: str, taken_tick: int, images: Images) -> CameraFrame:
     if rgb is not None:
         rgb.setflags(write=False)
     return CameraFrame(name=name, taken_tick=taken_tick, depth_m=depth_m, class_id=class_id, rgb=rgb)
+
+
+def _last(shutter: _Shutter, buffers: SeatBuffers | None, index: int) -> CameraFrame:
+    """The last frame of a camera; in these buffers, if there are any."""
+    frame = shutter.last
+    if frame is None:
+        raise ValueError("a camera that took nothing has no last frame")
+    if buffers is not None and not np.may_share_memory(buffers.images[index].depth_m, frame.depth_m):
+        frame = shutter.last = copied(frame, buffers.images[index])
+    return frame
 
 
 def copied(frame: CameraFrame, own: Images) -> CameraFrame:

@@ -26,14 +26,5 @@ class SeatCameras(Sensor):
         self._rig.reset(self._seat)
 
     def look(self, scene: Surroundings) -> tuple[CameraFrame, ...]:
-        """See `CameraRig.shoot`."""
-        return self._rig.shoot(
-            self._seat,
-            scene.tick,
-            scene.plant,
-            scene.actors,
-            scene.chairs,
-            scene.buffers,
-            scene.signals,
-            scene.counted,
-        )
+        """See `CameraRig.frames`."""
+        return self._rig.frames(self._seat, scene)

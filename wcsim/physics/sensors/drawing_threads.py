@@ -1,0 +1,57 @@
+"""A few threads that draw pictures side by side: what is compiled lets the others run meanwhile."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, wait
+
+Work = Callable[[], object]
+
+
+class DrawingThreads:
+    """Does pieces of work that have nothing to do with each other; whoever asks does some of them itself."""
+
+    def __init__(self, threads: int) -> None:
+        """`threads` with that of whoever asks, at least 1; none is started before there is work for two."""
+        self._threads = threads
+        self._pool: ThreadPoolExecutor | None = None
+
+    def run(self, work: Iterable[Work]) -> None:
+        """Do all of it; back when it is done. Raises what a piece raised, once no other piece is at work."""
+        waiting = deque(work)
+        helpers = min(self._threads, len(waiting)) - 1
+        if helpers < 1:
+            return _work_off(waiting)
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="wcsim-draw")
+        helping = [self._pool.submit(_work_off, waiting) for _ in range(helpers)]
+        try:
+            _work_off(waiting)
+        finally:
+            waiting.clear()
+            begun = [helper for helper in helping if not helper.cancel()]
+            wait(begun)
+        for helper in begun:
+            helper.result()
+
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _work_off(waiting: deque[Work]) -> None:
+    while True:
+        try:
+            piece = waiting.popleft()
+        except IndexError:
+            return
+        piece()
