@@ -292,7 +292,7 @@ class World:
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
     def _load_tiles(self, places_W_m: F64) -> None:
-        self._loader.load(places_W_m, self._open.engine, self._open.tiles, self.stopwatch)
+        self._loader.load(places_W_m, self._open.street, self.stopwatch)
 
     def _read_actors(self) -> None:
         """See the actors near the chairs again, after a chair has moved to another place."""
