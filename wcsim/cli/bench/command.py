@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from wcsim.cli.bench import barrier, bridge, camera, chair, crashes, parallel, reaction, soak, tick, users
+from wcsim.cli.bench import barrier, bridge, camera, chair, crashes, memory, parallel, reaction, soak, tick, users
 from wcsim.cli.bench.barrier import BarrierOptions
 from wcsim.cli.bench.bridge import BridgeOptions
 from wcsim.cli.bench.camera import CameraOptions
 from wcsim.cli.bench.chair import ChairOptions
 from wcsim.cli.bench.crashes import CrashesOptions
+from wcsim.cli.bench.memory import MemoryOptions
 from wcsim.cli.bench.parallel import ParallelOptions
 from wcsim.cli.bench.reaction import ReactionOptions
 from wcsim.cli.bench.soak import SoakOptions
@@ -34,6 +35,7 @@ def run(words: list[str]) -> int:
         "barrier": (BarrierOptions, barrier.run),
         "parallel": (ParallelOptions, parallel.run),
         "soak": (SoakOptions, soak.run),
+        "memory": (MemoryOptions, memory.run),
     }
     name = subcommand(words, "bench", {name: options for name, (options, _) in known.items()})
     if not name:
