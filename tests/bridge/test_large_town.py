@@ -11,6 +11,8 @@ import pytest
 
 from tests.support.worlds import follow, open_world
 from tests.towns.made.big import make_big_town
+from wcsim.bridge import tile_loader
+from wcsim.bridge.recording.trace import state_hash
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.towns.ground.tiles import TILE_M
@@ -25,7 +27,7 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
     town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     with open_world(town) as world:
         follow(world)
-        near, everything = set(world._open.tiles), set(world.street.tiles.keys)
+        near, everything = set(world._open.street.keys), set(world.street.tiles.keys)
         assert 0 < len(near) < 0.6 * len(everything)
         here = world.snapshot.clients[0].plant.p_WB_m[:2]
         starts = [edge.points_W_m[0] for edge in world.street.walk.edges if edge.kind is WayKind.SIDEWALK]
@@ -34,7 +36,7 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
         assert far in everything - near
         world.put_chair(0, place, 0.0)
         follow(world)
-        assert far in world._open.tiles
+        assert far in world._open.street.keys
         assert abs(world.snapshot.clients[0].plant.p_WB_m[2] - 0.12) < 0.03  # it stands on the new tile's pavement
 
 
@@ -53,6 +55,30 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypa
         happened.clear()
         follow(world)
         assert happened == []  # what a tick could need was there
+
+
+def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(tile_loader, "MOST_TILES", 1)
+    monkeypatch.setattr(tile_loader, "ENGINE_KEEP_M", 40.0)
+    town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+    seen = []
+    for _ in range(2):
+        with open_world(town) as world:
+            ways = [edge.points_W_m for edge in world.street.walk.edges if edge.kind is WayKind.SIDEWALK]
+            middles = [0.5 * (way[0] + way[1]) for way in ways]
+            here = min(middles, key=lambda p_m: p_m.sum())
+            there = max(middles, key=lambda p_m: p_m.sum())
+            laid, visits = world._open.street, []
+            for place in (here, there, here, there, here):
+                world.put_chair(0, place, 0.0)
+                visits.append((_tile(here) in laid.keys, _tile(there) in laid.keys, len(laid.keys)))
+                for _ in range(3):
+                    snapshot = follow(world)
+                assert abs(snapshot.clients[0].plant.p_WB_m[2] - 0.12) < 0.03
+            assert [(a, b) for a, b, _ in visits[1:]] == [(False, True), (True, False)] * 2
+            assert visits[2] == visits[4] and visits[1] == visits[3]
+            seen.append((visits, state_hash(snapshot)))
+    assert seen[0] == seen[1]
 
 
 def _tile(p_W_m):

@@ -14,7 +14,10 @@ ROOT = Path(__file__).parents[2]
 NESTED = {
     "town": ("import", "list", "check", "pave", "run", "tour"),
     "scene": ("run", "list", "bless", "new"),
-    "bench": ("tick", "camera", "chair", "users", "crashes", "reaction", "bridge", "barrier", "parallel", "soak"),
+    "bench": (
+        *("tick", "camera", "chair", "users", "crashes", "reaction"),
+        *("bridge", "barrier", "parallel", "soak", "memory"),
+    ),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]
 COMMANDS = [(name,) for name in PLAIN] + [(name, word) for name, words in NESTED.items() for word in words]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from wcsim.bridge.mirror_check import MirrorCheck
 from wcsim.bridge.reacting_traffic import ReactingTraffic
@@ -12,7 +12,8 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.types import Ground, TileKey
+from wcsim.physics.street_bodies import StreetBodies
+from wcsim.types import Ground
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +25,7 @@ class Epoch:
     engine: Engine
     bodies: BodyPool
     check: MirrorCheck
-    tiles: set[TileKey] = field(default_factory=set)  # of the street, that the engine has
+    street: StreetBodies
 
 
 def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> Epoch:
@@ -38,4 +39,5 @@ def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -
         engine=engine,
         bodies=bodies,
         check=MirrorCheck(bodies),
+        street=StreetBodies(engine),
     )

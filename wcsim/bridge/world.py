@@ -303,7 +303,7 @@ class World(Closing):
         seat.look(self._sumo.time_s(), self._others(seat), self._open.traffic.signals)
 
     def _load_tiles(self, places_W_m: F64) -> None:
-        self._loader.load(places_W_m, self._open.engine, self._open.tiles, self.stopwatch)
+        self._loader.load(places_W_m, self._open.street, self.stopwatch)
 
     def _places(self) -> F64:
         """Where the chairs are, (n, 2)."""

@@ -17,6 +17,7 @@ BENCHES = {
     "barrier": "BarrierOptions",
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
+    "memory": "MemoryOptions",
 }
 """The benches, each a file here of that name with a `run(options)`, and its class of options."""
 

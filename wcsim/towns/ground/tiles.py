@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import zipfile
 import zlib
 from collections import OrderedDict
@@ -20,8 +21,12 @@ from wcsim.types.street import AROUND_M
 
 TILE_M = 3 * CHUNK_M
 RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
-_KEPT_RASTERS = 36  # 2.5 MB each; a chair and those around it stand on about four
-_RASTERS = ("height_cm", "ground_class", "clearance_dm")
+_RASTERS = ("height_cm", "ground_class", "clearance_dm")  # 0.85 MB each
+_HEIGHTS = _RASTERS[:1]
+_NONE: U8 = np.zeros((0, 0), np.uint8)
+_KEPT = 24  # rasters in memory, whatever is asked for; a chair and those around it ask for seven
+_MOST_KEPT = 108
+_FRESH_ASKS = 4_000  # what was asked for since stays, up to _MOST_KEPT: 6 chairs ask 80 times a tick, one 27 times
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 
 Packed = Mapping[str, np.ndarray]
@@ -75,12 +80,20 @@ class TileStore:
         self._first, self._last = (corners[0], corners[1]), (corners[2], corners[3])
         self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
         self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
-        self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()
+        self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()  # many with heights alone, the last used last
+        self._used: dict[TileKey, int] = {}  # the number of the ask that each was used for last
+        self._asks = 0
 
     @property
     def keys(self) -> tuple[TileKey, ...]:
         """See `StreetTiles`."""
         return self._keys
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory that the rasters take which are kept now."""
+        grids = self._kept.values()
+        return sum(grid.height_cm.nbytes + grid.ground_class.nbytes + grid.clearance_dm.nbytes for grid in grids)
 
     def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
         """See `StreetTiles`."""
@@ -95,11 +108,11 @@ class TileStore:
 
     def height_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, lambda grid, points: grid.height_at(points))
+        return self._ask(p_W_m, lambda grid, points: grid.height_at(points), _HEIGHTS)
 
     def raised_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, lambda grid, points: grid.raised_at(points))
+        return self._ask(p_W_m, lambda grid, points: grid.raised_at(points), _HEIGHTS)
 
     def clearance_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
@@ -112,7 +125,7 @@ class TileStore:
 
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
         """See `Ground`."""
-        return self._grid(x_W_m, y_W_m).height_here(x_W_m, y_W_m)
+        return self._grid(x_W_m, y_W_m, _HEIGHTS).height_here(x_W_m, y_W_m)
 
     def class_here(self, x_W_m: float, y_W_m: float) -> int:
         """See `Ground`."""
@@ -122,36 +135,51 @@ class TileStore:
         """See `Ground`."""
         return self._grid(float(p_W_m[0]), float(p_W_m[1]))
 
-    def _grid(self, x_W_m: float, y_W_m: float) -> StreetGrid:
+    def _grid(self, x_W_m: float, y_W_m: float, names: tuple[str, ...] = _RASTERS) -> StreetGrid:
         (west, south), (east, north) = self._first, self._last
         x, y = math.floor(x_W_m / RASTER_M), math.floor(y_W_m / RASTER_M)
-        return self._raster((min(max(x, west), east), min(max(y, south), north)))
+        return self._rasters((min(max(x, west), east), min(max(y, south), north)), names)
 
-    def _ask(self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray]) -> np.ndarray:
+    def _ask(
+        self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray], names: tuple[str, ...] = _RASTERS
+    ) -> np.ndarray:
         """The answer for points (..., 2 or 3), tile by tile; nearly always one tile holds them all."""
         if p_W_m.ndim == 1:
-            return question(self.around(p_W_m), p_W_m)
+            return question(self._grid(float(p_W_m[0]), float(p_W_m[1]), names), p_W_m)
         tiles = np.clip(np.floor(p_W_m[..., :2] / RASTER_M).astype(int), self._first, self._last).reshape(-1, 2)
         if not len(tiles):
-            return question(self._raster(self._first), p_W_m)
+            return question(self._rasters(self._first, names), p_W_m)
         if (tiles == tiles[0]).all():
-            return question(self._raster((int(tiles[0, 0]), int(tiles[0, 1]))), p_W_m)
+            return question(self._rasters((int(tiles[0, 0]), int(tiles[0, 1])), names), p_W_m)
         points = p_W_m.reshape(-1, p_W_m.shape[-1])
         found = np.empty(len(points))
         for x, y in np.unique(tiles, axis=0).tolist():
             mine = (tiles == (x, y)).all(axis=1)
-            found[mine] = question(self._raster((x, y)), points[mine])
+            found[mine] = question(self._rasters((x, y), names), points[mine])
         return found.reshape(p_W_m.shape[:-1])
 
-    def _raster(self, key: TileKey) -> StreetGrid:
+    def _rasters(self, key: TileKey, names: tuple[str, ...]) -> StreetGrid:
+        """A grid that has the rasters of these names, and maybe not the others."""
+        self._asks += 1
         grid = self._kept.get(key)
-        if grid is None:
-            grid = self._kept[key] = self._guarded(lambda: self._unpacked(key))
-            if len(self._kept) > _KEPT_RASTERS:
-                self._kept.popitem(last=False)
-        else:
-            self._kept.move_to_end(key)
+        missing = grid is None or (names is _RASTERS and grid.ground_class is _NONE)
+        if grid is None or missing:
+            grid = self._kept[key] = self._guarded(lambda: self._unpacked(key, names))
+        self._kept.move_to_end(key)
+        self._used[key] = self._asks
+        if missing:
+            self._forget()
         return grid
+
+    def _forget(self) -> None:
+        """Let rasters go that nobody has asked for in a while, and in any case what is too much."""
+        count = sum(1 if grid.ground_class is _NONE else len(_RASTERS) for grid in self._kept.values())
+        for key in list(self._kept):
+            fresh = self._used[key] > self._asks - _FRESH_ASKS
+            if count <= (_MOST_KEPT if fresh else _KEPT):
+                return
+            count -= 1 if self._kept.pop(key).ground_class is _NONE else len(_RASTERS)
+            del self._used[key]
 
     def _guarded(self, read: Callable[[], T]) -> T:
         try:
@@ -161,15 +189,26 @@ class TileStore:
                 f"the built street cannot be read any more ({error}); delete ~/.cache/wcsim and start again"
             ) from None
 
-    def _unpacked(self, key: TileKey) -> StreetGrid:
-        unpacker = zstandard.ZstdDecompressor()
+    def _unpacked(self, key: TileKey, names: tuple[str, ...]) -> StreetGrid:
         x0, y0, x1, y1 = _box(key)
         shape = (round((y1 - y0) / CELL_M), round((x1 - x0) / CELL_M))
-        rasters: dict[str, U8] = {}
-        for name in _RASTERS:
-            data = unpacker.decompress(self._packed[_name(key, name)].tobytes())
-            rasters[name] = np.frombuffer(data, np.uint8).reshape(shape)
+        rasters: dict[str, U8] = dict.fromkeys(_RASTERS, _NONE)
+        for name in names:
+            rasters[name] = _raster_of(self._packed[_name(key, name)], shape)
         return StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
+
+
+def _raster_of(packed: U8, shape: tuple[int, int]) -> U8:
+    """A raster of that shape, in pages of its own: they go back when it goes, where the heap would be left with a hole.
+
+    Raises ValueError for one of another size.
+    """
+    raster = np.frombuffer(mmap.mmap(-1, shape[0] * shape[1], mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
+    with zstandard.ZstdDecompressor().stream_reader(packed.tobytes()) as reader:
+        if reader.readinto(raster.data) != raster.size or reader.read(1):
+            raise ValueError(f"a raster is not of {shape} cells")
+    raster.flags.writeable = False
+    return raster.reshape(shape)
 
 
 def _name(key: TileKey, name: str) -> str:

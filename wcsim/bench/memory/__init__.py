@@ -1,0 +1,1 @@
+"""What a world that runs for long keeps in memory."""
