@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import follow, open_world
-from tests.towns.made.big import make_big_town
+from wcsim.bench.curve.grid_town import make_grid_town
 from wcsim.bridge import tile_loader
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.physics.engine import Engine
@@ -24,7 +24,7 @@ LIMIT_S, LIMIT_MB = 10.0, 1000.0
 
 
 def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
-    town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     with open_world(town) as world:
         follow(world)
         near, everything = set(world._open.street.keys), set(world.street.tiles.keys)
@@ -45,7 +45,7 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypa
     place, add_street = Wheelchair.place, Engine.add_street
     monkeypatch.setattr(Wheelchair, "place", lambda self, *at: happened.append(self.seat) or place(self, *at))
     monkeypatch.setattr(Engine, "add_street", lambda self, *mesh: happened.append("tile") or add_street(self, *mesh))
-    town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     with open_world(town, seats=2) as world:
         assert happened[0] == "tile" and happened[-2:] == [0, 1] and happened.count(0) == happened.count(1) == 1
         for begin in (lambda: world.respawn(1), lambda: world.put_chair(1, np.array((-250.0, -250.0)), 0.0)):
@@ -60,7 +60,7 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypa
 def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(tmp_path, monkeypatch):
     monkeypatch.setattr(tile_loader, "MOST_TILES", 1)
     monkeypatch.setattr(tile_loader, "ENGINE_KEEP_M", 40.0)
-    town = make_big_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     seen = []
     for _ in range(2):
         with open_world(town) as world:
@@ -107,7 +107,7 @@ with World(find_town(sys.argv[1]), load_run_config("quick"), (SeatSpec(),), 0) a
 @pytest.mark.proof
 @pytest.mark.timeout(1200)
 def test_first_tick_of_25_square_kilometres_with_5000_actors(tmp_path):
-    town = make_big_town(tmp_path / "big", blocks=26, vehicles=2600, people=2600)
+    town = make_grid_town(tmp_path / "big", blocks=26, vehicles=2600, people=2600)
     load_street(find_town(str(town)))  # built once, by whoever comes first
     measured = []
     for _ in range(2):  # the first one also tries the scenario out in a child

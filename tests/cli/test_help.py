@@ -16,7 +16,7 @@ NESTED = {
     "scene": ("run", "list", "bless", "new"),
     "bench": (
         *("tick", "camera", "chair", "users", "crashes", "reaction"),
-        *("bridge", "barrier", "parallel", "soak", "memory"),
+        *("bridge", "barrier", "parallel", "soak", "memory", "curve"),
     ),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]

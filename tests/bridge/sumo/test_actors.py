@@ -8,7 +8,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from tests.towns.made.big import make_big_town
+from wcsim.bench.curve.grid_town import make_grid_town
 from wcsim.bridge.sumo.actors import ActorReader
 from wcsim.core import frames
 from wcsim.types import F64
@@ -18,7 +18,7 @@ RADIUS_M = 40.0
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_big_town(tmp_path_factory.mktemp("reader") / "big", blocks=3, vehicles=120, people=160)
+    return make_grid_town(tmp_path_factory.mktemp("reader") / "big", blocks=3, vehicles=120, people=160)
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ BENCHES = {
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
     "memory": "MemoryOptions",
+    "curve": "CurveOptions",
 }
 """The benches, each a file here of that name with a `run(options)`, and its class of options."""
 
