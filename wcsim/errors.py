@@ -38,6 +38,11 @@
 A message says what was wrong, what was got, what was expected, and what to do.
 """
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class WcsimError(Exception):
     """Base of all errors that wcsim raises on purpose."""
@@ -181,3 +186,13 @@ class PolicyError(FileError):
 
 class InterruptedRunError(WcsimError):
     """Raised when the user stopped a run; everything done so far is saved and usable."""
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """For the end of an error: a question with the known word that is nearest, "" where none is near.
+
+    >>> meant("folow", ["follow", "stop"]), meant("xyz", ["follow"])
+    ("; did you mean 'follow'?", '')
+    """
+    found = difflib.get_close_matches(word[:80].lower(), list(known), n=1, cutoff=0.7)
+    return f"; did you mean {found[0]!r}?" if found else ""

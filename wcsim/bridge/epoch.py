@@ -31,7 +31,7 @@ class Epoch:
 def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> Epoch:
     """An epoch in which nothing has happened yet. Raises PhysicsError when PyBullet gives no engine."""
     attention = street_habits(config.world, seeding.derive(seed, "street"))
-    engine = Engine(config.world.tick_s / config.world.substeps)
+    engine = Engine(config.world.tick_s / config.world.usual_substeps)
     bodies = BodyPool(engine)
     return Epoch(
         attention=attention,

@@ -215,7 +215,7 @@ class World(Closing):
         """Fine physics steps for a tick in which a wheel meets a kerb, else the usual ones."""
         world, engine = self.config.world, self._open.engine
         fine = any(seat.meets_edge() for seat in self.seats)
-        step_s = world.tick_s / (world.finest_substeps if fine else world.substeps)
+        step_s = world.tick_s / (world.finest_substeps if fine else world.usual_substeps)
         if step_s != engine.step_s:
             engine.set_step(step_s)
             for seat in self._seating.present:

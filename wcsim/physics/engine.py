@@ -92,7 +92,7 @@ class Engine:
         PhysicsError: The step is out of bounds, or PyBullet gave no client.
     """
 
-    def __init__(self, step_s: float, solver_iterations: int = 30) -> None:
+    def __init__(self, step_s: float, solver_iterations: int = 50) -> None:
         _require_sane(step_s)
         if solver_iterations < 1:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")

@@ -9,7 +9,8 @@ import pytest
 from tests.support.samples import strip_street
 from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
-from wcsim.bench.users.estimates import HandLog, correction_s, fit_hand, pauses, switch_holds, tremor
+from wcsim.bench.users.estimates import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
+from wcsim.bench.users.hand_fit import fit_hand
 from wcsim.bench.users.table import RouteLog, meet, statistics
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
@@ -89,13 +90,14 @@ def test_a_hand_whose_clock_runs_wrong_is_noticed():
     assert fit_hand(log, 0.2).delay_s == pytest.approx(0.35 / 1.25, abs=0.03)
 
 
-def test_pauses_are_where_an_intent_stands_still_but_not_rest_or_backing_up():
+def test_pauses_are_where_an_intent_stands_still_but_not_rest_backing_up_or_turning():
     moving = np.c_[np.linspace(0.0, 0.5, 60), np.full(60, 0.8)]
     moving[20:30] = moving[20]
-    still = pauses(np.vstack([moving, np.zeros((50, 2)), np.tile([0.0, -0.5], (40, 1)) + 0.0]), TICK_S)
-    assert still.mean_s == pytest.approx(0.9)
-    assert still.share == pytest.approx(9 / 59, abs=0.005)
-    assert pauses(np.zeros((20, 2)), TICK_S).mean_s is None
+    rest, back = np.zeros((50, 2)), np.tile([0.0, -0.5], (40, 1))
+    turn = np.c_[np.linspace(0.6, 0.3, 20), np.zeros(20)]
+    assert pauses(np.vstack([moving, rest, back, turn])) == Pauses(still=9, driven=59, ended=1)
+    assert pauses(np.vstack([moving, moving[-1:], moving[-1:]])) == Pauses(still=11, driven=61, ended=1)
+    assert pauses(np.zeros((20, 2))) == Pauses(still=0, driven=0, ended=0)
 
 
 def test_corrections_are_counted_without_the_rests_between_them():

@@ -24,8 +24,9 @@ def empty_world(corner: Path, *overrides: str, seats: int = 3, seed: int = 2, ep
 
 
 def bodies(world: World) -> int:
-    """Bodies of PyBullet that are no pooled actors."""
-    return int(pybullet.getNumBodies(physicsClientId=world._open.engine.client)) - world._open.bodies.made
+    """Bodies of PyBullet that are neither pooled actors nor the street."""
+    street = sum(len(pieces) for pieces in world._open.street._pieces.values())
+    return int(pybullet.getNumBodies(physicsClientId=world._open.engine.client)) - world._open.bodies.made - street
 
 
 def present(world: World) -> list[int]:

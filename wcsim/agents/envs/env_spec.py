@@ -17,9 +17,8 @@ import numpy as np
 
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config
-from wcsim.core.nearest_names import meant
 from wcsim.core.reading import MAX_INTEGER, shown_value
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, meant
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space

@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 import sys
 
-from wcsim.core.nearest_names import meant
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import shown
-from wcsim.errors import PolicyError
+from wcsim.errors import PolicyError, meant
 
 MOST_LETTERS = 56  # so that a number fits behind it
 

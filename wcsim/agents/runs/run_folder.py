@@ -28,10 +28,9 @@ from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
-from wcsim.core.nearest_names import meant
 from wcsim.core.reading import FileKind, is_file, is_folder, shown
 from wcsim.core.reading import read_json as read_bounded_json
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import ConfigError, PolicyError, meant
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 

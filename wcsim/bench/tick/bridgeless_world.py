@@ -72,7 +72,7 @@ class Twin(World):
     def _drive(self, commands: Sequence[Command]) -> None:
         for seat, command in zip(self.seats, commands, strict=True):
             seat.command(command.joystick)
-        for _ in range(self.config.world.substeps):
+        for _ in range(self.config.world.usual_substeps):
             for seat in self.seats:
                 seat.chair.before_step()
             start_s = time.thread_time()

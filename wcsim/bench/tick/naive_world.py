@@ -48,7 +48,7 @@ class NaiveWorld:
         for _ in range(chairs):
             (x, y), yaw_rad = router.random_start(rng)
             starts.append((np.array([x, y, street.grid.height_at(np.array([x, y]))]), yaw_rad))
-        self.loop = NaiveLoop(street.mesh, config.cameras[0], starts, config.world.substeps, config.world.tick_s)
+        self.loop = NaiveLoop(street.mesh, config.cameras[0], starts, config.world.usual_substeps, config.world.tick_s)
 
     def tick(self) -> tuple[float, ...]:
         """Wall and processor seconds of the tick, and the number of actors."""

@@ -123,8 +123,8 @@ def drive_routes(
     Args:
         town: Where.
         config: Its demand is that of the traffic.
-        names: Profiles.
-        routes: For each of them.
+        names: Profiles, one for each chair; a name may come several times.
+        routes: For each chair.
         longest_s: A route is cut after this time.
         seed: Of the world.
         truth: Whether steps without danger are counted, which costs time.
@@ -153,7 +153,10 @@ def drive_routes(
                 if outcome != "crashed":  # after a crash the next episode has begun already
                     world.respawn(client.seat)
                 watch.begin()
-    return {name: watch.routes for name, watch in zip(names, watches, strict=True)}
+    found: dict[str, list[DrivenRoute]] = {name: [] for name in names}
+    for name, watch in zip(names, watches, strict=True):
+        found[name] += watch.routes
+    return found
 
 
 def _told(route: DrivenRoute) -> str:

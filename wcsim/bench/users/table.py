@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.bench.users.estimates import HandFit, HandLog, Tremor, correction_s, fit_hand, pauses, switch_holds, tremor
+from wcsim.bench.users.estimates import HandLog, Tremor, correction_s, pauses, switch_holds, tremor
+from wcsim.bench.users.hand_fit import HandFit, fit_hand
 from wcsim.core.frames import rad, wrap
 from wcsim.types import F64, ActorKind, UserView
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
@@ -99,10 +100,13 @@ def _of_responses(fits: Sequence[HandFit], users: Sequence[UserProfile]) -> dict
     both = list(zip(fits, users, strict=True))
     _add(rows, "reaction_s", "s", ((fit.delay_s, user.reaction_s) for fit, user in both))
     _add(rows, "lag_s", "s", ((fit.lag_s, user.lag_s) for fit, user in both))
+    # A route on which the wish hardly moves says little of gain and bias: each counts for what it is certain of.
+    certain = [[max(fit.gain_sd[axis], 1e-6) ** -2 for fit in fits] for axis in range(2)]
     for axis, name in enumerate("xy"):
-        _add(rows, f"gain_{name}", "", ((fit.gain[axis], user.gain[axis]) for fit, user in both))
+        gains = ((fit.gain[axis], user.gain[axis]) for fit, user in both)
+        _add(rows, f"gain_{name}", "", gains, certain[axis])
     for axis, name in enumerate("xy"):
-        _add(rows, f"bias_{name}", "", ((fit.bias[axis], user.bias[axis]) for fit, user in both))
+        _add(rows, f"bias_{name}", "", ((fit.bias[axis], user.bias[axis]) for fit, user in both), certain[axis])
     return rows
 
 
@@ -160,26 +164,42 @@ def _of_noticing(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
 
 
 def _of_looks_away(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
-    """Looks elsewhere: their share of all time, long routes counting for more, and how long one takes."""
+    """Looks elsewhere: their share of the time driven forward, and how long one takes, over all routes together."""
     rows: dict[str, Statistic] = {}
-    if logs and logs[0].profile.away_share > 0.0:
-        found = [pauses(log.hand.intents, log.tick_s) for log in logs]
-        weights = [len(log.speed_mps) for log in logs]
-        measured = float(np.average([pause.share for pause in found], weights=weights))
-        expected = float(np.average([log.profile.away_share for log in logs], weights=weights))
-        rows["away_share"] = Statistic(measured=measured, parameter=expected, unit="", routes=len(logs))
-        lengths = ((pause.mean_s, log.profile.away_s) for pause, log in zip(found, logs, strict=True))
-        _add(rows, "away_s", "s", lengths)
+    if not logs or logs[0].profile.away_share <= 0.0:
+        return rows
+    found = [pauses(log.hand.intents) for log in logs]
+    driven, ended = [pause.driven for pause in found], [pause.ended for pause in found]
+    still = sum(pause.still for pause in found)
+    if sum(driven):
+        expected = float(np.average([log.profile.away_share for log in logs], weights=driven))
+        used = sum(ticks > 0 for ticks in driven)
+        rows["away_share"] = Statistic(measured=still / sum(driven), parameter=expected, unit="", routes=used)
+    if sum(ended):
+        # All their time over how many ended: one that the route's end cut off counts for what was seen.
+        expected = float(np.average([log.profile.away_s for log in logs], weights=ended))
+        used = sum(count > 0 for count in ended)
+        seconds = logs[0].tick_s * still / sum(ended)
+        rows["away_s"] = Statistic(measured=seconds, parameter=expected, unit="s", routes=used)
     return rows
 
 
 def _add(
-    rows: dict[str, Statistic], name: str, unit: str, measured_and_said: Iterable[tuple[float | None, float]]
+    rows: dict[str, Statistic],
+    name: str,
+    unit: str,
+    measured_and_said: Iterable[tuple[float | None, float]],
+    weights: Sequence[float] | None = None,
 ) -> None:
     """Add the means over the routes in which there was something to measure; nothing where there was no such route."""
-    known = [(got, said) for got, said in measured_and_said if got is not None]
+    known = [
+        (got, said, 1.0 if weights is None else weights[number])
+        for number, (got, said) in enumerate(measured_and_said)
+        if got is not None
+    ]
     if known:
-        measured, parameter = (float(np.mean(values)) for values in zip(*known, strict=True))
+        got, said, weight = (np.array(values) for values in zip(*known, strict=True))
+        measured, parameter = (float(np.average(values, weights=weight)) for values in (got, said))
         rows[name] = Statistic(measured=measured, parameter=parameter, unit=unit, routes=len(known))
 
 

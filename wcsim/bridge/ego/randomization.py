@@ -52,7 +52,7 @@ class Randomization:
         self._vary, self._cameras, self._sensors, self._seat = config.vary, config.cameras, config.sensors, seat
         if not self._vary.nothing:
             self._spec = plant_spec(config.chair)
-            self._step_s = config.world.tick_s / config.world.substeps
+            self._step_s = config.world.tick_s / config.world.usual_substeps
             _check_names(self._vary)
             _check_plants(self._vary, self._spec, self._step_s)
             _check_cameras(self._vary, self._cameras, self._spec)

@@ -62,7 +62,9 @@ def run(options: UsersOptions) -> int:
     names = tuple(profile(name).name for name in some_words("--profiles", options.profiles))
     towns = tuple(find_town(name) for name in some_words("--towns", options.towns))
     config = load_run_config("quick", (*TINY_CAMERA, *options.set))
-    driven = _drive(options, towns, config, names, options.seconds)
+    # A seed of its own for each town: with one for all, the same few users would be drawn in each again.
+    seeds = range(options.seed, options.seed + len(towns))
+    driven = _drive(options, towns, config, names, options.seconds, seeds)
     rows = {name: _statistics(routes) for name, routes in driven.items()}
     console = Console()
     console.print(_table(rows))
@@ -87,6 +89,7 @@ def _drive(
     config: RunConfig,
     names: Sequence[str],
     longest_s: float,
+    seeds: Sequence[int],
     truth: bool = False,
 ) -> dict[str, list[DrivenRoute]]:
     """All routes by profile, shared out among the towns."""
@@ -99,7 +102,7 @@ def _drive(
         if not share:
             continue
         driven = drive_routes(
-            town, config, names, share, longest_s, options.seed, truth, lambda text: console.print(text, style="dim")
+            town, config, names, share, longest_s, seeds[number], truth, lambda text: console.print(text, style="dim")
         )
         for name, routes in driven.items():
             found[name] += routes
@@ -117,7 +120,8 @@ def _arrivals(options: UsersOptions, towns: Sequence[Town], config: RunConfig) -
     empty = config.model_copy(update={"world": config.world.model_copy(update={"demand_scale": 0.0})})
     result: dict[str, Any] = {}
     for title, name, settings in (("empty_town", "competent", empty), ("traffic", "inattentive", config)):
-        driven = _drive(options, towns, settings, (name,), LONGEST_S, truth=True)
+        seeds = [options.seed] * len(towns)
+        driven = _drive(options, towns, settings, (name,), LONGEST_S, seeds, truth=True)
         result[title] = {name: summary(driven[name])}
     return result
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wcsim.config import TownFile, parse
-from wcsim.core.nearest_names import meant
 from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
-from wcsim.errors import ConfigError, TownError
+from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.border import require_file, require_inside
 from wcsim.towns.scenario.options import Configuration, read_configuration
 from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
