@@ -36,7 +36,7 @@ def struck(yaw: float, aside_m: float, gap_m: float, speed=8.0, size=(4.5, 1.8, 
             car = actor("v:car", speed * 0.1 * tick - 0.5 * size[0] - gap_m, aside_m, 0.0, kind, size)
             pool.place([BodyMove(actor=car, v_W_mps=np.array([speed, 0.0, 0.0]), yaw_rate_radps=0.0, dt_s=0.1)])
             r.chair.command(NEUTRAL)
-            for _ in range(24):
+            for _ in range(round(0.1 / r.engine.step_s)):
                 r.chair.before_step()
                 r.engine.step()
                 r.chair.after_step()
@@ -72,7 +72,7 @@ def test_driving_into_a_standing_person_stops_the_chair_but_not_like_a_wall():
                 pool.place([still(one)])
                 r.chair.command(FORWARD if not seen else NEUTRAL)
                 before = float(r.chair.state().v_B_mps[0])
-                for _ in range(24):
+                for _ in range(round(0.1 / r.engine.step_s)):
                     r.chair.before_step()
                     r.engine.step()
                     r.chair.after_step()
@@ -99,7 +99,7 @@ def test_a_person_who_walks_into_the_chair_moves_it_and_does_not_pass_through():
         for tick in range(14):
             one = actor("p", 0.14 * tick - 2.0, 0.0, kind=ActorKind.PEDESTRIAN, size=PERSON)
             pool.place([BodyMove(actor=one, v_W_mps=np.array([1.4, 0.0, 0.0]), yaw_rate_radps=0.0)])
-            for _ in range(24):
+            for _ in range(round(0.1 / r.engine.step_s)):
                 r.chair.before_step()
                 r.engine.step()
                 r.chair.after_step()

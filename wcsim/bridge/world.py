@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from wcsim.bridge import mirror
+from wcsim.bridge.ego.contact_ahead import meets_body
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
 from wcsim.bridge.epoch import Epoch, new_epoch
@@ -177,8 +178,8 @@ class World(Closing):
         with self.stopwatch.measure("read"):
             near = traffic.read(places_W_m)
         with self.stopwatch.measure("mirror"):
-            self._choose_step()
             traffic.move(near, places_W_m)
+            self._choose_step()
             self._open.bodies.place(mirror.moves(traffic.before, traffic.actors, self.config.world.tick_s))
         self._load_tiles(places_W_m)
 
@@ -212,9 +213,11 @@ class World(Closing):
     # --- what they need ---
 
     def _choose_step(self) -> None:
-        """Fine physics steps for a tick in which a wheel meets a kerb, else the usual ones."""
-        world, engine = self.config.world, self._open.engine
+        """Fine physics steps for a tick in which a wheel meets a kerb or somebody a chair, else the usual ones."""
+        world, engine, traffic = self.config.world, self._open.engine, self._open.traffic
+        chairs = [seat.as_actor() for seat in self.seats]
         fine = any(seat.meets_edge() for seat in self.seats)
+        fine = fine or meets_body(chairs, traffic.before, traffic.actors, world.tick_s)
         step_s = world.tick_s / (world.finest_substeps if fine else world.usual_substeps)
         if step_s != engine.step_s:
             engine.set_step(step_s)

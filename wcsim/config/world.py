@@ -14,15 +14,15 @@ STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.
 """Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
 
 
-_USUAL_HZ, _KERB_HZ = 120.0, 240.0
+_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
 class WorldConfig(Model):
     """Clocks, mirror and street reaction."""
 
     tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
-    substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics in a tick; None: 120 a second
-    kerb_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where a wheel meets an edge; None: 240 a second
+    substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics, in a tick; None: 120 a second
+    contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where something is met; None: 240
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
@@ -45,7 +45,7 @@ class WorldConfig(Model):
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
-        for name, substeps in (("substeps", self.usual_substeps), ("kerb_substeps", self.finest_substeps)):
+        for name, substeps in (("substeps", self.usual_substeps), ("contact_substeps", self.finest_substeps)):
             substep_s = self.tick_s / substeps
             if not 1 / 1000 <= substep_s <= 1 / 100:
                 raise ValueError(
@@ -62,7 +62,7 @@ class WorldConfig(Model):
     @property
     def finest_substeps(self) -> int:
         """Steps in a tick in which a wheel is about to meet an edge; never fewer than in the others."""
-        fine = _steps(self.tick_s, _KERB_HZ) if self.kerb_substeps is None else self.kerb_substeps
+        fine = _steps(self.tick_s, _CONTACT_HZ) if self.contact_substeps is None else self.contact_substeps
         return max(self.usual_substeps, fine)
 
 

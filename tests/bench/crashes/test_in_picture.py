@@ -39,7 +39,7 @@ def shows(points, chair, actors=(), camera=CAMERA, more_m=0.0):
     return in_picture(points, sight(chair, actors, camera), pinhole(camera), more_m)
 
 
-def test_a_kerb_ahead_is_in_the_picture_and_one_behind_is_not():
+def test_a_contact_ahead_is_in_the_picture_and_one_behind_is_not():
     touched = street_points(STREET, "kerb", plant(10.0, 3.3, 90.0), OUTLINE)
     assert touched.name == "KERB"
     assert np.allclose(touched.points_W_m[:, 1], 4.0) and (touched.points_W_m[:, 2] <= 0.121).all()

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wcsim.bridge.ego.contact_ahead import meets_edge
 from wcsim.bridge.ego.crossing_button import CrossingButton
 from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
-from wcsim.bridge.ego.kerb_ahead import meets_edge
 from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, is_clear, require_in_town

@@ -1,16 +1,17 @@
-"""Whether a wheel is about to meet an edge, and that a chair then feels the kerb as it does with fine steps."""
+"""Whether a wheel is about to meet an edge or somebody a chair, and that a kerb then feels as with fine steps."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.bridge.ego.test_kerb_drop import KERB_X_M, raster, step_grid
-from tests.physics.rig import FORWARD, rig, step_street
-from wcsim.bridge.ego.kerb_ahead import SLOWER_MPS, meets_edge
+from tests.physics.rig import FORWARD, actor, rig, step_street
+from wcsim.bridge.ego.contact_ahead import SLOWER_MPS, meets_body, meets_edge
 from wcsim.config import ChairConfig
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.types import PlantState
+from wcsim.types import ActorKind, PlantState
 
 TICK_S = 0.1
 WHEELS_M = plant_spec(ChairConfig()).wheels_m()
@@ -85,3 +86,35 @@ def test_a_kerb_feels_as_with_fine_steps_throughout():
     fine, coarse = felt(240, chooses=False), felt(120, chooses=False)
     assert felt(120, chooses=True) == pytest.approx(fine, rel=0.12)
     assert coarse < 0.85 * fine  # or the fine steps would be for nothing
+
+
+CHAIR = actor("w:0", 0.0, 0.0, size=(1.1, 0.65, 1.3))
+
+
+def comes(x_m, y_m, speed_mps, yaw_rad=0.0, known=True) -> bool:
+    """Whether a car that ends the tick there may touch the chair at the origin on its way."""
+    ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+    car = replace(actor("v:car", x_m, y_m, yaw_rad), v_W_mps=speed_mps * ahead)
+    before = {car.id: replace(car, p_W_m=car.p_W_m - TICK_S * car.v_W_mps)} if known else {}
+    return meets_body([actor("w:1", 90.0, 0.0), CHAIR], before, [actor("v:far", 50.0, 0.0), car], TICK_S)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("speed_mps", [0.0, 8.0, 14.0])
+def test_a_car_that_gets_to_the_chair_in_the_tick_is_met_one_that_passes_is_not(speed_mps, known):
+    touches_m = -0.5 * (4.5 + 1.1)
+    assert comes(touches_m, 0.0, speed_mps, known=known)
+    assert not comes(touches_m - 0.25, 0.0, speed_mps, known=known)
+    assert not comes(0.0, 0.5 * (1.8 + 0.65) + 0.15, speed_mps, known=known)
+    assert comes(0.0, 0.5 * (1.8 + 0.65) + 0.05, speed_mps, known=known)
+
+
+def test_a_car_that_has_gone_through_the_chair_by_the_end_of_the_tick_was_met():
+    assert comes(0.5 * (4.5 + 1.1) + 1.0, 0.0, 14.0)
+    assert not comes(0.5 * (4.5 + 1.1) + 2.0, 0.0, 14.0)
+
+
+def test_a_chair_that_drives_gets_farther():
+    person = actor("p:one", 1.0, 0.0, kind=ActorKind.PEDESTRIAN, size=(0.4, 0.4, 1.7))
+    assert not meets_body([CHAIR], {}, [person], TICK_S)
+    assert meets_body([replace(CHAIR, v_W_mps=np.array([1.67, 0.0, 0.0]))], {}, [person], TICK_S)
