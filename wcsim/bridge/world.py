@@ -7,7 +7,7 @@ them one tick late); bodies, sensors and pictures all show tick n + 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -31,6 +31,7 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.drawing_threads import nothing
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
@@ -202,7 +203,7 @@ class World(Closing):
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
-        scenes = self._shoot(self.seats, out, first=False)
+        scenes = self._shoot(self.seats, out, first=False, meanwhile=self._users_look)
         clients = tuple(self._client(seat, scenes[seat.index]) for seat in self.seats)
         over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
         ended = tuple(seat for seat in self.seats if seat.index in over)
@@ -268,20 +269,26 @@ class World(Closing):
             self._open.traffic.look_again(self._places())
         for seat in seats:
             self._look_around(seat)
-        scenes = self._shoot(seats, out, first=True)
+        scenes = self._shoot(seats, out, first=True, meanwhile=nothing)
         return tuple(self._seen(seat, scenes[seat.index], first=True) for seat in seats)
 
     def _client(self, seat: Ego, scene: Surroundings) -> ClientSnapshot:
         """The seat after a tick; a user who arrived or gave up gets the next destination."""
-        with self.stopwatch.measure("user"):
-            self._look_around(seat)
         client = self._seen(seat, scene, first=False)
         if client.events.arrived or client.events.gave_up:
             seat.next_destination()
         return client
 
-    def _shoot(self, seats: Sequence[Ego], out: ImageSink | None, first: bool) -> dict[int, Surroundings]:
-        """Take the pictures of all these seats together; what each sees, by seat."""
+    def _users_look(self) -> None:
+        """All users see what is around now."""
+        with self.stopwatch.measure("user"):
+            for seat in self.seats:
+                self._look_around(seat)
+
+    def _shoot(
+        self, seats: Sequence[Ego], out: ImageSink | None, first: bool, meanwhile: Callable[[], object]
+    ) -> dict[int, Surroundings]:
+        """Take the pictures of all these seats together, and do something else meanwhile; what each sees, by seat."""
         if not seats:
             return {}
         traffic = self._open.traffic
@@ -291,7 +298,7 @@ class World(Closing):
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
                 scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            self._rig.shoot_all(scenes)
+            self._rig.shoot_all(scenes, meanwhile)
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:

@@ -56,3 +56,30 @@ def test_one_thread_starts_none_and_there_is_a_core():
     pool.run([lambda: None] * 5)
     assert not named() and cores() >= 1
     pool.close()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_meanwhile_is_done_once_by_whoever_asks_and_its_error_waits_for_the_others(threads):
+    pool, done, began = DrawingThreads(threads), [], []
+    pool.run([lambda: done.append("piece")] * 3, lambda: done.append(threading.current_thread()))
+    assert done.count("piece") == 3 and done.count(threading.current_thread()) == 1
+
+    def fails():
+        raise ValueError("meanwhile")
+
+    def slow():
+        began.append(1)
+        time.sleep(0.02)
+        began.pop()
+
+    with pytest.raises(ValueError, match="meanwhile"):
+        pool.run([slow] * 3, fails)
+    assert not began
+    pool.close()
+
+
+def test_others_draw_while_whoever_asks_does_something_else():
+    both = threading.Barrier(2, timeout=20.0)
+    pool = DrawingThreads(2)
+    pool.run([both.wait, lambda: None], both.wait)
+    pool.close()

@@ -10,6 +10,10 @@ from concurrent.futures import ThreadPoolExecutor, wait
 Work = Callable[[], object]
 
 
+def nothing() -> None:
+    """What there is to do meanwhile unless somebody says so."""
+
+
 class DrawingThreads:
     """Does pieces of work that have nothing to do with each other; whoever asks does some of them itself."""
 
@@ -18,16 +22,21 @@ class DrawingThreads:
         self._threads = threads
         self._pool: ThreadPoolExecutor | None = None
 
-    def run(self, work: Iterable[Work]) -> None:
-        """Do all of it; back when it is done. Raises what a piece raised, once no other piece is at work."""
+    def run(self, work: Iterable[Work], meanwhile: Work = nothing) -> None:
+        """Do all of it, and `meanwhile` in the thread of whoever asks; back when all is done.
+
+        Raises what a piece raised, once no other piece is at work.
+        """
         waiting = deque(work)
         helpers = min(self._threads, len(waiting)) - 1
         if helpers < 1:
+            meanwhile()
             return _work_off(waiting)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="wcsim-draw")
         helping = [self._pool.submit(_work_off, waiting) for _ in range(helpers)]
         try:
+            meanwhile()
             _work_off(waiting)
         finally:
             waiting.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
@@ -43,8 +44,8 @@ class WheelTrack:
         """Forget everything: the chair is put to another place."""
         self._steps = self._count = 0
 
-    def after_step(self, speed_mps: float) -> None:
-        """Count a physics step, after which the chair goes over the ground at this speed."""
+    def after_step(self, v_W_mps: tuple[float, float, float]) -> None:
+        """Count a physics step, after which the chair moves at this velocity."""
         self._steps += 1
         if self._steps % self._every:
             return
@@ -53,7 +54,7 @@ class WheelTrack:
         at = self._count % self._kept
         for row in (at, at + self._kept):
             self._p_W_m[row] = places_W_m
-            self._speed_mps[row] = speed_mps
+            self._speed_mps[row] = math.hypot(v_W_mps[0], v_W_mps[1])
         self._count += 1
 
     def samples(self) -> tuple[F64, F64]:

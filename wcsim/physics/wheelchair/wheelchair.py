@@ -227,7 +227,7 @@ class Wheelchair:
         self._read()
         wheel_rad = (self._joints[0][0], self._joints[1][0])
         self.sensors.sample(BodyMotion(self._rotation, self._v_W_mps, self._w_W_radps, wheel_rad))
-        self._track.after_step(math.hypot(*self._v_W_mps[:2]))
+        self._track.after_step(self._v_W_mps)
         for point in touches:
             self._touch(point)
 
