@@ -51,3 +51,11 @@ def test_what_must_not_be_loaded_is_what_a_world_loads() -> None:
         f"import sys, wcsim.server.host.made_world; print([n for n in {LIBRARIES + MODULES} if n not in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_a_world_loads_nothing_that_only_builds_streets() -> None:
+    code = (
+        "import sys, wcsim.server.host.made_world; "
+        "print([n for n in ('cv2', 'rasterio', 'wcsim.towns.build_street') if n in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

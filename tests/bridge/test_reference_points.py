@@ -8,7 +8,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from tests.bridge.menagerie import build_street, mirror_loop
+from tests.support.menagerie import build_street, mirror_loop
 from wcsim.core import frames
 
 

@@ -6,16 +6,10 @@ import hashlib
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-
-import cv2
-import networkx
-import numba
-import numpy as np
-import shapely
-import zstandard
+from importlib.metadata import version
+from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
-from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.folder import shown_cache
 from wcsim.towns.cache.street_cache import cached_street
 from wcsim.towns.ground.tiles import Packed
@@ -24,8 +18,18 @@ from wcsim.types import Street
 
 log = logging.getLogger("wcsim.towns")
 
-LIBRARIES = (cv2, networkx, numba, np, shapely, zstandard)
-_BUILDER = build_street.__module__
+LIBRARIES = MappingProxyType(
+    {
+        "cv2": "opencv-python-headless",
+        "networkx": "networkx",
+        "numba": "numba",
+        "numpy": "numpy",
+        "shapely": "shapely",
+        "zstandard": "zstandard",
+    }
+)
+"""What a street is made with: modules, and the distributions they come from."""
+_BUILDER = "wcsim.towns.build_street"
 
 
 def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Street:
@@ -41,6 +45,8 @@ def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Stree
     """
 
     def built() -> Packed:
+        from wcsim.towns.build_street import build_street  # heavy, and not needed where the street is there
+
         say(f"building the street of {town.name}, up to a minute; it is done once, and kept in {shown_cache()}")
         return build_street(town)
 
@@ -57,8 +63,8 @@ def street_key(town: Town) -> str:
 
 def _maker_digest() -> str:
     """SHA-256 over the code that makes a street, by source text, and the versions of the libraries that it uses."""
-    versions = " ".join(str(library.__version__) for library in LIBRARIES)
-    digest = hashlib.sha256(f"{versions} {shapely.geos_version_string}".encode())
+    versions = " ".join(version(distribution) for distribution in LIBRARIES.values())
+    digest = hashlib.sha256(versions.encode())
     for path in sources_of(_BUILDER):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.support.samples import straight_route, strip_street
-from wcsim.bridge.ego.street_obstacles import ObstacleWatch
+from wcsim.bridge.ego.street_obstacles import ObstacleWatch, label_pieces
 from wcsim.types import F64, StreetGrid
 
 ROUTE = straight_route(5.5)
@@ -50,3 +51,13 @@ def test_two_things_have_two_numbers():
 def test_what_stands_beside_the_way_is_left_out():
     assert all(not len(frame) for frame in seen_on_the_way(with_boxes((20.0, 6.3, 25.0, 6.8))))
     assert all(not len(frame) for frame in seen_on_the_way(with_boxes()))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.95])
+def test_pieces_are_those_of_opencv_in_its_order(share):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        solid = rng.random(tuple(rng.integers(1, 60, 2))) < share
+        labels = np.zeros(solid.shape, np.int32)
+        count, expected = cv2.connectedComponents(solid.astype(np.uint8))
+        assert label_pieces(solid, labels) == count and (labels == expected).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import libsumo
 import pytest
 
-from tests.bridge.menagerie import MirrorLoop, build_street, ids_in_street, mirror_loop
+from tests.support.menagerie import MirrorLoop, build_street, ids_in_street, mirror_loop
 from wcsim.types import ActorKind
 
 TYPES = """

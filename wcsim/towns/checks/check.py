@@ -18,8 +18,8 @@ from wcsim.towns.checks.cures import FOR_ROUTES, own_time
 from wcsim.towns.checks.faults import Findings, faults_of, notes_of, projection_faults
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane import length_of
-from wcsim.towns.ground.raster import CELL_M
 from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.ground.tiles import CELL_M
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.stage import require_files

@@ -7,7 +7,8 @@ from collections import defaultdict
 import numpy as np
 
 from wcsim.towns.ground.solid_shapes import Solid, joined
-from wcsim.towns.ground.triangulation import CELL_M, GroundMesh
+from wcsim.towns.ground.tiles import CHUNK_M
+from wcsim.towns.ground.triangulation import GroundMesh
 from wcsim.types import F64, I32, Relief, StreetMesh
 from wcsim.types.street import FLAT
 
@@ -48,6 +49,6 @@ def _indexed(triangles: F64, classes: np.ndarray) -> Solid:
 def _by_cell(pieces: list[Solid]) -> list[Solid]:
     groups: dict[tuple[int, int], list[Solid]] = defaultdict(list)
     for piece in pieces:
-        x, y = np.floor(piece.vertices_W_m[:, :2].mean(axis=0) / CELL_M)
+        x, y = np.floor(piece.vertices_W_m[:, :2].mean(axis=0) / CHUNK_M)
         groups[int(x), int(y)].append(piece)
     return [joined(groups[cell]) for cell in sorted(groups)]

@@ -10,15 +10,14 @@ import shapely
 from shapely import Polygon
 
 from wcsim.core.jit import exact_kernel
+from wcsim.towns.ground.tiles import CELL_M, Box
 from wcsim.towns.ground.triangulation import GroundMesh
 from wcsim.types import F64, U8, ClassId, Relief, StreetGrid
 
-CELL_M = 0.1
 _FAR_DM = 255
 _LOOK_M = 26.0  # solid things so far outside a piece still count for its clearances, which end at 25.5 m
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
-Box = tuple[float, float, float, float]
 
 
 class GridMaker:

@@ -8,17 +8,20 @@ import zipfile
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import zstandard
 
 from wcsim.errors import TownError
-from wcsim.towns.ground.raster import CELL_M, Box, GridMaker
-from wcsim.towns.ground.triangulation import CELL_M as CHUNK_M
 from wcsim.types import F64, U8, Relief, StreetGrid, StreetMesh, TileKey
 from wcsim.types.street import AROUND_M
 
+if TYPE_CHECKING:  # what makes streets is heavy, and no world needs it where a street is built
+    from wcsim.towns.ground.raster import GridMaker
+
+CELL_M = 0.1  # of the rasters
+CHUNK_M = 40.0  # side of the mesh's chunks
 TILE_M = 3 * CHUNK_M
 RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
 _RASTERS = ("height_cm", "ground_class", "clearance_dm")  # 0.85 MB each
@@ -29,6 +32,7 @@ _MOST_KEPT = 108
 _FRESH_ASKS = 4_000  # what was asked for since stays, up to _MOST_KEPT: 6 chairs ask 80 times a tick, one 27 times
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 
+Box = tuple[float, float, float, float]  # west, south, east, north
 Packed = Mapping[str, np.ndarray]
 T = TypeVar("T")
 

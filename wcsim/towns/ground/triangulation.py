@@ -17,11 +17,11 @@ from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing
 from wcsim.towns.ground.plane import cross_z
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
 from wcsim.towns.ground.tiled_geometry import WHOLE_M, Patches, buffered
+from wcsim.towns.ground.tiles import CHUNK_M
 from wcsim.types import F64, I32, U8, Bool, ClassId, Relief
 from wcsim.types.street import FLAT
 
-CELL_M = 40.0  # side of a chunk
-BLOCK_M = 5 * CELL_M  # of a large town that is cut at a time
+BLOCK_M = 5 * CHUNK_M  # of a large town that is cut at a time
 BESIDE_M = 2.0
 THIN_M = 0.06  # points are dropped whose triangle with their neighbours is smaller than half of this squared
 LOW_CLASSES = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)  # at the height of the road
@@ -56,7 +56,7 @@ def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) ->
         faces=indices,
         face_class=face_class,
         low=low,
-        cell=np.floor(middle_m / CELL_M).astype(np.int32),
+        cell=np.floor(middle_m / CHUNK_M).astype(np.int32),
     )
 
 
@@ -115,7 +115,7 @@ def _between(lines: list[BaseGeometry]) -> np.ndarray:
 
 def _chunk_borders(hull: BaseGeometry) -> BaseGeometry:
     x0, y0, x1, y1 = hull.bounds
-    xs, ys = (np.arange(np.ceil(a / CELL_M), np.floor(b / CELL_M) + 1) * CELL_M for a, b in ((x0, x1), (y0, y1)))
+    xs, ys = (np.arange(np.ceil(a / CHUNK_M), np.floor(b / CHUNK_M) + 1) * CHUNK_M for a, b in ((x0, x1), (y0, y1)))
     lines = [[(x, y0 - 1), (x, y1 + 1)] for x in xs] + [[(x0 - 1, y), (x1 + 1, y)] for y in ys]
     return shapely.MultiLineString(lines).intersection(hull)
 
