@@ -32,7 +32,8 @@ TICKS = 12
 MEMORY_BYTES = 8 << 30
 MOST_LINES, MOST_LETTERS = 2, 900
 _CURE = re.compile(
-    r"expected|correct|name it|remove|restore|build|export|choose|rename|join|give|clip|open it|download|larger|check|: wcsim "
+    r"expected|correct|name it|remove|restore|build|export|choose|rename|join|give|clip|open it|download|larger|check"
+    r"|: wcsim "
 )
 REPOSITORY = Path(__file__).resolve().parents[3]
 
