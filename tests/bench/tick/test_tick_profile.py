@@ -31,6 +31,6 @@ def test_the_dearest_functions_of_a_world_are_named_by_part_native_ones_too():
     assert len(rows) == DEAREST
     assert [row.own_ms for row in rows] == sorted((row.own_ms for row in rows), reverse=True)
     assert {"SUMO", "Bullet", "physics/renderer"} <= {row.part for row in rows}
-    assert any(row.name == "solveGroupCacheFriendlySetup" for row in rows)
+    assert any(row.part == "Bullet" and not row.name.startswith("pybullet.") for row in rows)  # a zone
     assert not any(row.name == "pybullet.stepSimulation" for row in rows)
     assert 0.3 < sum(row.share for row in rows) <= 1.0
