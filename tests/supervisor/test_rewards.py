@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.plants import plant_state
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import (
@@ -19,7 +20,7 @@ from wcsim.supervisor.rewards import (
     reward,
     tilt_term,
 )
-from wcsim.types import Contact, Events, ImuFrame, PlantState
+from wcsim.types import Contact, Events, ImuFrame
 
 C = RewardConfig()
 finite = st.floats(-1e6, 1e6)
@@ -37,17 +38,8 @@ def imu(peak=(0.0, 0.0, 0.0)) -> ImuFrame:
     )
 
 
-def plant(roll_deg=0.0, pitch_deg=0.0) -> PlantState:
-    return PlantState(
-        p_WB_m=np.zeros(3),
-        q_WB=np.array([0.0, 0.0, 0.0, 1.0]),
-        v_B_mps=np.zeros(3),
-        w_B_radps=np.zeros(3),
-        wheel_radps=np.zeros(2),
-        roll_rad=math.radians(roll_deg),
-        pitch_rad=math.radians(pitch_deg),
-        yaw_rad=0.0,
-    )
+def plant(roll_deg=0.0, pitch_deg=0.0):
+    return plant_state(roll=math.radians(roll_deg), pitch=math.radians(pitch_deg))
 
 
 def events(crashed=False) -> Events:

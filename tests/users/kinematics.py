@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tests.support.plants import plant_state
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ActorState, Joystick, PlantState, Route, SignalState, UserView
@@ -63,16 +64,7 @@ def clip(value: float, most: float) -> float:
 
 
 def plant(x: float, y: float, yaw: float, v: float = 0.0, w: float = 0.0) -> PlantState:
-    return PlantState(
-        p_WB_m=np.array([x, y, 0.0]),
-        q_WB=np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]),
-        v_B_mps=np.array([v, 0.0, 0.0]),
-        w_B_radps=np.array([0.0, 0.0, w]),
-        wheel_radps=np.zeros(2),
-        roll_rad=0.0,
-        pitch_rad=0.0,
-        yaw_rad=yaw,
-    )
+    return plant_state(x, y, yaw=yaw, ahead_mps=v, turn_radps=w)
 
 
 @dataclass

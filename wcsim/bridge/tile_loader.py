@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from wcsim.bridge.stage_timer import Stopwatch
+from wcsim.bridge.sumo.actors import moved
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.street_bodies import StreetBodies
@@ -37,7 +36,7 @@ class TileLoader:
         Which tiles are there depends on where the chairs were, and on nothing else. What there is to do is measured as
         "street".
         """
-        if self._looked is not None and self._looked[0] is laid and not _moved(places_W_m, self._looked[1]):
+        if self._looked is not None and self._looked[0] is laid and not moved(places_W_m, self._looked[1], _MOVED_M):
             return
         self._looked = laid, places_W_m
         under = [key for key in self._tiles.near(places_W_m, ENGINE_REACH_M) if key not in laid.keys]
@@ -54,7 +53,3 @@ class TileLoader:
                 keys, old = self._tiles.near(places_W_m, self._sight_m + TILE_KEEP_M), self._drawn
                 self._drawn = {key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys}
                 self._rig.show(GeometryStore.joined(list(self._drawn.values())))
-
-
-def _moved(now_W_m: F64, before_W_m: F64) -> bool:
-    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > _MOVED_M).any())

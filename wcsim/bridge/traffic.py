@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import ExitStack
 from dataclasses import replace
-
-import numpy as np
 
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.sumo.run_place import RunPlace
@@ -50,11 +47,11 @@ class TownTraffic(Closing):
 
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town, sorted by id."""
-        return self._sumo.actors_at(np.zeros((1, 2)), math.inf)
+        return self._sumo.everyone()
 
     def mishaps(self) -> tuple[int, int]:
         """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
-        return self._sumo.teleports, self._sumo.collisions()
+        return self._sumo.mishaps()
 
     def close(self) -> None:
         """End SUMO; a second call does nothing."""

@@ -6,7 +6,6 @@ them one tick late); bodies, sensors and pictures all show tick n + 1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -31,7 +30,6 @@ from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.sensors.drawing_threads import nothing
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
@@ -144,11 +142,11 @@ class World(Closing):
 
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
-        return self._sumo.actors_at(np.zeros((1, 2)), math.inf)
+        return self._sumo.everyone()
 
     def mishaps(self) -> tuple[int, int]:
         """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
-        return self._sumo.teleports, self._sumo.collisions()
+        return self._sumo.mishaps()
 
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
@@ -269,7 +267,7 @@ class World(Closing):
             self._open.traffic.look_again(self._places())
         for seat in seats:
             self._look_around(seat)
-        scenes = self._shoot(seats, out, first=True, meanwhile=nothing)
+        scenes = self._shoot(seats, out, first=True)
         return tuple(self._seen(seat, scenes[seat.index], first=True) for seat in seats)
 
     def _client(self, seat: Ego, scene: Surroundings) -> ClientSnapshot:
@@ -286,7 +284,7 @@ class World(Closing):
                 self._look_around(seat)
 
     def _shoot(
-        self, seats: Sequence[Ego], out: ImageSink | None, first: bool, meanwhile: Callable[[], object]
+        self, seats: Sequence[Ego], out: ImageSink | None, first: bool, meanwhile: Callable[[], object] | None = None
     ) -> dict[int, Surroundings]:
         """Take the pictures of all these seats together, and do something else meanwhile; what each sees, by seat."""
         if not seats:

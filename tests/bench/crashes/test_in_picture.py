@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.bridge.reaction.roads import actor, walker
+from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.bench.crashes.in_picture import BODY_M, Sight, actor_points, clipped, in_picture, street_points
 from wcsim.config import CameraConfig
-from wcsim.physics.renderer.instances import rotation_quaternion
 from wcsim.physics.sensors.camera import CameraRig, camera_matrix, mount, pinhole, pose_matrix
-from wcsim.types import ActorKind, Outline, PlantState
+from wcsim.types import ActorKind, Outline
 
 STREET = strip_street()
 CAMERA = CameraConfig(width_px=80, height_px=60)
@@ -21,11 +21,7 @@ OUTLINE = Outline(length_m=1.1, width_m=0.6, height_m=1.3, middle_x_m=0.25)
 
 
 def plant(x, y, yaw_deg=0.0, z=0.0):
-    yaw = math.radians(yaw_deg)
-    return PlantState(
-        p_WB_m=np.array([x, y, z]), q_WB=np.array(rotation_quaternion(yaw, 0.0, 0.0)), v_B_mps=np.zeros(3),
-        w_B_radps=np.zeros(3), wheel_radps=np.zeros(2), roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw,
-    )  # fmt: skip
+    return plant_state(x, y, z, math.radians(yaw_deg))
 
 
 def sight(chair, actors=(), camera=CAMERA):

@@ -8,10 +8,11 @@ import pytest
 
 from tests.bridge.ego.test_kerb_drop import KERB_X_M, raster, step_grid
 from tests.physics.rig import FORWARD, actor, rig, step_street
+from tests.support.plants import plant_state
 from wcsim.bridge.ego.contact_ahead import SLOWER_MPS, meets_body, meets_edge
 from wcsim.config import ChairConfig
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.types import ActorKind, PlantState
+from wcsim.types import ActorKind
 
 TICK_S = 0.1
 WHEELS_M = plant_spec(ChairConfig()).wheels_m()
@@ -19,17 +20,8 @@ FOREMOST_M = max(x + radius for x, _, radius in WHEELS_M)
 KERB = step_grid(0.02)
 
 
-def chair(x_m, speed_mps, yaw_rad=0.0, turn_radps=0.0, y_m=0.0) -> PlantState:
-    return PlantState(
-        p_WB_m=np.array([x_m, y_m, 0.0]),
-        q_WB=np.array([0.0, 0.0, math.sin(0.5 * yaw_rad), math.cos(0.5 * yaw_rad)]),
-        v_B_mps=np.array([speed_mps, 0.0, 0.0]),
-        w_B_radps=np.array([0.0, 0.0, turn_radps]),
-        wheel_radps=np.zeros(2),
-        roll_rad=0.0,
-        pitch_rad=0.0,
-        yaw_rad=yaw_rad,
-    )
+def chair(x_m, speed_mps, yaw_rad=0.0, turn_radps=0.0, y_m=0.0):
+    return plant_state(x_m, y_m, yaw=yaw_rad, ahead_mps=speed_mps, turn_radps=turn_radps)
 
 
 def meets(plant, ground=KERB) -> bool:

@@ -10,23 +10,16 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import SIZES, actor
+from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import figures, instances_of
 from wcsim.physics.renderer.models.catalog import LOOKS, Template, template_of
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera, camera_matrix, look_at, mount, pinhole, pose_matrix
-from wcsim.types import ActorKind, ActorLook, ClassId, PlantState
+from wcsim.types import ActorKind, ActorLook, ClassId
 
 CAMERA = CameraConfig(width_px=320, height_px=240)
-
-
-def plant(x: float, y: float, yaw: float) -> PlantState:
-    q = np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
-    return PlantState(
-        p_WB_m=np.array([x, y, 0.0]), q_WB=q, v_B_mps=np.zeros(3), w_B_radps=np.zeros(3), wheel_radps=np.zeros(2),
-        roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -42,7 +35,7 @@ def test_it_is_seen_in_depth_and_class_at_the_predicted_pixel(kind, classes, sla
     """Across the view of a chair, at eight places: its middle must be seen where a pinhole sees the point."""
     with CameraRig(strip_street().mesh, (CAMERA,), seats=1) as rig:
         for number, (yaw, along, aside) in enumerate(itertools.product((0.0, 2.5), (6.0, 10.0), (-1.5, 2.0))):
-            here = plant(30.0, 0.0, yaw)
+            here = plant_state(30.0, 0.0, yaw=yaw)
             ahead, left = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
             x, y = here.p_WB_m[:2] + along * ahead + aside * left
             one = actor(kind, x, y, 0.0, yaw + math.pi / 2, speed=0.0, number=number)

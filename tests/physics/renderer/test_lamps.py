@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
@@ -21,7 +22,7 @@ from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.signal_lamps import SignalLamps
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer
 from wcsim.physics.sensors.camera import CameraRig, look_at
-from wcsim.types import ActorKind, ClassId, PlantState, SignalHead, SignalState
+from wcsim.types import ActorKind, ClassId, SignalHead, SignalState
 
 CAMERA = Pinhole(width_px=120, height_px=160, focal_px=500.0, near_m=0.1, range_m=40.0)
 EYE = (10.0, 0.0, 1.1)
@@ -102,10 +103,7 @@ def test_a_light_that_says_nothing_or_too_little_is_dark_and_comes_back():
 
 def test_a_rig_shows_the_lights_of_now():
     camera = CameraConfig(width_px=160, height_px=120, rgb=True, hfov_deg=60.0, pitch_deg=10.0)
-    plant = PlantState(
-        p_WB_m=np.array([10.0, 0.0, 0.0]), q_WB=np.array([0.0, 0.0, 0.0, 1.0]), v_B_mps=np.zeros(3),
-        w_B_radps=np.zeros(3), wheel_radps=np.zeros(2), roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0,
-    )  # fmt: skip
+    plant = plant_state(10.0)
     near = (head(p=(13.0, 0.0, 1.9)),)
     with CameraRig(strip_street().mesh, (camera,), 1, near) as rig:
         seen = []

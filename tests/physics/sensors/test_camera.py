@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
@@ -25,22 +26,13 @@ from wcsim.physics.sensors.camera import (
     pinhole,
     pose_matrix,
 )
-from wcsim.types import ActorKind, ClassId, PlantState
+from wcsim.types import ActorKind, ClassId
 
 SMALL = CameraConfig(name="front", width_px=80, height_px=60)
 
 
 def plant(x=0.0, y=5.5, z=0.12, yaw=0.0, pitch=0.0, roll=0.0):
-    return PlantState(
-        p_WB_m=np.array([x, y, z]),
-        q_WB=np.array(rotation_quaternion(yaw, pitch, roll)),
-        v_B_mps=np.zeros(3),
-        w_B_radps=np.zeros(3),
-        wheel_radps=np.zeros(2),
-        roll_rad=roll,
-        pitch_rad=pitch,
-        yaw_rad=yaw,
-    )
+    return plant_state(x, y, z, yaw, pitch, roll)
 
 
 @pytest.fixture(scope="module")

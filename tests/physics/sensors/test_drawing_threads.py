@@ -27,10 +27,11 @@ def test_each_piece_is_done_once(threads, pieces):
 
 
 def test_two_pieces_are_at_work_at_once():
-    both = threading.Barrier(2, timeout=20.0)
+    both, turns = threading.Barrier(2, timeout=20.0), []
     pool = DrawingThreads(2)
-    pool.run([both.wait, both.wait])
+    pool.run([lambda: turns.append(both.wait())] * 2)
     pool.close()
+    assert sorted(turns) == [0, 1]  # neither waited in vain: a broken barrier raises
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
@@ -79,7 +80,8 @@ def test_meanwhile_is_done_once_by_whoever_asks_and_its_error_waits_for_the_othe
 
 
 def test_others_draw_while_whoever_asks_does_something_else():
-    both = threading.Barrier(2, timeout=20.0)
+    both, turns = threading.Barrier(2, timeout=20.0), []
     pool = DrawingThreads(2)
-    pool.run([both.wait, lambda: None], both.wait)
+    pool.run([lambda: turns.append(both.wait()), lambda: None], lambda: turns.append(both.wait()))
     pool.close()
+    assert sorted(turns) == [0, 1]

@@ -73,7 +73,7 @@ class ActorReader:
         """
         if not len(near_W_m):
             return ()
-        elsewhere = _moved(near_W_m, self._from_W_m) or radius_m != self._within_m
+        elsewhere = moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m
         if elsewhere or self._unsure or self._asked_at == self._step:
             self._due, self._unsure = {}, False
         self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
@@ -199,7 +199,7 @@ class SignalReader:
 
     def near(self, near_W_m: F64, radius_m: float) -> tuple[SignalState, ...]:
         """Traffic lights with a stop line within `radius_m`, or a little more, of any of the points (n, 2), by id."""
-        if _moved(near_W_m, self._from_W_m) or radius_m != self._within_m:
+        if moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m:
             self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
             out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
@@ -214,9 +214,9 @@ class SignalReader:
         return known
 
 
-def _moved(now_W_m: F64, before_W_m: F64) -> bool:
-    """Whether the places (n, 2) are others than before, by more than chairs drive in a step."""
-    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > _MOVED_M).any())
+def moved(now_W_m: F64, before_W_m: F64, by_m: float) -> bool:
+    """Whether the places (n, 2) are others than before, one of them by more than `by_m` along an axis."""
+    return now_W_m.shape != before_W_m.shape or bool((np.abs(now_W_m - before_W_m) > by_m).any())
 
 
 def _box(libsumo: Any, tls_id: str) -> tuple[float, float, float, float]:

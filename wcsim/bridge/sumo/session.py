@@ -8,11 +8,13 @@ not). Nothing but `ActorState` and `SignalState` leaves this file.
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import libsumo
+import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
 from wcsim.bridge.sumo.signal_control import SignalControl
@@ -146,6 +148,10 @@ class SumoSession(Closing):
         """The same around a place (1, 2) that somebody asks for once."""
         return self._reader.at(place_W_m, radius_m)
 
+    def everyone(self) -> tuple[ActorState, ...]:
+        """Every vehicle and person of the town, sorted by id."""
+        return self.actors_at(np.zeros((1, 2)), math.inf)
+
     def turn_away(self, actor_id: str) -> None:
         """Take an actor out of the street that SUMO has just put on top of somebody."""
         self.pilot.turn_away(actor_id)
@@ -154,6 +160,10 @@ class SumoSession(Closing):
     def collisions(self) -> int:
         """Collisions among SUMO's own vehicles and persons that began in the last step, each told once."""
         return self._collisions
+
+    def mishaps(self) -> tuple[int, int]:
+        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
+        return self.teleports, self.collisions()
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and persons that are in the street now."""

@@ -23,7 +23,7 @@ from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_noise import CameraNoise, camera_noise
-from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores, nothing
+from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
@@ -191,7 +191,7 @@ class CameraRig:
             self.shoot_all({seat: scene})
         return self._taken[seat][1]
 
-    def shoot_all(self, scenes: Mapping[int, Surroundings], meanwhile: Work = nothing) -> None:
+    def shoot_all(self, scenes: Mapping[int, Surroundings], meanwhile: Work | None = None) -> None:
         """Take (or repeat) the image of every camera of these seats, in all threads; `frames` hands them out.
 
         A camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`. A seat's own wheelchair, among

@@ -10,10 +10,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 Work = Callable[[], object]
 
 
-def nothing() -> None:
-    """What there is to do meanwhile unless somebody says so."""
-
-
 class DrawingThreads:
     """Does pieces of work that have nothing to do with each other; whoever asks does some of them itself."""
 
@@ -22,7 +18,7 @@ class DrawingThreads:
         self._threads = threads
         self._pool: ThreadPoolExecutor | None = None
 
-    def run(self, work: Iterable[Work], meanwhile: Work = nothing) -> None:
+    def run(self, work: Iterable[Work], meanwhile: Work | None = None) -> None:
         """Do all of it, and `meanwhile` in the thread of whoever asks; back when all is done.
 
         Raises what a piece raised, once no other piece is at work.
@@ -30,13 +26,15 @@ class DrawingThreads:
         waiting = deque(work)
         helpers = min(self._threads, len(waiting)) - 1
         if helpers < 1:
-            meanwhile()
+            if meanwhile is not None:
+                meanwhile()
             return _work_off(waiting)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="wcsim-draw")
         helping = [self._pool.submit(_work_off, waiting) for _ in range(helpers)]
         try:
-            meanwhile()
+            if meanwhile is not None:
+                meanwhile()
             _work_off(waiting)
         finally:
             waiting.clear()
