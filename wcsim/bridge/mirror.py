@@ -14,11 +14,12 @@ import numpy as np
 
 from wcsim.core import frames
 from wcsim.physics.kinematic_bodies import BodyMove
-from wcsim.types import ActorKind, ActorState, Ground, Relief
+from wcsim.types import F64, ActorKind, ActorState, Ground, Relief
 from wcsim.types.street import FLAT
 
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
 JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
+BODY_REACH_M = 10.0  # who ends a tick so near a chair, from its rim on, has a body; others are only seen
 SLIP_MPS = 0.02  # a smaller difference between SUMO's speed and the way somebody went is none
 _SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
 
@@ -77,6 +78,21 @@ def _walked(old: ActorState | None, new: ActorState, dt_s: float) -> ActorState:
     v_W_mps[2] = new.v_W_mps[2]  # up and down are the ground's
     off_mps = math.hypot(*(v_W_mps - new.v_W_mps).tolist())
     return replace(new, v_W_mps=v_W_mps) if SLIP_MPS < off_mps <= JUMP_M / dt_s else new
+
+
+def in_reach(actors: tuple[ActorState, ...], places_W_m: F64) -> tuple[ActorState, ...]:
+    """Those that may come to touch a chair at one of the places (n, 2) within a tick: they need a body.
+
+    A car of 30 m/s and a chair of 3 m/s come nearer by 3.3 m in a tick of 0.1 s.
+    """
+    places = places_W_m.tolist()
+    found = []
+    for actor in actors:
+        x, y, _ = actor.p_W_m.tolist()
+        near_m = BODY_REACH_M + 0.5 * actor.size_lwh_m[0]
+        if any(abs(x - px) < near_m and abs(y - py) < near_m for px, py in places):
+            found.append(actor)
+    return tuple(found)
 
 
 def moves(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float) -> tuple[BodyMove, ...]:

@@ -66,6 +66,7 @@ class World(Closing):
         self.epoch = epoch - 1
         self._epoch: Epoch | None = None
         self._tick = 0
+        self._bodied: tuple[ActorState, ...] = ()  # who has a body in the engine in this tick
         self._held = ExitStack()
         try:
             seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
@@ -172,14 +173,15 @@ class World(Closing):
             self._sumo.step()
 
     def _mirror(self) -> None:
-        """The engine gets a body for every actor near a chair, and the street under and around the chairs."""
+        """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""
         traffic, places_W_m = self._open.traffic, self._places()
         with self.stopwatch.measure("read"):
             near = traffic.read(places_W_m)
         with self.stopwatch.measure("mirror"):
             traffic.move(near, places_W_m)
+            self._bodied = mirror.in_reach(traffic.actors, places_W_m)
             self._choose_step()
-            self._open.bodies.place(mirror.moves(traffic.before, traffic.actors, self.config.world.tick_s))
+            self._open.bodies.place(mirror.moves(traffic.before, self._bodied, self.config.world.tick_s))
         self._load_tiles(places_W_m)
 
     def _drive(self, commands: Sequence[Command]) -> None:
@@ -216,7 +218,7 @@ class World(Closing):
         world, engine, traffic = self.config.world, self._open.engine, self._open.traffic
         chairs = [seat.as_actor() for seat in self.seats]
         fine = any(seat.meets_edge() for seat in self.seats)
-        fine = fine or meets_body(chairs, traffic.before, traffic.actors, world.tick_s)
+        fine = fine or meets_body(chairs, traffic.before, self._bodied, world.tick_s)
         step_s = world.tick_s / (world.finest_substeps if fine else world.usual_substeps)
         if step_s != engine.step_s:
             engine.set_step(step_s)
@@ -244,7 +246,7 @@ class World(Closing):
     def _check_mirror(self) -> None:
         """Raises PhysicsError when the bodies are not where the actors are."""
         with self.stopwatch.measure("mirror"):
-            self._open.check.check(self._open.traffic.actors)
+            self._open.check.check(self._bodied)
 
     def _joined(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
         """Begin a seat's next episode and show it in the snapshot of now."""

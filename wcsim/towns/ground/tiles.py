@@ -140,9 +140,11 @@ class TileStore:
         return self._grid(float(p_W_m[0]), float(p_W_m[1]))
 
     def _grid(self, x_W_m: float, y_W_m: float, names: tuple[str, ...] = _RASTERS) -> StreetGrid:
-        (west, south), (east, north) = self._first, self._last
-        x, y = math.floor(x_W_m / RASTER_M), math.floor(y_W_m / RASTER_M)
-        return self._rasters((min(max(x, west), east), min(max(y, south), north)), names)
+        key = math.floor(x_W_m / RASTER_M), math.floor(y_W_m / RASTER_M)
+        if not self._first <= key <= self._last or not self._first[1] <= key[1] <= self._last[1]:
+            (west, south), (east, north) = self._first, self._last
+            key = min(max(key[0], west), east), min(max(key[1], south), north)
+        return self._rasters(key, names)
 
     def _ask(
         self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray], names: tuple[str, ...] = _RASTERS
