@@ -37,3 +37,12 @@ class SeesTruth(Protocol):
 
     def see(self, truth: Truth | None) -> None:
         """Take the truth of the moment that `act` is asked about next; None where the environment gives none."""
+
+
+@runtime_checkable
+class Warns(Protocol):
+    """A policy that can warn its user of what it sees coming."""
+
+    @property
+    def warning(self) -> bool:
+        """Whether it warns, as of its last `act`."""

@@ -17,6 +17,7 @@ from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
+from wcsim.cli.suite import make_list, run_suites
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
@@ -31,7 +32,10 @@ MAX_STEPS = 1_000_000  # as in env.max_steps
 
 @dataclass
 class Options:
-    """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines."""
+    """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines.
+
+    --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`), --make-suite TOWN makes one.
+    """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
     """What to test; the baselines follow, random, zero, stop, dwa, oracle-visible and oracle are always added."""
@@ -62,7 +66,11 @@ class Options:
 
 
 def run(words: list[str]) -> int:
-    """Test and print one table for each town and profile."""
+    """Test and print one table for each town and profile; with --suite or --make-suite see `wcsim/cli/suite.py`."""
+    if _says(words, "--make-suite"):
+        return make_list(words)
+    if _says(words, "--suite"):
+        return run_suites(words)
     options = parse(Options, words, "test")
     results = test_policies(options)
     console = Console()
@@ -72,6 +80,10 @@ def run(words: list[str]) -> int:
     if options.json is not None:
         write_json(options.json, as_json(results))
     return 0
+
+
+def _says(words: Sequence[str], option: str) -> bool:
+    return any(word == option or word.startswith(f"{option}=") for word in words)
 
 
 def as_json(results: Sequence[TestResult]) -> dict[str, Any]:

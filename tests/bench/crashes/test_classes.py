@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.bench.crashes.classes import CrashClass, CrashFacts, classify, fault, hardest
+from wcsim.bench.crashes.classes import CrashClass, CrashFacts, classify
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
+from wcsim.supervisor.fault import fault, hardest
 from wcsim.types import ActorKind, Contact
 
 REWARD = RewardConfig()

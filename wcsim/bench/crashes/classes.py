@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, Literal
+from typing import Final
 
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
+from wcsim.supervisor.fault import hardest
 from wcsim.supervisor.kpi import DROP
-from wcsim.supervisor.rewards import GROUND_KINDS, ROLLING_PARTS, is_collision
+from wcsim.supervisor.rewards import GROUND_KINDS, ROLLING_PARTS
 from wcsim.types import ActorKind, Contact
 
 FALL_REMEMBERED_S: Final = 10.0  # a kerb that is rammed so soon after a fall is a consequence of it
@@ -84,18 +84,6 @@ def classify(facts: CrashFacts, config: RewardConfig) -> CrashClass:
     if facts.parked and hit.kind not in ("building", "static"):
         return CrashClass.PARKED
     return _BY_KIND.get(hit.kind, CrashClass.OTHER)
-
-
-def hardest(contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
-    """The touch with the largest impulse of those that count as a collision, None when there is none."""
-    counting = [contact for contact in contacts if is_collision(contact, config)]
-    return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
-
-
-def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Literal["own", "other"]:
-    """Whose a crash is: the cause of its hardest touch; without a collision the chair's own."""
-    hit = hardest(contacts, config) if reason == "collision" else None
-    return "own" if hit is None else hit.cause
 
 
 def meets_kerb(facts: CrashFacts) -> bool:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from wcsim.agents.evaluation.intervals import garwood
 from wcsim.agents.policy_api import SeesTruth
-from wcsim.bench.crashes.poisson import garwood
 from wcsim.bench.crashes.records import Crash, Episode, LostControl
 from wcsim.bench.crashes.watch import SeatWatch
 from wcsim.bridge.world import World

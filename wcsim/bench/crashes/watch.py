@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.bench.crashes.classes import FALL_REMEMBERED_S, CrashFacts, classify, fault, hardest, meets_kerb
+from wcsim.bench.crashes.classes import FALL_REMEMBERED_S, CrashFacts, classify, meets_kerb
 from wcsim.bench.crashes.in_picture import BODY_M, Sight, actor_points, in_picture, street_points
 from wcsim.bench.crashes.kerb_departures import KerbFall, nearest_way
 from wcsim.bench.crashes.lost_control import Stretch, Track, stretches
@@ -20,6 +20,7 @@ from wcsim.config import RunConfig
 from wcsim.core.frames import deg
 from wcsim.physics.sensors.camera import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.supervisor.fault import fault, hardest
 from wcsim.supervisor.rewards import GROUND_KINDS
 from wcsim.towns.importing.parking import CAR
 from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street

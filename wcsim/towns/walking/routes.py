@@ -56,6 +56,20 @@ class Router:
         point = shapely.Point(xy)
         return float(shapely.distance(self._lines[int(self._tree.nearest(point))], point))
 
+    def places_near(self, xy: XY, near_m: float, far_m: float) -> F64:
+        """Places (n, 2) on pavements, metre by metre, from near_m to far_m away from a point as the crow flies."""
+        point = shapely.Point(xy)
+        found = [np.zeros((0, 2))]
+        for index in sorted(self._tree.query(point, predicate="dwithin", distance=far_m).tolist()):
+            if self.walk.edges[index].kind is WayKind.SIDEWALK:
+                line = self._lines[index]
+                middle_m = float(shapely.line_locate_point(line, point))
+                at_m = np.arange(max(0.0, middle_m - far_m), min(line.length, middle_m + far_m), SPACING_M)
+                found.append(shapely.get_coordinates(shapely.line_interpolate_point(line, at_m)))
+        places = np.concatenate(found)
+        away_m = np.hypot(*(places - xy).T)
+        return np.asarray(places[(away_m >= near_m) & (away_m <= far_m)], np.float64)
+
     def random_start(self, rng: np.random.Generator) -> tuple[XY, float]:
         """A place on a pavement, every metre equally likely, and the direction (rad) along it, either way."""
         weights = self._length_m[self._starts]
@@ -157,9 +171,9 @@ class Router:
         a, b = self.walk.edges[first], self.walk.edges[last]
         graph = self._graph
         graph.add_edge("start", a.start, weight=first_m)
-        graph.add_edge("start", a.end, weight=float(self._length_m[first]) - first_m)
+        graph.add_edge("start", a.end, weight=max(0.0, float(self._length_m[first]) - first_m))
         graph.add_edge("goal", b.start, weight=last_m)
-        graph.add_edge("goal", b.end, weight=float(self._length_m[last]) - last_m)
+        graph.add_edge("goal", b.end, weight=max(0.0, float(self._length_m[last]) - last_m))
         nodes = networkx.shortest_path(graph, "start", "goal", weight="weight")[1:-1]
         graph.remove_nodes_from(("start", "goal"))
         pieces = [(first, _part(a.points_W_m, first_m, 0.0 if nodes[0] == a.start else float(self._length_m[first])))]

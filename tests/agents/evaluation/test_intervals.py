@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.bench.crashes.poisson import at_most, garwood
+from wcsim.agents.evaluation.intervals import at_most, garwood
 from wcsim.errors import ConfigError
 
 

@@ -1,13 +1,20 @@
-"""How well a rate is known from a number of rare events."""
+"""How well a figure is known: rates of rare events, means over episodes, two policies over the same episodes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import numpy as np
+
+from wcsim.core import seeding
 from wcsim.errors import ConfigError
+from wcsim.types import F64
 
 _HALVINGS = 80  # each halves the interval in which the answer lies
+_DRAWS = 2000
+
+Interval = tuple[float, float]
 
 
 def garwood(events: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -45,3 +52,33 @@ def _solved(below: Callable[[float], bool], far: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if below(middle) else (low, middle)
     return 0.5 * (low + high)
+
+
+def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:
+    """The 95 % interval of a weighted mean over episodes, by drawing episodes anew; None without any weight.
+
+    The draws are the same for the same numbers of episodes.
+    """
+    value = np.asarray(values, np.float64)
+    weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
+    if not len(value) or weight.sum() <= 0.0:
+        return None
+    drawn = seeding.generator(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
+    total = weight[drawn].sum(1)
+    means = np.where(total > 0.0, (value * weight)[drawn].sum(1) / np.maximum(total, 1e-12), np.nan)
+    low, high = np.nanpercentile(means, (2.5, 97.5)).tolist()
+    return float(low), float(high)
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Exact two-sided p-value of McNemar's test: as many or more one-sided pairs if neither were better.
+
+    >>> round(mcnemar(1, 9), 4)
+    0.0215
+    """
+    pairs = only_first + only_second
+    if pairs == 0:
+        return 1.0
+    fewer = min(only_first, only_second)
+    tail = math.fsum(math.comb(pairs, k) for k in range(fewer + 1)) / 2.0**pairs
+    return min(1.0, 2.0 * tail)

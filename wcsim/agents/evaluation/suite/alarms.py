@@ -1,0 +1,71 @@
+"""Interventions and warnings of one episode, as runs of steps, and what forks say of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
+
+JOINED_S: Final = 0.5  # gaps below this join two runs
+BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was missed
+AHEAD_S: Final = 1.0  # a warning counts when it comes so long before the crash
+
+
+@dataclass(slots=True)
+class Runs:
+    """Runs of steps that are joined over short gaps; `tick_s` is the length of a step."""
+
+    tick_s: float
+    spans: list[list[int]] = field(default_factory=list)  # first and last step of each
+
+    def add(self, step: int) -> bool:
+        """A step that is in; whether a run begins with it."""
+        if self.spans and (step - self.spans[-1][1] - 1) * self.tick_s < JOINED_S - 1e-9:
+            self.spans[-1][1] = step
+            return False
+        self.spans.append([step, step])
+        return True
+
+
+@dataclass(slots=True)
+class Alarms:
+    """What a policy did against its user's wish in an episode, and when it warned."""
+
+    tick_s: float
+    taken: Runs = field(init=False)
+    warned: Runs = field(init=False)
+    alone_s: dict[int, float | None] = field(default_factory=dict)  # by step: when the user alone would have crashed
+
+    def __post_init__(self) -> None:
+        self.taken, self.warned = Runs(self.tick_s), Runs(self.tick_s)
+
+    def interventions(self) -> tuple[Intervention, ...]:
+        """Every run, with the verdict of its fork where there was one."""
+        found = []
+        for first, last in self.taken.spans:
+            verdict, crash_s = NOT_JUDGED, None
+            if first in self.alone_s:
+                crash_s = self.alone_s[first]
+                verdict = NEEDLESS if crash_s is None else NEEDED
+            found.append(Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s))
+        return tuple(found)
+
+    def missed(self, crash_step: int) -> bool:
+        """Whether nothing was done against a crash in the 5 s before it."""
+        since = crash_step - round(BEFORE_S / self.tick_s)
+        return not any(last >= since for _, last in self.taken.spans)
+
+    def warnings(self, crash_step: int | None) -> tuple[int, int, int]:
+        """Dangers that were warned of at least 1 s ahead, all dangers, and runs of warnings without one.
+
+        A danger is an own crash, and the crash that a fork found.
+        """
+        at = [first + round(crash_s / self.tick_s) for first, crash_s in self.alone_s.items() if crash_s is not None]
+        at += [] if crash_step is None else [crash_step]
+        ahead, reach = round(AHEAD_S / self.tick_s), round(BEFORE_S / self.tick_s)
+        spans = self.warned.spans
+        heard = sum(any(a <= step - ahead and b >= step - reach for a, b in spans) for step in at)
+        judged = [span for span in spans if span[0] in self.alone_s or crash_step is not None]
+        false = sum(not any(first <= step <= last + reach for step in at) for first, last in judged)
+        return heard, len(at), false

@@ -1,0 +1,200 @@
+"""Draws the episodes of a list in any town: ways along pavements, and attempts at its crossings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from wcsim.bridge.ego.start_place import is_clear
+from wcsim.config import RunConfig
+from wcsim.config.suite import BlockFile, EpisodeFile, Part
+from wcsim.core import seeding
+from wcsim.errors import TownError
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.towns.walking.routes import Router
+from wcsim.types import F64, ActorState, Outline, Route, Street, WayKind
+from wcsim.users.profiles import profile
+
+SEATS: Final = 6  # in a block, at most
+APART_M: Final = 60.0  # the ways of a block's chairs keep so far from one another: they do not meet
+_TRIES: Final = 400
+_NEAR_M, _FAR_M = 4.0, 14.0  # of an attempt's start from the crossing
+_FROM_REST_S: Final = 2.0
+_SLACK: Final = 3.0  # an episode lasts so many times its reference, and a minute for lights
+_WAITS_S: Final = 60.0
+
+XY = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A town to draw in."""
+
+    name: str
+    street: Street
+    router: Router
+    outline: Outline
+    config: RunConfig
+
+
+def place_of(name: str, street: Street, config: RunConfig) -> Place:
+    """A town's street with its ways. Raises TownError when it has none."""
+    outline = plant_spec(config.chair).outline
+    return Place(name=name, street=street, router=Router(street.walk), outline=outline, config=config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What the episodes of a part are like."""
+
+    part: Part
+    profiles: tuple[str, ...]  # in turn
+    settings: tuple[str, ...] = ()
+    way_m: tuple[float, float] = (60.0, 160.0)
+    crossing_share: float = 0.5
+
+
+def free_blocks(place: Place, wanted: Wanted, blocks: int, seed: int) -> list[BlockFile]:
+    """Blocks of ways along the town's pavements. Raises TownError when the town is too small for one."""
+    made = []
+    for number in range(blocks):
+        rng = seeding.generator(seed, "suite", place.name, wanted.part, number)
+        who = wanted.profiles[number % len(wanted.profiles)]
+        episodes = _apart(_ways(place, wanted, who, rng))
+        if not episodes:
+            raise TownError(f"{place.name}: no way of {wanted.way_m[0]:g} m could be drawn; expected a larger town")
+        made.append(_block(place, wanted, seed, number, episodes))
+    return made
+
+
+def crossing_blocks(place: Place, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
+    """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
+
+    Raises TownError when the town has no crossing that somebody can get to.
+    """
+    edges = place.street.walk.edges
+    crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
+    rng = seeding.generator(seed, "suite", place.name, wanted.part)
+    found: list[tuple[EpisodeFile, F64]] = []
+    turn = 0
+    order = rng.permutation(len(crossings)).tolist() if crossings else []
+    while len(found) < attempts and turn < 8 * max(1, len(order)) and order:
+        crossing, back = crossings[order[turn % len(order)]], (turn // len(order)) % 2 == 1
+        who = wanted.profiles[turn % len(wanted.profiles)]
+        attempt = _attempt(place, crossing, back, who, rng)
+        if attempt is not None:
+            found.append(attempt)
+        turn += 1
+    if not found:
+        raise TownError(f"{place.name}: no crossing with pavements at both ends; expected one: see `wcsim town check`")
+    made: list[BlockFile] = []
+    while found:
+        taken = _apart(iter(found))
+        used = {id(episode) for episode in taken}
+        found = [item for item in found if id(item[0]) not in used]
+        made.append(_block(place, wanted, seed, len(made), taken))
+    return made
+
+
+def _block(place: Place, wanted: Wanted, seed: int, number: int, episodes: Sequence[EpisodeFile]) -> BlockFile:
+    return BlockFile(
+        part=wanted.part,
+        town=place.name,
+        seed=seeding.derive(seed, "block", place.name, wanted.part, number),
+        settings=wanted.settings,
+        episodes=tuple(episodes),
+    )
+
+
+def _apart(ways: Iterator[tuple[EpisodeFile, F64]]) -> list[EpisodeFile]:
+    """The first ways, up to SEATS, that keep APART_M from one another."""
+    taken: list[EpisodeFile] = []
+    lines: list[F64] = []
+    for episode, points_m in ways:
+        if all(_distance_m(points_m, other) > APART_M for other in lines):
+            taken.append(episode)
+            lines.append(points_m)
+            if len(taken) == SEATS:
+                break
+    return taken
+
+
+def _distance_m(one_m: F64, other_m: F64) -> float:
+    """Between the points (n, 2) of two ways, which are a metre apart."""
+    return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
+
+
+def _ways(place: Place, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, F64]]:
+    for _ in range(_TRIES // 10):
+        start, yaw_rad = place.router.random_start(rng)
+        if not _clear(place, start, yaw_rad):
+            continue
+        goal = place.router.random_goal(rng, start, *wanted.way_m, wanted.crossing_share)
+        way = _episode(place, start, yaw_rad, goal, who)
+        if 0.5 * wanted.way_m[0] <= way[0].route_m <= 2.0 * wanted.way_m[1]:  # some ways go round another corner
+            yield way
+
+
+def _attempt(
+    place: Place, crossing: int, back: bool, who: str, rng: np.random.Generator
+) -> tuple[EpisodeFile, F64] | None:
+    """A way over one crossing, from a pavement near its one end to one near its other."""
+    points_m = place.street.walk.edges[crossing].points_W_m
+    ends = (points_m[-1], points_m[0]) if back else (points_m[0], points_m[-1])
+    for _ in range(_TRIES // 10):
+        start, goal = (_beside(place, end, rng) for end in ends)
+        if start is None or goal is None:
+            return None
+        route = place.router.route(start, goal)
+        over = [int(i) for i in np.unique(route.edge_index) if place.street.walk.edges[int(i)].kind is WayKind.CROSSING]
+        ahead = route.points_W_m[min(1, len(route.points_W_m) - 1)] - route.points_W_m[0]
+        yaw_rad = math.atan2(ahead[1], ahead[0])
+        if over == [crossing] and route.arc_m[-1] < 60.0 and _clear(place, start, yaw_rad):
+            return _episode(place, start, yaw_rad, goal, who)
+    return None
+
+
+def _beside(place: Place, end_m: F64, rng: np.random.Generator) -> XY | None:
+    """A place on a pavement near a crossing's end, drawn; None where there is no pavement."""
+    choices = place.router.places_near((float(end_m[0]), float(end_m[1])), _NEAR_M, _FAR_M)
+    if not len(choices):
+        return None
+    x_m, y_m = choices[int(rng.integers(len(choices)))].tolist()
+    return x_m, y_m
+
+
+def _clear(place: Place, start: XY, yaw_rad: float) -> bool:
+    """Whether nothing that stands is in the way of a start; who moves is not there yet."""
+
+    def nobody(_p_W_m: F64, _reach_m: float) -> Sequence[ActorState]:
+        return ()
+
+    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, nobody)
+
+
+def _episode(place: Place, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, F64]:
+    start = (round(start[0], 3), round(start[1], 3))
+    goal = (round(goal[0], 3), round(goal[1], 3))
+    route = place.router.route(start, goal)
+    reference_s = reference_time_s(route, who, place.config)
+    tick_s = place.config.world.tick_s
+    episode = EpisodeFile(
+        start_m=start,
+        heading_rad=round(yaw_rad, 4),
+        goal_m=goal,
+        profile=who,
+        max_steps=round((_SLACK * reference_s + _WAITS_S) / tick_s),
+        route_m=round(float(route.arc_m[-1]), 3),
+        reference_s=round(reference_s, 2),
+    )
+    return episode, route.points_W_m
+
+
+def reference_time_s(route: Route, who: str, config: RunConfig) -> float:
+    """The time of a way with nothing to hinder it: at the speed that its user likes, from rest."""
+    share = 1.0 if who.startswith("recorded:") else profile(who).speed_share
+    return _FROM_REST_S + float(route.arc_m[-1]) / (share * config.chair.v_max_mps)

@@ -1,0 +1,280 @@
+"""One block of a suite: a fresh world, a policy in each of its chairs, one record for each episode."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, Final
+
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep
+from wcsim.agents.evaluation.suite.alarms import Alarms
+from wcsim.agents.evaluation.suite.forks import crash_alone_s, users_alone
+from wcsim.agents.evaluation.suite.records import (
+    CRASHED,
+    FINISHED,
+    GAVE_UP,
+    POLICY_FAILED,
+    REFUSED,
+    TIMED_OUT,
+    EpisodeRecord,
+    sums_of,
+)
+from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
+from wcsim.agents.policy_api import Policy, SeesTruth, Warns
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, with_overrides
+from wcsim.config.suite import BlockFile, EpisodeFile
+from wcsim.errors import PolicyError, WcsimError
+from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.fault import fault, hardest
+from wcsim.supervisor.kpi import STANDS_MPS, KpiMeter, KpiStep
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
+from wcsim.towns.scenario.town import Town
+from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
+
+LATE_S: Final = 10.0  # of wall clock: a policy that needs longer for an answer has failed
+_STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
+
+MakePolicy = Callable[[], Policy]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockOrder:
+    """What to drive, and how closely to look."""
+
+    index: int  # of the block in its list
+    block: BlockFile
+    town: Town
+    config: RunConfig  # of the policy, with the suite's settings laid over it
+    judged: bool  # forks say whether an intervention was needed
+    late_s: float = LATE_S
+
+
+def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeRecord, ...]:
+    """Drive all episodes of a block, each to its end; records in the order of the block.
+
+    Raises:
+        TownError: The town cannot be opened.
+        PolicyError: `make_policy` made none.
+    """
+    config = with_overrides(order.config, (*order.block.settings, "world.draw_threads=1"))
+    policies = [make_policy() for _ in order.block.episodes]
+    visible = any(policy.name == VISIBLE_BOUND for policy in policies)
+    specs = tuple(_seat_spec(episode, visible) for episode in order.block.episodes)
+    with World(order.town, config, specs, order.block.seed) as world:
+        seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
+        while True:
+            given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
+            left = [seat for seat in seats if seat.record is None]
+            if not left:
+                break
+            snapshot = world.tick(users_alone(world.snapshot, seats[0].actions, given))
+            now = {client.seat: client for client in snapshot.clients}
+            for seat in left:
+                seat.take(now[seat.number])
+    return tuple(seat.record for seat in seats if seat.record is not None)
+
+
+def _seat_spec(episode: EpisodeFile, visible: bool) -> SeatSpec:
+    return SeatSpec(
+        profile=episode.profile,
+        max_steps=episode.max_steps,
+        truth=True,
+        truth_visible=visible,
+        start=StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m),
+    )
+
+
+class _Link:
+    """What `Chair` sends to and receives from, instead of a world of another process."""
+
+    def __init__(self) -> None:
+        self.now: ClientSnapshot
+
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """The command goes with those of the other seats."""
+
+    def receive(self) -> ClientSnapshot:
+        """The seat's frame of now."""
+        return self.now
+
+
+class _Seat:
+    """One episode while it lasts; `record` is there once it has ended, and the chair has left the street."""
+
+    def __init__(self, order: BlockOrder, config: RunConfig, world: World, number: int, policy: Policy) -> None:
+        self.number, self.record = number, None  # type: int, EpisodeRecord | None
+        self.actions: ActionSet = action_set(config.env.actions)
+        self._order, self._config, self._world = order, config, world
+        self._episode = order.block.episodes[number]
+        self._policy = policy
+        self._chair, self._link, self._meter = Chair(config), _Link(), KpiMeter()
+        self._alarms = Alarms(config.world.tick_s)
+        self._step = 0  # of the episode
+        self._stood_s = self._done_m = self._before_m = 0.0
+        self._in_red = False
+        self._seen, self._info = self._chair.begin(world.snapshot.clients[number])
+        self._begun = False
+
+    def choose(self) -> Iterator[int]:
+        """The policy's action; none while the user drives alone, and none when it fails, which ends the episode."""
+        if self._step < self._episode.handover_step:
+            stick = self._seen["joystick"]
+            yield self._sent(self.actions.nearest(stick))
+            return
+        try:
+            with _at_most(self._order.late_s):
+                action = self._chair.checked(self._answer())
+        except Exception as error:  # whatever a policy does wrong, the others of the block go on
+            self._end(
+                POLICY_FAILED, f"{type(error).__name__}: {error}" if not isinstance(error, WcsimError) else str(error)
+            )
+            return
+        self._look_at(action)
+        yield self._sent(action)
+
+    def take(self, client: ClientSnapshot) -> None:
+        """What came of the tick."""
+        self._link.now = client
+        alone = self._step < self._episode.handover_step
+        step = self._chair.receive(self._link)
+        self._step += 1
+        if alone:
+            self._before_m += step.info["progress_m"]
+        else:
+            self._count(step)
+        self._seen, self._info = step.observation, step.info
+        events = client.events
+        if events.crashed:
+            self._crashed(client)
+        elif events.arrived:
+            self._end(FINISHED)
+        elif events.gave_up:
+            self._end(GAVE_UP)
+        elif events.truncated:
+            self._end(TIMED_OUT)
+
+    def _sent(self, action: int) -> int:
+        self._chair.send(self._link, action)
+        return action
+
+    def _answer(self) -> int:
+        policy = self._policy
+        if not self._begun:
+            policy.begin()
+            policy.reset()
+            self._begun = True
+        if isinstance(policy, SeesTruth):
+            policy.see(self._info["truth"])
+        return policy.act(self._seen)
+
+    def _look_at(self, action: int) -> None:
+        """Note an intervention and a warning; judge the first tick of each."""
+        stick, driven = self._seen["joystick"], self._step - self._episode.handover_step
+        far = self.actions.distance(action, (float(stick[0]), float(stick[1])))
+        begins = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE and self._alarms.taken.add(driven)
+        if isinstance(self._policy, Warns) and self._policy.warning:
+            begins = self._alarms.warned.add(driven) or begins
+        if begins and self._order.judged:
+            tick_s = self._config.world.tick_s
+            self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self.actions, tick_s)
+
+    def _count(self, step: EpisodeStep) -> None:
+        info, tick_s = step.info, self._config.world.tick_s
+        truth = self._info.get("truth")
+        self._done_m += info["progress_m"]
+        self._meter.add(
+            KpiStep(
+                distance=float(info["joystick_distance"]),
+                free=None if truth is None else not truth.danger,
+                asked=info["asked"],
+                given=info["given"],
+                speed_mps=float(info["speed_mps"]),
+                dt_s=tick_s,
+                events=info["events"],
+            )
+        )
+        events = info["events"]
+        standing = events.on_carriageway and abs(info["speed_mps"]) < STANDS_MPS
+        self._stood_s = self._stood_s + tick_s if standing else 0.0
+        self._in_red = events.on_carriageway and (self._in_red or events.entered_red)
+
+    def _crashed(self, client: ClientSnapshot) -> None:
+        events, reward = client.events, self._config.reward
+        whose = fault(events.crash_reason, client.contacts, reward)
+        if whose == "other" and (self._stood_s >= _STOOD_S - 1e-9 or self._in_red):
+            whose = "own"  # it stood where it should not
+        hit = hardest(client.contacts, reward) if events.crash_reason == "collision" else None
+        self._end(CRASHED, events.crash_reason, fault=whose, partner="" if hit is None else hit.kind)
+
+    def _end(self, status: str, reason: str = "", **more: Any) -> None:
+        self._meter.end_episode(max(0, self._step - self._episode.handover_step), reason if status == CRASHED else "")
+        sums, tick_s = sums_of(self._meter), self._config.world.tick_s
+        crash = sums["steps"] if status == CRASHED and more.get("fault") == "own" else None
+        warned, to_warn, false = self._alarms.warnings(crash)
+        x_m, y_m, _ = self._world.snapshot.clients[self._at()].plant.p_WB_m.tolist()
+        left_m = max(0.0, self._episode.route_m - self._before_m)
+        share = left_m / self._episode.route_m if self._episode.route_m > 0.0 else 1.0
+        self.record = EpisodeRecord(
+            block=self._order.index,
+            seat=self.number,
+            part=self._order.block.part,
+            town=self._order.block.town,
+            profile=self._episode.profile,
+            status=status,
+            reason=reason[:400],
+            time_s=round(sums["steps"] * tick_s, 6),
+            route_m=round(left_m, 6),
+            done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
+            reference_s=round(self._episode.reference_s * share, 6),
+            missed=crash is not None and self._alarms.missed(crash),
+            warned=warned,
+            to_warn=to_warn,
+            false_warnings=false,
+            interventions=self._alarms.interventions(),
+            end_m=(round(x_m, 3), round(y_m, 3)),
+            **sums,
+            **more,
+        )
+        self._world.dismiss(self.number)
+
+    def _at(self) -> int:
+        """The place of this seat among those in the snapshot."""
+        return [client.seat for client in self._world.snapshot.clients].index(self.number)
+
+
+@contextmanager
+def _at_most(limit_s: float) -> Iterator[None]:
+    """Raise PolicyError in this thread, the process's main one, after `limit_s` of wall clock."""
+
+    def late(_number: int, _frame: FrameType | None) -> None:
+        raise PolicyError(f"the policy gave no answer for {limit_s:g} s; expected one a tick: make it faster")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def refused(index: int, block: BlockFile, reason: str) -> tuple[EpisodeRecord, ...]:
+    """The records of a block whose policy cannot be used at all."""
+    return tuple(
+        EpisodeRecord(
+            block=index,
+            seat=seat,
+            part=block.part,
+            town=block.town,
+            profile=episode.profile,
+            status=REFUSED,
+            reason=reason[:400],
+            route_m=episode.route_m,
+            reference_s=episode.reference_s,
+        )
+        for seat, episode in enumerate(block.episodes)
+    )

@@ -1,0 +1,105 @@
+"""Lists of episodes: read, checked, hashed, and cut into the pieces of work that processes share."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from wcsim.config import parse
+from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
+from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario.town import Town, find_town, streets_hash
+
+_LIST = FileKind(what="a list of test episodes", limit_bytes=64 << 20, error=ConfigError)
+_SHIPPED = Path(__file__).parent / "lists"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suite:
+    """A list and what it hashes to."""
+
+    file: SuiteFile
+    sha256: str  # hex, over the list's content
+
+    @property
+    def episodes(self) -> int:
+        """How many there are."""
+        return sum(len(block.episodes) for block in self.file.blocks)
+
+
+def shipped() -> tuple[str, ...]:
+    """The sets that come with wcsim."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
+
+
+def open_suite(name_or_path: str) -> Suite:
+    """A set that comes with wcsim, or a list at a path. Raises ConfigError when it is none, or broken."""
+    path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else Path(name_or_path).expanduser()
+    if not path.is_file():
+        known = ", ".join(shipped()) or "(none)"
+        raise ConfigError(f"--suite {shown(name_or_path)!r}: there is no such list; expected {known}, or a file")
+    return suite_of(parse(SuiteFile, read_json(path, _LIST), shown(path)))
+
+
+def suite_of(file: SuiteFile) -> Suite:
+    """A list with its hash."""
+    return Suite(file=file, sha256=hashlib.sha256(canonical(file.model_dump(mode="json"))).hexdigest())
+
+
+def canonical(data: object) -> bytes:
+    """The one spelling of plain data that is hashed."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def write_list(file: SuiteFile, path: Path) -> None:
+    """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
+    head = file.model_dump(mode="json", exclude={"blocks"})
+    lines = [json.dumps(head)[:-1] + ', "blocks": [']
+    blocks = list(file.blocks)
+    for number, block in enumerate(blocks):
+        said = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
+        episodes = ",\n  ".join(json.dumps(episode.model_dump(mode="json")) for episode in block.episodes)
+        lines.append(f'{said}, "episodes": [\n  {episodes}]}}{"," if number + 1 < len(blocks) else "]}"}')
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def towns_of(file: SuiteFile) -> dict[str, Town]:
+    """The list's towns, by name. Raises TownError when one is missing, or other streets than those of the list."""
+    found = {}
+    for wanted in file.towns:
+        town = find_town(wanted.name)
+        got = streets_hash(town)
+        if got != wanted.streets_sha256:
+            raise TownError(
+                f"town {wanted.name} has streets {got[:12]}; expected {wanted.streets_sha256[:12]}, those that the "
+                f"list {file.suite} {file.set} was made for: make a list of your own with --make-suite {wanted.name}"
+            )
+        found[wanted.name] = town
+    return found
+
+
+def require_towns(file: SuiteFile) -> None:
+    """Raises ConfigError for a block in a town that the list does not name."""
+    named = {town.name for town in file.towns}
+    for block in file.blocks:
+        if block.town not in named:
+            raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: name it in `towns`")
+
+
+def block_key(suite: Suite, index: int, policy: str) -> str:
+    """What the result of a block depends on: its list, its place in it, and the policy's digest."""
+    return hashlib.sha256(canonical([suite.file.suite, suite.sha256, index, policy])).hexdigest()
+
+
+def profiles_of(blocks: Iterable[BlockFile]) -> tuple[str, ...]:
+    """The users of these blocks, sorted."""
+    return tuple(sorted({episode.profile for block in blocks for episode in block.episodes}))
+
+
+def goes_out(episode: EpisodeFile) -> int:
+    """Steps in which the policy drives, at most."""
+    return episode.max_steps - episode.handover_step

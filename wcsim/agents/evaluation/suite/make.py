@@ -1,0 +1,137 @@
+"""Makes a list of test episodes for any towns: free ways, attempts at crossings, and starts that end in a crash.
+
+A hazard is an episode in which the user alone crashes by the chair's own fault. It is found by driving: the free ways
+are driven by the user alone, those that crash are driven once more without the others of their block, and who crashes
+again is taken over by the policy 10 s before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.evaluation.suite.draw import SEATS, Place, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.list_file import suite_of
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+from wcsim.config import RunConfig, load_run_config
+from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
+from wcsim.core import seeding
+from wcsim.errors import TownError
+from wcsim.towns.scenario.town import Town, streets_hash
+from wcsim.towns.street import load_street
+
+HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes over
+SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
+AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
+SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env.max_steps=10000")
+CARELESS_STREET: Final = "world.attention_share=0.7"
+USUAL_STREET: Final = "world.attention_share=0.95"
+
+Told = Callable[[str], object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MakeOrder:
+    """How large a list is; numbers are for each town."""
+
+    suite: str  # with its version
+    set: str
+    seed: int
+    free_blocks: int
+    attempts: int
+    hazards: int  # at most
+    jobs: int = 1
+    work: Path  # folder for what is driven meanwhile
+
+
+def make_suite(order: MakeOrder, towns: Sequence[Town], told: Told) -> SuiteFile:
+    """A list for these towns; drives in them to find the hazards. Raises TownError for one that is too small."""
+    config = load_run_config("quick", SETTINGS)
+    named = tuple(TownOfSuite(name=town.name, streets_sha256=streets_hash(town)) for town in towns)
+    places = [place_of(town.name, load_street(town), config) for town in towns]
+    free = [block for place in places for block in _free(place, order)]
+    crossing = [block for place in places for block in _crossing(place, order)]
+    told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")
+    hazard = _hazards(order, named, free, config, told) if order.hazards else []
+    return SuiteFile(
+        suite=order.suite, set=order.set, settings=SETTINGS, towns=named, blocks=(*free, *crossing, *hazard)
+    )
+
+
+def _free(place: Place, order: MakeOrder) -> list[BlockFile]:
+    wanted = Wanted(part="free", profiles=("ataxic", "ataxic", "inattentive"), settings=(USUAL_STREET,))
+    return free_blocks(place, wanted, order.free_blocks, order.seed)
+
+
+def _crossing(place: Place, order: MakeOrder) -> list[BlockFile]:
+    """Careful and careless users, among others who look and others who look less."""
+    made: list[BlockFile] = []
+    for number, settings in enumerate((USUAL_STREET, CARELESS_STREET)):
+        wanted = Wanted(part="crossing", profiles=("competent", "inattentive"), settings=(settings,))
+        attempts = (order.attempts + 1 - number) // 2
+        made += crossing_blocks(place, wanted, attempts, seeding.derive(order.seed, "crossing", number))
+    return made
+
+
+def _hazards(
+    order: MakeOrder, towns: tuple[TownOfSuite, ...], free: Sequence[BlockFile], config: RunConfig, told: Told
+) -> list[BlockFile]:
+    first = _alone(order, towns, free, told, "free ways")
+    candidates = [_crashing(block, first, index, config) for index, block in enumerate(free)]
+    blocks = [block for block in candidates if block is not None]
+    if not blocks:
+        raise TownError("the user alone crashed nowhere; expected some crashes: ask for more free ways")
+    again = _alone(order, towns, blocks, told, "hazards")
+    found: list[BlockFile] = []
+    left = {town.name: order.hazards for town in towns}
+    for index, block in enumerate(blocks):
+        taken = _crashing(block, again, index, config, taken_over=True)
+        if taken is not None and left[block.town] > 0:
+            episodes = taken.episodes[: left[block.town]]
+            left[block.town] -= len(episodes)
+            found.append(taken.model_copy(update={"episodes": episodes}))
+    told(f"{sum(len(block.episodes) for block in found)} hazards found")
+    return found
+
+
+def _alone(
+    order: MakeOrder, towns: tuple[TownOfSuite, ...], blocks: Sequence[BlockFile], told: Told, what: str
+) -> tuple[EpisodeRecord, ...]:
+    file = SuiteFile(suite=order.suite, set=order.set, settings=SETTINGS, towns=towns, blocks=tuple(blocks))
+    driven = SuiteOrder(suite=suite_of(file), out=order.work, jobs=order.jobs, forks=0)
+    return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks"))[UNAIDED]
+
+
+def _crashing(
+    block: BlockFile, records: Sequence[EpisodeRecord], index: int, config: RunConfig, taken_over: bool = False
+) -> BlockFile | None:
+    """The block with those of its episodes alone that crash late enough; with the handover when `taken_over`."""
+    tick_s = config.world.tick_s
+    episodes = []
+    for record in records:
+        if record.block == index and record.own and record.time_s >= SOONEST_S:
+            episode = block.episodes[record.seat]
+            episodes.append(_handed_over(episode, record, tick_s) if taken_over else episode)
+    if not episodes:
+        return None
+    return block.model_copy(update={"part": "hazard", "episodes": tuple(episodes[:SEATS])})
+
+
+def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> EpisodeFile:
+    """An episode whose user crashes alone, with its handover 10 s before; all its way is what half the pace reaches."""
+    handover = record.steps - round(HANDOVER_S / tick_s)
+    lasts_s = HANDOVER_S + AFTER_S
+    before_m = record.done_m * handover / record.steps
+    pace_mps = episode.route_m / episode.reference_s
+    way_m = min(episode.route_m - before_m, 0.5 * lasts_s * pace_mps)
+    return episode.model_copy(
+        update={
+            "handover_step": handover,
+            "max_steps": handover + round(lasts_s / tick_s),
+            "route_m": round(before_m + way_m, 3),
+            "reference_s": round(lasts_s * (before_m + way_m) / way_m, 2) if way_m > 0.0 else episode.reference_s,
+        }
+    )

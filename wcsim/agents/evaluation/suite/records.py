@@ -1,0 +1,124 @@
+"""What became of one test episode, in plain numbers that can be added up over episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+
+from wcsim.errors import ConfigError
+from wcsim.supervisor.kpi import KpiMeter, summarise
+
+FINISHED: Final = "finished"
+CRASHED: Final = "chair_crashed"
+GAVE_UP: Final = "gave_up"
+TIMED_OUT: Final = "timed_out"
+POLICY_FAILED: Final = "policy_failed"
+REFUSED: Final = "refused"
+STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED)
+
+NEEDED: Final = "needed"
+NEEDLESS: Final = "needless"
+NOT_JUDGED: Final = "not_judged"
+
+_WITHIN = 0.1768 + 1e-6  # Table 1 of the paper
+_MOVES = 0.3  # a stick that is out so far is meant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Intervention:
+    """A run of steps with a joystick distance above 0.1768, gaps under 0.5 s joined, and what its fork said."""
+
+    first: int  # step of the episode, of the policy's part
+    last: int
+    verdict: str  # needed, needless or not_judged
+    crash_after_s: float | None = None  # of the user alone, from `first` on
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeRecord:
+    """One episode of a policy; sums where there can be sums."""
+
+    block: int
+    seat: int
+    part: str
+    town: str
+    profile: str
+    status: str
+    reason: str = ""  # of a crash as in `Events.crash_reason`, of a failure what went wrong
+    fault: str = ""  # own or other, of a crash
+    partner: str = ""  # kind of what was hit
+    steps: int = 0  # that the policy drove
+    time_s: float = 0.0
+    m: float = 0.0
+    route_m: float = 0.0  # that was left when the policy took over
+    done_m: float = 0.0  # of it
+    reference_s: float = 0.0  # for it
+    distance_sum: float = 0.0
+    free_steps: int = 0
+    blocked_steps: int = 0
+    moving_steps: int = 0  # free ones in which the user's stick is out
+    moving_within: int = 0
+    freezes: int = 0
+    road_s: float = 0.0
+    red_entries: int = 0
+    crossings: int = 0
+    missed: bool = False  # an own crash without an intervention in the 5 s before
+    warned: int = 0  # crashes and needed interventions with a warning at least 1 s ahead
+    to_warn: int = 0  # all of those
+    false_warnings: int = 0
+    interventions: tuple[Intervention, ...] = ()
+    end_m: tuple[float, float] = (0.0, 0.0)  # where it ended, W
+
+    @property
+    def own(self) -> bool:
+        """Whether it ended with a crash that is the chair's own."""
+        return self.status == CRASHED and self.fault == "own"
+
+    @property
+    def score(self) -> float:
+        """0 after an own crash, a drop or a red entry; else way done x pace x obedience, each at most 1."""
+        if self.own or self.red_entries or self.status in (POLICY_FAILED, REFUSED) or not self.steps:
+            return 0.0
+        done = min(1.0, self.done_m / self.route_m) if self.route_m > 0.0 else 1.0
+        pace = min(1.0, self.reference_s / self.time_s) if self.time_s > 0.0 else 1.0
+        obeyed = self.moving_within / self.moving_steps if self.moving_steps else 1.0
+        return done * pace * obeyed
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values under the same names."""
+        return asdict(self)
+
+
+def record_of(data: Mapping[str, Any]) -> EpisodeRecord:
+    """A record from `to_json`. Raises ConfigError for anything else."""
+    known = {field.name for field in fields(EpisodeRecord)}
+    if not isinstance(data, Mapping) or not set(data) <= known:
+        raise ConfigError("a kept result is not one of this version; expected the fields of an episode: remove it")
+    values = dict(data)
+    values["interventions"] = tuple(Intervention(**item) for item in values.get("interventions", ()))
+    values["end_m"] = tuple(values.get("end_m", (0.0, 0.0)))
+    return EpisodeRecord(**values)
+
+
+def sums_of(meter: KpiMeter) -> dict[str, Any]:
+    """The sums of an episode's steps, under their names in `EpisodeRecord`."""
+    log = meter.log()
+    row = summarise(log)
+    free = log.free == 1
+    moving = free & (np.hypot(log.asked[:, 0], log.asked[:, 1]) > _MOVES)
+    return {
+        "steps": len(log.distance),
+        "m": round(1000.0 * row.km, 6),
+        "distance_sum": round(float(log.distance.sum()), 9),
+        "free_steps": int(free.sum()),
+        "blocked_steps": round((row.blocked_share or 0.0) * int(free.sum())),
+        "moving_steps": int(moving.sum()),
+        "moving_within": int((moving & (log.distance <= _WITHIN)).sum()),
+        "freezes": row.freezes,
+        "road_s": round(row.standing_on_carriageway_s, 6),
+        "red_entries": row.red_entries,
+        "crossings": row.crossings,
+    }

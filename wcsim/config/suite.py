@@ -1,0 +1,54 @@
+"""A suite of test episodes, as it lies in a file: frozen models, every field with its bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from wcsim.config import Finite, Model, NotNegative, Text
+
+MOST_SEATS = 12
+Part = Literal["free", "crossing", "hazard", "tight"]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Steps = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class EpisodeFile(Model):
+    """One way of one wheelchair."""
+
+    start_m: tuple[Finite, Finite]  # W
+    heading_rad: Finite
+    goal_m: tuple[Finite, Finite]  # W
+    profile: Text  # of the user
+    max_steps: Steps
+    route_m: NotNegative  # from start to goal
+    reference_s: Annotated[float, Field(gt=0.0, le=1e6)]  # the way's time with nothing to hinder it
+    handover_step: Annotated[int, Field(ge=0, le=1_000_000)] = 0  # until here the user drives alone
+
+
+class BlockFile(Model):
+    """Some episodes that share a world, a chair each."""
+
+    part: Part
+    town: Text  # its name
+    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of the world
+    settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over those of the suite
+    episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
+
+
+class TownOfSuite(Model):
+    """A town that must be there as it was when the list was made."""
+
+    name: Text
+    streets_sha256: Sha256  # of its net
+
+
+class SuiteFile(Model):
+    """The whole file; what it hashes to is the suite's identity."""
+
+    suite: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]  # with its version: street-assist-v1
+    set: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")]  # dev, validation, v1, or a town's
+    settings: Annotated[tuple[Text, ...], Field(max_length=64)]  # section.key=value, over the policy's own
+    towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
+    blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]
