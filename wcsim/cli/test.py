@@ -34,7 +34,8 @@ MAX_STEPS = 1_000_000  # as in env.max_steps
 class Options:
     """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines.
 
-    --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`), --make-suite TOWN makes one.
+    --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`),
+    --make-suite TOWN makes one.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()

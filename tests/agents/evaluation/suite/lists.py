@@ -1,0 +1,103 @@
+"""Small lists in the street corner of `tests/conftest.py`, and policies that do something wrong."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from tests.support.worlds import QUICK
+from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks, place_of
+from wcsim.agents.evaluation.suite.drive import BlockOrder
+from wcsim.agents.evaluation.suite.list_file import Suite, suite_of
+from wcsim.config import RunConfig, load_run_config
+from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
+from wcsim.supervisor.actions import action_set
+from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.street import load_street
+
+POINTS = action_set("square81")
+
+
+def config() -> RunConfig:
+    return load_run_config("quick", QUICK)
+
+
+def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:
+    town = find_town(str(corner))
+    place = place_of(town.name, load_street(town), config())
+    wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
+    drawn = [free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4)]  # too near each other for one block of a list
+    cut = {"max_steps": max_steps, "handover_step": handover}
+    episodes = tuple(block.episodes[0].model_copy(update=cut) for block in drawn)
+    return drawn[0].model_copy(update={"part": part, "episodes": episodes})
+
+
+def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float = 10.0) -> BlockOrder:
+    return BlockOrder(index=0, block=block, town=find_town(str(corner)), config=config(), judged=judged, late_s=late_s)
+
+
+def suite_in(corner: Path, *blocks: BlockFile) -> Suite:
+    town = find_town(str(corner))
+    named = (TownOfSuite(name=str(corner), streets_sha256=streets_hash(town)),)
+    placed = tuple(block.model_copy(update={"town": str(corner)}) for block in blocks)
+    return suite_of(SuiteFile(suite="corner-v1", set="try", settings=QUICK, towns=named, blocks=placed))
+
+
+def episode(**changes: object) -> EpisodeFile:
+    plain = {
+        "start_m": (0.0, 0.0), "heading_rad": 0.0, "goal_m": (9.0, 0.0), "profile": "competent", "max_steps": 50,
+        "route_m": 9.0, "reference_s": 6.0,
+    }  # fmt: skip
+    return EpisodeFile(**{**plain, **changes})
+
+
+class Held:
+    """Holds one stick."""
+
+    name = "held"
+
+    def __init__(self, x: float = 0.0, y: float = 1.0) -> None:
+        self.action = POINTS.nearest((x, y))
+
+    def begin(self) -> None:
+        """Nothing is remembered."""
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def act(self, observation: object) -> int:
+        return self.action
+
+
+class Dies(Held):
+    """Dies after some steps."""
+
+    left = 5
+
+    def act(self, observation: object) -> int:
+        self.left -= 1
+        if self.left < 0:
+            raise RuntimeError("no more")
+        return self.action
+
+
+class OutOfTheGrid(Held):
+    def act(self, observation: object) -> int:
+        return 81
+
+
+class NoNumber(Held):
+    def act(self, observation: object) -> float:
+        return float("nan")
+
+
+class Sleeps(Held):
+    def act(self, observation: object) -> int:
+        time.sleep(5.0)
+        return self.action
+
+
+class WarnsAlways(Held):
+    """Follows nothing and warns all the time."""
+
+    warning = True

@@ -1,0 +1,84 @@
+"""A block of a suite, driven in a street corner: how episodes end, whatever a policy does."""
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import (
+    Dies,
+    Held,
+    NoNumber,
+    OutOfTheGrid,
+    Sleeps,
+    WarnsAlways,
+    block_of,
+    config,
+    order_of,
+)
+from wcsim.agents.evaluation.suite.drive import drive_block, refused
+from wcsim.agents.policies.baselines import baseline
+
+
+def follow():
+    return baseline("follow", config())
+
+
+def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
+    block = block_of(corner, max_steps=400)
+    records = drive_block(order_of(corner, block, judged=True), follow)
+    assert len(records) == 2 and [record.seat for record in records] == [0, 1]
+    for record, episode in zip(records, block.episodes, strict=True):
+        assert record.status in ("finished", "chair_crashed", "gave_up", "timed_out")
+        assert record.moving_within == record.moving_steps > 0 and record.interventions == ()
+        assert record.steps == pytest.approx(10.0 * record.time_s) and record.m > 0.0
+        assert record.route_m == pytest.approx(episode.route_m) and record.done_m <= record.route_m + 1.0
+        if record.status == "finished":
+            assert record.done_m == record.route_m
+    assert drive_block(order_of(corner, block, judged=True), follow) == records
+
+
+@pytest.mark.parametrize(
+    ("policy", "late_s", "said"),
+    [(Dies, 10.0, "no more"), (OutOfTheGrid, 10.0, "0 to 80"), (NoNumber, 10.0, "nan"), (Sleeps, 0.2, "0.2 s")],
+)
+def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, policy, late_s, said):
+    made = iter([policy(), follow()])
+    failed, other = drive_block(order_of(corner, block_of(corner), late_s=late_s), lambda: next(made))
+    assert failed.status == "policy_failed" and said in failed.reason
+    assert failed.steps == (5 if policy is Dies else 0) and failed.score == 0.0
+    assert other.status != "policy_failed" and other.steps > 5
+
+
+def test_before_the_handover_the_user_drives_alone(corner):
+    held, handed = (
+        drive_block(order_of(corner, block_of(corner, handover=steps)), lambda: Held(0.0, 0.0)) for steps in (0, 40)
+    )
+    assert all(record.m < 0.1 for record in held)
+    assert all(record.steps == 20 and record.status == "timed_out" for record in handed)
+    block = block_of(corner)
+    for record, episode in zip(handed, block.episodes, strict=True):
+        assert record.route_m < episode.route_m  # what was driven before is not the policy's
+        assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
+
+
+def test_what_a_policy_does_against_the_wish_is_judged_by_letting_the_user_drive_alone(corner):
+    stands = drive_block(order_of(corner, block_of(corner), judged=True), lambda: Held(0.0, 0.0))
+    found = [item for record in stands for item in record.interventions]
+    assert found and all(item.verdict in ("needed", "needless") for item in found)
+    unjudged = drive_block(order_of(corner, block_of(corner)), lambda: Held(0.0, 0.0))
+    assert [len(record.interventions) for record in unjudged] == [len(record.interventions) for record in stands]
+    assert all(item.verdict == "not_judged" for record in unjudged for item in record.interventions)
+    for one, other in zip(stands, unjudged, strict=True):  # a fork leaves no trace in the world
+        assert (one.m, one.steps, one.end_m) == (other.m, other.steps, other.end_m)
+        assert one.distance_sum == other.distance_sum
+
+
+def test_who_warns_always_warns_falsely(corner):
+    records = drive_block(order_of(corner, block_of(corner), judged=True), lambda: WarnsAlways(0.0, 0.0))
+    assert all(record.false_warnings == 1 for record in records if record.to_warn == 0)
+    assert any(record.to_warn == 0 for record in records)
+
+
+def test_a_policy_that_cannot_be_used_is_refused_in_every_episode(corner):
+    block = block_of(corner)
+    records = refused(4, block, "it has another action set")
+    assert [record.status for record in records] == ["refused"] * 2 and records[0].block == 4
+    assert all(record.score == 0.0 and "action set" in record.reason for record in records)

@@ -1,0 +1,47 @@
+"""A fork says what the user alone would come to, and is the same as driving there."""
+
+import numpy as np
+import pytest
+
+from tests.agents.evaluation.suite.lists import POINTS
+from tests.support.worlds import open_world
+from wcsim.agents.evaluation.suite.forks import ALONE_S, crash_alone_s, users_alone
+from wcsim.types import SeatSpec
+
+
+def test_a_fork_crashes_when_the_world_itself_would_and_moves_nothing(corner):
+    wall = SeatSpec(profile="inattentive", max_steps=4000)
+    with open_world(corner, seats=2, seed=5, spec=wall) as world:
+        for tick in range(400):
+            before = world.snapshot.state_hash
+            if tick % 50 == 0:
+                said = {seat: crash_alone_s(world, seat, POINTS, 0.1) for seat in (0, 1)}
+                asked_at = tick
+                assert world.snapshot.state_hash == before
+            snapshot = world.tick(users_alone(world.snapshot, POINTS, {}))
+            for client in snapshot.clients:
+                if client.events.crashed and tick - asked_at < 50 and said[client.seat] is not None:
+                    assert abs(said[client.seat] - 0.1 * (tick + 1 - asked_at)) < 0.35  # the other chair was taken out
+        assert said.keys() == {0, 1}
+
+
+def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, tmp_path):
+    stick = tmp_path / "ahead.csv"
+    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
+    with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=4000)) as world:
+        here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
+        yaw_rad = next(yaw for yaw in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, yaw))
+        world.put_chair(0, here, float(yaw_rad))
+        world.tick(users_alone(world.snapshot, POINTS, {}))
+        alone_s = crash_alone_s(world, 0, POINTS, 0.1)
+        assert alone_s is not None and 0.5 < alone_s < ALONE_S
+        ticks = 1
+        while not world.tick(users_alone(world.snapshot, POINTS, {})).clients[0].events.crashed:
+            ticks += 1
+        assert alone_s == pytest.approx(0.1 * ticks)  # with nobody taken out a fork is the same to the tick
+
+
+def _edge(grid, here_m, yaw_rad):
+    """Whether the ground falls by a kerb on the way of some metres."""
+    way = here_m + np.arange(0.0, 3.5, 0.1)[:, None] * [np.cos(yaw_rad), np.sin(yaw_rad)]
+    return float(grid.raised_at(way[:8]).min()) - float(grid.raised_at(way).min()) > 0.1

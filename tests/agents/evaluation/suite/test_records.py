@@ -1,0 +1,83 @@
+"""Sums, scores, runs of interventions and warnings: every rule by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from wcsim.agents.evaluation.suite.alarms import Alarms
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.errors import ConfigError
+
+GOOD = EpisodeRecord(
+    block=0, seat=1, part="free", town="t", profile="ataxic", status="finished", steps=100, time_s=10.0, m=10.0,
+    route_m=10.0, done_m=10.0, reference_s=8.0, moving_steps=80, moving_within=60,
+)  # fmt: skip
+
+
+def test_the_score_is_way_times_pace_times_obedience():
+    assert GOOD.score == pytest.approx(1.0 * 0.8 * 0.75)
+    assert replace(GOOD, time_s=4.0).score == pytest.approx(0.75)  # faster than unhindered is no better
+    assert replace(GOOD, status="timed_out", done_m=5.0).score == pytest.approx(0.5 * 0.8 * 0.75)
+    assert replace(GOOD, moving_steps=0, moving_within=0).score == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"status": "chair_crashed", "fault": "own", "reason": "collision"},
+        {"status": "chair_crashed", "fault": "own", "reason": "drop"},
+        {"red_entries": 1},
+        {"status": "policy_failed"},
+        {"status": "refused", "steps": 0},
+    ],
+)
+def test_who_crashes_by_its_own_fault_or_goes_at_red_has_no_score(changes):
+    assert replace(GOOD, **changes).score == 0.0
+
+
+def test_a_crash_of_another_leaves_what_was_done():
+    assert replace(GOOD, status="chair_crashed", fault="other", reason="collision", done_m=5.0).score > 0.0
+
+
+def test_a_record_comes_back_from_json_and_anything_else_is_refused():
+    alarms = Alarms(0.1)
+    alarms.taken.add(3)
+    alarms.alone_s[3] = 2.0
+    record = replace(GOOD, interventions=alarms.interventions())
+    assert record_of(record.to_json()) == record
+    with pytest.raises(ConfigError, match="remove it"):
+        record_of({**record.to_json(), "more": 1})
+
+
+def test_gaps_under_half_a_second_join_interventions():
+    alarms = Alarms(0.1)
+    assert [alarms.taken.add(step) for step in (10, 11, 16, 22)] == [True, False, False, True]  # 4 and 5 steps between
+    assert [(item.first, item.last) for item in alarms.interventions()] == [(10, 16), (22, 22)]
+
+
+def test_the_verdict_of_a_fork_is_that_of_its_intervention():
+    alarms = Alarms(0.1)
+    for step, alone_s in ((10, 1.2), (30, None)):
+        alarms.taken.add(step)
+        alarms.alone_s[step] = alone_s
+    alarms.taken.add(60)
+    found = [(item.verdict, item.crash_after_s) for item in alarms.interventions()]
+    assert found == [("needed", 1.2), ("needless", None), ("not_judged", None)]
+
+
+def test_a_crash_is_missed_when_nothing_was_done_in_the_five_seconds_before():
+    alarms = Alarms(0.1)
+    alarms.taken.add(20)
+    assert not alarms.missed(70) and alarms.missed(71)
+
+
+def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
+    alarms = Alarms(0.1)
+    for step in (40, 41, 42):
+        alarms.warned.add(step)
+    assert alarms.warnings(52) == (1, 1, 0)
+    assert alarms.warnings(49) == (0, 1, 0)  # 0.9 s ahead is too late
+    alarms.alone_s[40] = None  # judged: the user alone comes through
+    assert alarms.warnings(None) == (0, 0, 1)
+    alarms.alone_s[40] = 2.0
+    assert alarms.warnings(None) == (1, 1, 0)

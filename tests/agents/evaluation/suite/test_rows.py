@@ -1,0 +1,61 @@
+"""Rows of the table, and the planted fools: each is caught by the column that should."""
+
+from dataclasses import replace
+
+import pytest
+
+from tests.agents.evaluation.suite.test_records import GOOD
+from wcsim.agents.evaluation.suite.records import Intervention
+from wcsim.agents.evaluation.suite.rows import pooled_rows, row_of
+
+CRASH = replace(GOOD, status="chair_crashed", fault="own", reason="collision")
+MANY = [replace(GOOD, block=number, m=100.0) for number in range(20)]
+
+
+def row(records, unaided=()):
+    return row_of("p", "", records, list(unaided))
+
+
+def test_a_row_says_on_what_it_stands():
+    found = row([*MANY[:15], *[replace(CRASH, m=100.0)] * 5])
+    assert found["episodes"] == 20 and found["km"] == 2.0 and found["crashes_own"] == 5
+    assert found["crashes_per_km"] == 2.5 and found["crashes_per_km_ci"][0] < 2.5 < found["crashes_per_km_ci"][1]
+    assert found["status"]["finished"] == 15 and found["status"]["chair_crashed"] == 5
+    assert found["alive_at_end"] == 0.75 and found["alive_at_end_ci"][0] < 0.75 < found["alive_at_end_ci"][1]
+    assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
+
+
+def test_parts_keep_their_order_and_the_whole_is_beside_them():
+    parts, whole = pooled_rows("p", [GOOD, replace(GOOD, part="crossing")], [])
+    assert [item["part"] for item in parts] == ["free", "crossing"] and whole["episodes"] == 2
+
+
+def test_nothing_driven_is_no_number():
+    empty = replace(GOOD, status="refused", steps=0, m=0.0, time_s=0.0, moving_steps=0, moving_within=0)
+    found = row([empty])
+    assert found["crashes_per_km"] is None and found["kpi1"] is None and found["speed_mps"] is None
+    assert found["status"]["refused"] == 1 and found["alive_at_end"] == 0.0
+
+
+def test_twins_say_who_was_saved_and_who_was_lost():
+    found = row([GOOD] * 9 + [CRASH], [CRASH] * 9 + [GOOD])
+    assert (found["saved"], found["lost"]) == (9, 1) and found["mcnemar_p"] == pytest.approx(0.0215, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("fool", "column", "worse"),
+    [
+        ({"status": "timed_out", "done_m": 3.0, "crossings": 0}, "arrivals", lambda fool, good: fool < good),
+        ({"m": 0.0, "done_m": 0.0, "status": "gave_up"}, "score", lambda fool, good: fool == 0.0 < good),
+        ({"freezes": 3, "time_s": 40.0}, "freezes", lambda fool, good: fool > good),
+        ({"status": "chair_crashed", "fault": "own", "missed": True}, "missed", lambda fool, good: fool > good),
+        ({"moving_within": 8}, "kpi1_free_within", lambda fool, good: fool < good),
+        ({"interventions": (Intervention(first=1, last=2, verdict="needless"),)}, "needless", lambda f, g: f > g),
+        ({"done_m": 0.0, "status": "timed_out"}, "score", lambda fool, good: fool == 0.0 < good),
+        ({"false_warnings": 2}, "false_warnings_per_km", lambda fool, good: fool > good),
+        ({"red_entries": 1}, "red_entries", lambda fool, good: fool > good),
+    ],
+    ids=["never-crosses", "stands", "freezes", "follows", "oscillates", "meddles", "goes-home", "warns", "runs-red"],
+)
+def test_a_fool_is_caught(fool, column, worse):
+    assert worse(row([replace(item, **fool) for item in MANY])[column], row(MANY)[column])

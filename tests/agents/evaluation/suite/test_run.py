@@ -1,0 +1,58 @@
+"""A whole list: the same bytes with one process and with two, kept pieces are used, and changes are told."""
+
+import json
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import block_of, suite_in
+from wcsim.agents.evaluation.suite.list_file import open_suite, suite_of, towns_of, write_list
+from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.errors import ConfigError, TownError
+
+
+def told(records):
+    rows, whole = pooled_rows("follow", records["follow"], records["follow"])
+    return json.dumps([rows, whole, [record.to_json() for record in records["follow"]]])
+
+
+def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_again(corner, tmp_path):
+    block = block_of(corner, max_steps=30)
+    suite = suite_in(corner, block, block.model_copy(update={"part": "crossing", "seed": 77}))
+    heard = []
+    one = run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: heard.append(said))
+    two = run_suite(SuiteOrder(suite=suite, out=tmp_path / "b", jobs=2), ["follow"], lambda *said: None)
+    assert told(one) == told(two) and [record.block for record in one["follow"]] == [0, 0, 1, 1]
+    assert heard == [("follow", 1, 2), ("follow", 2, 2)]
+    again = run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: heard.append(said))
+    assert told(again) == told(one) and len(heard) == 2
+    for path in (tmp_path / "a" / "kept").iterdir():
+        path.write_text("{", encoding="utf-8")
+    with pytest.raises(ConfigError, match="remove it"):
+        run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: None)
+
+
+def test_a_list_that_was_changed_is_another_list(corner, tmp_path):
+    block = block_of(corner)
+    suite = suite_in(corner, block)
+    write_list(suite.file, tmp_path / "list.json")
+    assert open_suite(str(tmp_path / "list.json")) == suite
+    shorter = suite_in(corner, block.model_copy(update={"episodes": block.episodes[:1]}))
+    moved = block.episodes[0].model_copy(update={"max_steps": 61})
+    changed = suite_in(corner, block.model_copy(update={"episodes": (moved, *block.episodes[1:])}))
+    assert len({suite.sha256, shorter.sha256, changed.sha256}) == 3
+
+
+def test_a_town_with_other_streets_is_refused(corner):
+    file = suite_in(corner, block_of(corner)).file
+    other = file.model_copy(update={"towns": (file.towns[0].model_copy(update={"streets_sha256": "0" * 64}),)})
+    with pytest.raises(TownError, match="--make-suite"):
+        towns_of(suite_of(other).file)
+
+
+def test_a_list_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no such list"):
+        open_suite(str(tmp_path / "nothing.json"))
+    (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}', encoding="utf-8")
+    with pytest.raises(ConfigError, match="blocks"):
+        open_suite(str(tmp_path / "bad.json"))
