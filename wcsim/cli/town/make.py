@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, write_json
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.cli.town.trial import checked
-
-_SIZES_M = (300.0, 1500.0)
+from wcsim.towns.importing.work_folder import check_words
+from wcsim.towns.making.wishes import Wishes, check_wishes
 
 
 @dataclass
@@ -50,17 +50,6 @@ def run(options: MakeOptions) -> int:
     """Make, check, and say what came out; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
-    in_bounds("--size", options.size, *_SIZES_M)
-    in_bounds("--traffic", options.traffic, 0.0, 10.0)
-    in_bounds("--parked", options.parked, 0.0, 1.0)
-    in_bounds("--hill", options.hill or 0.0, 0.0, 200.0)
-    check_folder("--out", out)
-    result = options.json.resolve() if options.json is not None else None  # this folder itself may be made anew
-
-    from wcsim.towns.making.maker import Wishes, make_town  # loads what builds streets, which --help must not
-
-    console = Console(stderr=True, highlight=False)
-    clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
     wishes = Wishes(
         size_m=options.size,
         kind="" if options.kind == "any" else options.kind,
@@ -69,6 +58,15 @@ def run(options: MakeOptions) -> int:
         parked=options.parked,
         hill_m=options.hill,
     )
+    check_words(options.name, options.split)
+    check_wishes(options.seed, wishes)
+    check_folder("--out", out)
+    result = options.json.resolve() if options.json is not None else None  # this folder itself may be made anew
+
+    from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
+
+    console = Console(stderr=True, highlight=False)
+    clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
     town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
     print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
     report = checked(town, told=clock.begin)

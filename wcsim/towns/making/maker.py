@@ -23,9 +23,10 @@ from wcsim.towns.importing.parking import Parking, find_parking
 from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plain_net import draw_signals, write_net
-from wcsim.towns.making.plan import KINDS, draw_plan
+from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
 from wcsim.towns.making.streets import streets_of
+from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
 from wcsim.towns.scenario.manifest import hashes_of
 from wcsim.towns.scenario.town import Town, net_middle, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -35,8 +36,6 @@ from wcsim.towns.walking.islands import share_of, walkable_parts
 log = logging.getLogger("wcsim.towns")
 
 Stage = Callable[[str], None]  # what begins now, in words
-SIZES_M = (300.0, 1500.0)
-MOST_SEED = 2**32 - 1
 _ATTEMPTS = 10  # at streets that hang together
 _GOOD_SHARE = 0.97  # of the walkable ground in one part
 _LEAST_CROSSINGS = 6
@@ -44,18 +43,6 @@ _HILLS_M = (0.0, 0.0, 4.0, 10.0, 18.0, 30.0)
 _GRADES = (0.04, 0.12)
 _LAND_M = 100.0  # beyond the streets
 SOURCE = "made by wcsim: streets by SUMO's netgenerate, no map"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wishes:
-    """What of a town is not left to its seed."""
-
-    size_m: float = 700.0  # about, from edge to edge
-    kind: str = ""  # of the streets, one of plan.KINDS; "": the seed's choice
-    split: str = "train"  # or "test"
-    traffic: float = 1.0  # how dense, against `demand.MIX`; 0: none
-    parked: float = 0.7  # share of the parking spaces that is taken
-    hill_m: float | None = None  # height of its land; None: the seed's choice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +80,8 @@ def make_town(
     wishes = wishes or Wishes()
     out = folder.resolve()
     name = name or out.name
-    _check(name, seed, wishes)
+    check_words(name, wishes.split)
+    check_wishes(seed, wishes)
     check_place(out, overwrite=overwrite)
     with workplace(name, out) as work:
         stage("drawing streets")
@@ -102,20 +90,6 @@ def make_town(
         _fill(name, seed, wishes, ground, work, stage)
         move_in_place(work, out)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
-
-
-def _check(name: str, seed: int, wishes: Wishes) -> None:
-    check_words(name, wishes.split)
-    if not 0 <= seed <= MOST_SEED:
-        raise TownError(f"seed {seed} of town {name}; expected 0 to {MOST_SEED}")
-    if not SIZES_M[0] <= wishes.size_m <= SIZES_M[1]:
-        raise TownError(f"a town of {wishes.size_m:g} m; expected {SIZES_M[0]:g} to {SIZES_M[1]:g} m from edge to edge")
-    if wishes.kind not in ("", *KINDS):
-        raise TownError(f"unknown kind {wishes.kind!r} of streets; expected one of: {', '.join(KINDS)}")
-    if not 0.0 <= wishes.traffic <= 10.0 or not 0.0 <= wishes.parked <= 1.0:
-        raise TownError(f"traffic {wishes.traffic}, parked {wishes.parked}; expected 0 to 10, and 0 to 1")
-    if wishes.hill_m is not None and not 0.0 <= wishes.hill_m <= 200.0:
-        raise TownError(f"a hill of {wishes.hill_m} m is not possible; expected 0 to 200 m")
 
 
 def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
@@ -161,7 +135,7 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
     ways = build_ways(ground.net, ground.path, work, seed) if wishes.traffic > 0.0 else ()
     routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
     (work / additional[0]).write_text(vtypes_text((*parking.areas, *marks.elements, *left)), encoding="utf-8")
-    (work / f"{name}.sumocfg").write_text(sumocfg_text(name, seed % 2**31, routes, additional), encoding="utf-8")
+    (work / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
     for source, kind in ((ground.path, "net"), (poly, "poly")):
         write_gzip(work / f"{name}.{kind}.xml.gz", without_comments(source.read_bytes()))
         source.unlink()

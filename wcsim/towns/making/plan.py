@@ -16,11 +16,11 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
-KINDS = ("grid", "spider", "random")
 _LIMITS = Limits(wall_s=60.0, cpu_s=60)
 _STUB_M = (30.0, 70.0)  # streets that lead out of the town
 _WIDE_RAD = rad(55.0)
 _APART_M = 40.0  # between an added link and streets that it does not meet
+_SHORTEST_M = 55.0  # of a link
 _LINKS_PER_HA = 3.4  # of a random net, so many that its rim can be cut off
 
 
@@ -43,7 +43,7 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     """A connected plan about `size_m` across, its middle at (0, 0); `folder` is for files in between.
 
     Args:
-        kind: One of KINDS.
+        kind: "grid", "spider" or "random".
         size_m: Width and height.
         seed: For netgenerate.
         rng: Draws the dimensions: block lengths, arms, rings.
@@ -67,7 +67,7 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     plan = _middle(plan, size_m)
     if kind == "spider":  # netgenerate attaches streets to the innermost ring only
         return _with_stubs(plan, rng)
-    return _joined(plan) if kind == "random" else plan
+    return _joined(_merged(plan)) if kind == "random" else plan
 
 
 def connected(plan: Plan) -> Plan:
@@ -121,6 +121,20 @@ def _with_stubs(plan: Plan, rng: np.random.Generator) -> Plan:
     return Plan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *links))
 
 
+def _merged(plan: Plan) -> Plan:
+    """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
+    nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
+    while links:
+        lengths_m = np.hypot(*(nodes_m[[a for a, _ in links]] - nodes_m[[b for _, b in links]]).T)
+        if lengths_m.min() >= _SHORTEST_M:
+            break
+        kept, gone = links[int(lengths_m.argmin())]
+        nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
+        moved = [tuple(kept if node == gone else node for node in link) for link in links]
+        links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
+    return connected(Plan(nodes_m=nodes_m, links=tuple(links)))
+
+
 def _joined(plan: Plan) -> Plan:
     """With links between near junctions that have none, the shortest first, where angles stay wide: no lone loops."""
     links: list[tuple[int, int]] = []
@@ -132,7 +146,8 @@ def _joined(plan: Plan) -> Plan:
             lines.append(line)
     apart_m = np.hypot(*(plan.nodes_m[:, None] - plan.nodes_m[None]).transpose(2, 0, 1))
     longest_m = 1.2 * max(line.length for line in lines)
-    pairs = sorted((apart_m[a, b], a, b) for a in range(len(apart_m)) for b in range(a) if apart_m[a, b] < longest_m)
+    near = np.argwhere(np.tril((apart_m >= _SHORTEST_M) & (apart_m < longest_m)))
+    pairs = sorted((apart_m[a, b], a, b) for a, b in near.tolist())
     for _, a, b in pairs:
         line = shapely.LineString(plan.nodes_m[[a, b]])
         if (
