@@ -22,7 +22,8 @@ _STEP_M = 2.0  # along a front, to the next place that may be free
 _SHORTEST_FRONT_M = 7.0
 _CAR_PARK_M = 5.2  # deep: one row of cars across
 _CAR_PARK_GAP_M = 0.6  # from the pavement
-_CAR_PARK_REACH_M = 24.0
+_CAR_PARK_REACH_M = 22.0  # from the middle of a car park that is a block of its own, or a part of one
+_LARGEST_SQUARE_M2 = 6000.0  # a larger block is a park
 _MOST_CAR_PARKS = 8
 
 
@@ -85,7 +86,8 @@ def build_blocks(net: Net, rng: np.random.Generator) -> Blocks:
             continue
         rim = block.exterior.distance(hull.exterior) < 0.1
         if not rim and rng.random() < open_share:
-            _leave_open(block, str(rng.choice(_OPEN)), found)
+            use = str(rng.choice(_OPEN))
+            _leave_open(block, "park" if use == "square" and block.area > _LARGEST_SQUARE_M2 else use, found)
         else:
             _build_up(block, streets, _STYLES[str(rng.choice(list(_STYLES), p=styles))], found, rng)
     return found
@@ -107,11 +109,17 @@ def _leave_open(block: Polygon, use: str, found: Blocks) -> None:
         found.squares.append(_largest(block.buffer(-0.05, join_style="mitre")))
     else:
         inner = _largest(block.buffer(-1.5, join_style="mitre"))
-        lot = _largest(inner.intersection(inner.representative_point().buffer(_CAR_PARK_REACH_M, cap_style="square")))
+        lot = _largest(inner.intersection(_near_front(inner).buffer(_CAR_PARK_REACH_M, cap_style="square")))
         found.car_parks.append(lot)
         rest = _largest(block.buffer(-0.3).difference(lot.buffer(1.0, join_style="mitre")))
         if rest.area > _LEAST_BLOCK_M2:
             found.greens.append(("landuse.grass", rest))
+
+
+def _near_front(inner: Polygon) -> shapely.Point:
+    """A point inside an area, so near to its edge that a car park about it lies at the street."""
+    way = shapely.shortest_line(inner.exterior, inner.representative_point())
+    return way.interpolate(min(0.7 * _CAR_PARK_REACH_M, way.length))
 
 
 def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Blocks, rng: np.random.Generator) -> None:
@@ -127,7 +135,8 @@ def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Block
     for start, end in _fronts(block, setback_m, streets):
         along = (end - start) / np.hypot(*(end - start))
         length_m, at_m = float(np.hypot(*(end - start))), 0.0
-        if rng.random() < cars and length_m > 24.0 and len(found.car_parks) < _MOST_CAR_PARKS:
+        parks = rng.random() < cars and length_m > 24.0 and len(found.car_parks) < _MOST_CAR_PARKS
+        if parks:
             _car_park(block, start, along, length_m, setback_m, taken, found)
         while at_m < length_m - _SHORTEST_FRONT_M:
             front_m = min(float(rng.uniform(*style.front_m)), length_m - at_m)
@@ -139,7 +148,7 @@ def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Block
                 at_m += front_m + float(rng.uniform(*style.gap_m))
             else:
                 at_m += _STEP_M
-        if style.green and setback_m > 2.0 and rng.random() < 0.5:
+        if style.green and not parks and setback_m > 2.0 and rng.random() < 0.5:
             line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * np.array([-along[1], along[0]])
             found.hedges.append((str(rng.choice(["hedge", "fence", "wall"])), line_m))
 

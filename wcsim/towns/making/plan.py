@@ -96,7 +96,7 @@ def _spider(size_m: float, rng: np.random.Generator) -> list[str]:
     rings = max(1, round(radius_m / rng.uniform(65.0, 95.0)))
     options = ["--spider", "--spider.arm-number", str(arms), "--spider.circle-number", str(rings)]
     options += ["--spider.space-radius", f"{radius_m / rings:.1f}"]
-    return [*options, *(["--spider.omit-center"] if arms > 6 else [])]
+    return [*options, *(["--spider.omit-center"] if arms > 5 else [])]
 
 
 def _random(size_m: float, rng: np.random.Generator) -> list[str]:
