@@ -13,10 +13,10 @@ from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.making.blocks import build_blocks
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.dressing import dress
+from wcsim.towns.making.named_streets import streets_of
 from wcsim.towns.making.plain_net import Signals, write_net
 from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
-from wcsim.towns.making.streets import streets_of
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 

@@ -22,6 +22,8 @@ _STEP_M = 2.0  # along a front, to the next place that may be free
 _SHORTEST_FRONT_M = 7.0
 _CAR_PARK_M = 5.2  # deep: one row of cars across
 _CAR_PARK_GAP_M = 0.6  # from the pavement
+_LEAST_PARKING_M = 24.0  # of a front, for a row of cars
+_HEDGED_M = 2.0  # from the pavement to houses that have a hedge, or more
 _CAR_PARK_REACH_M = 22.0  # from the middle of a car park that is a block of its own, or a part of one
 _LARGEST_SQUARE_M2 = 6000.0  # a larger block is a park
 _MOST_CAR_PARKS = 8
@@ -51,6 +53,17 @@ _STYLES = {
     ),
 }
 _OPEN = ("park", "square", "car_park")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plot:
+    """A block that is being built up."""
+
+    block: Polygon
+    inner: BaseGeometry  # where houses may stand
+    style: _Style
+    setback_m: float
+    taken: Taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,44 +137,52 @@ def _near_front(inner: Polygon) -> shapely.Point:
 
 def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Blocks, rng: np.random.Generator) -> None:
     """Houses along all fronts of a block that lie at a street, some with a row of parked cars before them."""
-    setback_m, taken = float(rng.uniform(*style.setback_m)), Taken()
+    setback_m = float(rng.uniform(*style.setback_m))
     inner = block.buffer(-setback_m + 0.05, join_style="mitre", mitre_limit=2.0)
     shapely.prepare(inner)
+    plot = _Plot(block=block, inner=inner, style=style, setback_m=setback_m, taken=Taken())
     if style.green and not block.interiors:
         ground = _largest(block.buffer(-0.3))
         if not ground.is_empty:
             found.greens.append(("landuse.grass", ground))
-    cars = 0.12 if style.green else 0.04
     for start, end in _fronts(block, setback_m, streets):
-        along = (end - start) / np.hypot(*(end - start))
-        length_m, at_m = float(np.hypot(*(end - start))), 0.0
-        parks = rng.random() < cars and length_m > 24.0 and len(found.car_parks) < _MOST_CAR_PARKS
+        length_m = float(np.hypot(*(end - start)))
+        cars = rng.random() < (0.12 if style.green else 0.04)
+        parks = cars and length_m > _LEAST_PARKING_M and len(found.car_parks) < _MOST_CAR_PARKS
         if parks:
-            _car_park(block, start, along, length_m, setback_m, taken, found)
-        while at_m < length_m - _SHORTEST_FRONT_M:
-            front_m = min(float(rng.uniform(*style.front_m)), length_m - at_m)
-            size_m = (front_m, float(rng.uniform(*style.depth_m)))
-            outline = _rectangle(start + at_m * along, along, size_m)
-            if inner.contains(outline) and taken.free(outline.buffer(-0.02)):
-                taken.add(outline)
-                found.houses.append(House(outline=outline, levels=int(rng.integers(*style.levels, endpoint=True))))
-                at_m += front_m + float(rng.uniform(*style.gap_m))
-            else:
-                at_m += _STEP_M
-        if style.green and not parks and setback_m > 2.0 and rng.random() < 0.5:
+            _car_park(plot, start, end, found)
+        _houses(plot, start, end, found, rng)
+        if style.green and not parks and setback_m > _HEDGED_M and rng.random() < 0.5:
+            along = (end - start) / length_m
             line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * np.array([-along[1], along[0]])
             found.hedges.append((str(rng.choice(["hedge", "fence", "wall"])), line_m))
 
 
-def _car_park(
-    block: Polygon, start: F64, along: F64, length_m: float, setback_m: float, taken: Taken, found: Blocks
-) -> None:
+def _houses(plot: _Plot, start: F64, end: F64, found: Blocks, rng: np.random.Generator) -> None:
+    """Houses along one front, each where there is room."""
+    length_m, at_m = float(np.hypot(*(end - start))), 0.0
+    along = (end - start) / length_m
+    while at_m < length_m - _SHORTEST_FRONT_M:
+        front_m = min(float(rng.uniform(*plot.style.front_m)), length_m - at_m)
+        size_m = (front_m, float(rng.uniform(*plot.style.depth_m)))
+        outline = _rectangle(start + at_m * along, along, size_m)
+        if plot.inner.contains(outline) and plot.taken.free(outline.buffer(-0.02)):
+            plot.taken.add(outline)
+            found.houses.append(House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
+            at_m += front_m + float(rng.uniform(*plot.style.gap_m))
+        else:
+            at_m += _STEP_M
+
+
+def _car_park(plot: _Plot, start: F64, end: F64, found: Blocks) -> None:
     """A row of cars between the pavement and where houses would be."""
+    length_m = float(np.hypot(*(end - start)))
+    along = (end - start) / length_m
     back = np.array([-along[1], along[0]])
-    corner = start + 2.0 * along - (setback_m - _CAR_PARK_GAP_M) * back
+    corner = start + 2.0 * along - (plot.setback_m - _CAR_PARK_GAP_M) * back
     outline = _rectangle(corner, along, (min(length_m - 4.0, 40.0), _CAR_PARK_M))
-    if block.contains(outline) and taken.free(outline):
-        taken.add(outline.buffer(1.0))
+    if plot.block.contains(outline) and plot.taken.free(outline):
+        plot.taken.add(outline.buffer(1.0))
         found.car_parks.append(outline)
 
 

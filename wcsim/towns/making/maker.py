@@ -22,10 +22,10 @@ from wcsim.towns.importing.map_marks import map_marks
 from wcsim.towns.importing.parking import Parking, find_parking
 from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
 from wcsim.towns.making.drawn_map import draw_map
+from wcsim.towns.making.named_streets import streets_of
 from wcsim.towns.making.plain_net import draw_signals, write_net
 from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
-from wcsim.towns.making.streets import streets_of
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
 from wcsim.towns.scenario.manifest import hashes_of
 from wcsim.towns.scenario.town import Town, net_middle, open_town

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.errors import SumoError
+from wcsim.towns.making.named_streets import MAIN, RESIDENTIAL, WALK, NamedStreet
 from wcsim.towns.making.shaping import ShapedPlan
-from wcsim.towns.making.streets import MAIN, RESIDENTIAL, WALK, Street
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.types import F64
 
@@ -47,7 +47,12 @@ def draw_signals(rng: np.random.Generator) -> Signals:
 
 
 def write_net(
-    name: str, shaped: ShapedPlan, streets: tuple[Street, ...], signals: Signals, folder: Path, rng: np.random.Generator
+    name: str,
+    shaped: ShapedPlan,
+    streets: tuple[NamedStreet, ...],
+    signals: Signals,
+    folder: Path,
+    rng: np.random.Generator,
 ) -> Path:
     """Make <name>.net.xml in `folder`. Raises SumoError when netconvert fails."""
     nodes, edges = folder / "made.nod.xml", folder / "made.edg.xml"
@@ -65,8 +70,8 @@ def write_net(
     return folder / f"{name}.net.xml"
 
 
-def _nodes(shaped: ShapedPlan, streets: tuple[Street, ...], signals: Signals, rng: np.random.Generator) -> str:
-    meeting: dict[int, list[Street]] = {}
+def _nodes(shaped: ShapedPlan, streets: tuple[NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
+    meeting: dict[int, list[NamedStreet]] = {}
     for street in streets:
         for link in street.links:
             for node in shaped.plan.links[link]:
@@ -78,7 +83,7 @@ def _nodes(shaped: ShapedPlan, streets: tuple[Street, ...], signals: Signals, rn
     return "\n".join([*lines, "</nodes>", ""])
 
 
-def _node_kind(arms: list[Street], share: float, drawn: float) -> str:
+def _node_kind(arms: list[NamedStreet], share: float, drawn: float) -> str:
     """Signals where larger streets meet, else priority; where only small streets meet, right before left."""
     driven = [street for street in arms if street.kind is not WALK]
     larger = {street.number for street in driven if street.kind is not RESIDENTIAL}
@@ -90,7 +95,7 @@ def _node_kind(arms: list[Street], share: float, drawn: float) -> str:
     return "priority"
 
 
-def _edges(shaped: ShapedPlan, streets: tuple[Street, ...]) -> str:
+def _edges(shaped: ShapedPlan, streets: tuple[NamedStreet, ...]) -> str:
     lines = ["<edges>"]
     for street in streets:
         name = f"{_NAMES[street.number % len(_NAMES)]} Street {street.number // len(_NAMES) + 1}"
@@ -106,7 +111,7 @@ def _edges(shaped: ShapedPlan, streets: tuple[Street, ...]) -> str:
     return "\n".join([*lines, "</edges>", ""])
 
 
-def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: Street, name: str, pavement_m: float) -> str:
+def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str, pavement_m: float) -> str:
     kind = street.kind
     head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="{kind.name}"'
     rules = f'priority="{kind.priority}" numLanes="{street.lanes}" speed="{street.speed_mps}" width="{street.lane_m}"'
@@ -117,7 +122,7 @@ def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: Street, name: s
     return f'{head} {rules}{spread} disallow="{street.closed}" sidewalkWidth="{pavement_m}"{more}{_shape(line_m)}/>'
 
 
-def _footway(edge: str, ends: tuple[int, int], line_m: F64, street: Street, name: str) -> str:
+def _footway(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str) -> str:
     """The pavement on the left side of a one-way street."""
     head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="footway" priority="1"'
     rules = f'numLanes="1" speed="2.78" width="{street.pavements_m[1]}" allow="pedestrian" spreadType="right"'

@@ -25,7 +25,7 @@ _LINKS_PER_HA = 3.4  # of a random net, so many that its rim can be cut off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class StreetPlan:
     """Junctions and straight links between them."""
 
     nodes_m: F64  # (N, 2)
@@ -39,7 +39,7 @@ class Plan:
         return graph
 
 
-def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, folder: Path) -> Plan:
+def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, folder: Path) -> StreetPlan:
     """A connected plan about `size_m` across, its middle at (0, 0); `folder` is for files in between.
 
     Args:
@@ -70,7 +70,7 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     return _joined(_merged(plan)) if kind == "random" else plan
 
 
-def connected(plan: Plan) -> Plan:
+def connected(plan: StreetPlan) -> StreetPlan:
     """The largest part of a plan that hangs together, its junctions numbered anew."""
     graph = plan.graph()
     graph.remove_nodes_from([node for node, degree in list(graph.degree()) if degree == 0])
@@ -78,7 +78,7 @@ def connected(plan: Plan) -> Plan:
     kept = max(parts, key=lambda part: (len(part), -part[0]))
     number = {node: new for new, node in enumerate(kept)}
     links = tuple((number[a], number[b]) for a, b in plan.links if a in number and b in number)
-    return Plan(nodes_m=plan.nodes_m[kept], links=links)
+    return StreetPlan(nodes_m=plan.nodes_m[kept], links=links)
 
 
 def _grid(size_m: float, rng: np.random.Generator) -> list[str]:
@@ -112,16 +112,16 @@ def _random(size_m: float, rng: np.random.Generator) -> list[str]:
     return [*options, "--rand.neighbor-dist1", "0", "--rand.neighbor-dist3", "10", "--rand.neighbor-dist4", "10"]
 
 
-def _with_stubs(plan: Plan, rng: np.random.Generator) -> Plan:
+def _with_stubs(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
     """With a street outwards from each junction of the rim."""
     far_m = np.hypot(*plan.nodes_m.T)
     rim = np.flatnonzero(far_m > 0.85 * far_m.max())
     out_m = plan.nodes_m[rim] * (1.0 + rng.uniform(*_STUB_M) / far_m[rim])[:, None]
     links = [(int(node), len(far_m) + number) for number, node in enumerate(rim)]
-    return Plan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *links))
+    return StreetPlan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *links))
 
 
-def _merged(plan: Plan) -> Plan:
+def _merged(plan: StreetPlan) -> StreetPlan:
     """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
     nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
     while links:
@@ -132,10 +132,10 @@ def _merged(plan: Plan) -> Plan:
         nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
         moved = [tuple(kept if node == gone else node for node in link) for link in links]
         links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
-    return connected(Plan(nodes_m=nodes_m, links=tuple(links)))
+    return connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
 
 
-def _joined(plan: Plan) -> Plan:
+def _joined(plan: StreetPlan) -> StreetPlan:
     """With links between near junctions that have none, the shortest first, where angles stay wide: no lone loops."""
     links: list[tuple[int, int]] = []
     lines: list[shapely.LineString] = []
@@ -156,7 +156,7 @@ def _joined(plan: Plan) -> Plan:
         ):
             links.append((min(a, b), max(a, b)))
             lines.append(line)
-    return connected(Plan(nodes_m=plan.nodes_m, links=tuple(sorted(set(links)))))
+    return connected(StreetPlan(nodes_m=plan.nodes_m, links=tuple(sorted(set(links)))))
 
 
 def _crowded(
@@ -175,7 +175,7 @@ def _gap_rad(nodes_m: F64, links: list[tuple[int, int]], node: int, other: int) 
     return float(np.abs((turn_rad[1:] - turn_rad[0] + np.pi) % (2.0 * np.pi) - np.pi).min(initial=np.pi))
 
 
-def _read(folder: Path) -> Plan:
+def _read(folder: Path) -> StreetPlan:
     nodes = list(read_root(folder / "plan.nod.xml").iterfind("node"))
     number = {node.attrib["id"]: row for row, node in enumerate(nodes)}
     ends = [
@@ -183,12 +183,12 @@ def _read(folder: Path) -> Plan:
     ]
     links = sorted({(min(pair), max(pair)) for pair in ends})
     nodes_m = np.array([[float(node.attrib["x"]), float(node.attrib["y"])] for node in nodes])
-    return Plan(nodes_m=nodes_m, links=tuple(links))
+    return StreetPlan(nodes_m=nodes_m, links=tuple(links))
 
 
-def _middle(plan: Plan, size_m: float) -> Plan:
+def _middle(plan: StreetPlan, size_m: float) -> StreetPlan:
     """The part of a plan within a square of `size_m` about its middle."""
     nodes_m = plan.nodes_m - 0.5 * (plan.nodes_m.min(axis=0) + plan.nodes_m.max(axis=0))
     inside = np.abs(nodes_m).max(axis=1) <= 0.5 * size_m + 1.0
     links = tuple((a, b) for a, b in plan.links if inside[a] and inside[b])
-    return connected(Plan(nodes_m=nodes_m, links=links))
+    return connected(StreetPlan(nodes_m=nodes_m, links=links))

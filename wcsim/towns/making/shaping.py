@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
-from wcsim.towns.making.plan import Plan, connected
+from wcsim.towns.making.plan import StreetPlan, connected
 from wcsim.types import F64
 
 _SCALES = (1.0, 0.7, 0.5, 0.3, 0.15, 0.0)  # of the moves: the first that leaves room for junctions
@@ -28,22 +28,22 @@ _WAVES = 3
 class ShapedPlan:
     """A plan whose links have shapes."""
 
-    plan: Plan
+    plan: StreetPlan
     lines_m: tuple[F64, ...]  # (K, 2) of each link, from its first junction to its second
 
 
-def shape_plan(plan: Plan, rng: np.random.Generator) -> ShapedPlan:
+def shape_plan(plan: StreetPlan, rng: np.random.Generator) -> ShapedPlan:
     """A plan with links left out, junctions moved, some links bent, and all of it turned by a random angle."""
     thinned = _thinned(plan, float(rng.uniform(0.0, 0.22)), rng)
     moved = _moved(thinned, rng)
     lines = _bent(moved, float(rng.choice([0.0, 0.3, 0.7])), rng)
     angle_rad = rng.uniform(0.0, 2.0 * np.pi)
     turn = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
-    turned = Plan(nodes_m=moved.nodes_m @ turn, links=moved.links)
+    turned = StreetPlan(nodes_m=moved.nodes_m @ turn, links=moved.links)
     return ShapedPlan(plan=turned, lines_m=tuple(line @ turn for line in lines))
 
 
-def _thinned(plan: Plan, share: float, rng: np.random.Generator) -> Plan:
+def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> StreetPlan:
     """Without some links, and without most streets that only lead out; everything still hangs together."""
     graph = plan.graph()
     wanted, dropped = round(share * len(plan.links)), set()
@@ -63,10 +63,10 @@ def _thinned(plan: Plan, share: float, rng: np.random.Generator) -> Plan:
             else:
                 graph.add_edge(a, b, link=number)
     links = tuple(link for number, link in enumerate(plan.links) if number not in dropped)
-    return connected(Plan(nodes_m=plan.nodes_m, links=links))
+    return connected(StreetPlan(nodes_m=plan.nodes_m, links=links))
 
 
-def _go_on(plan: Plan, graph: networkx.Graph, node: int, without: int) -> bool:
+def _go_on(plan: StreetPlan, graph: networkx.Graph, node: int, without: int) -> bool:
     """Whether a junction makes no sharp bend when its link to another one is left out."""
     ends = sorted(set(graph.neighbors(node)) - {without})
     if len(ends) > 2:
@@ -80,7 +80,7 @@ def _cut_points(graph: networkx.Graph, a: int, b: int) -> bool:
     return bool(networkx.edge_connectivity(graph, a, b) < 2)
 
 
-def _moved(plan: Plan, rng: np.random.Generator) -> Plan:
+def _moved(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
     """Junctions moved by waves as wide as the town, and each by a little of its own."""
     size_m = float(np.ptp(plan.nodes_m, axis=0).max())
     shift_m = np.zeros_like(plan.nodes_m)
@@ -92,13 +92,13 @@ def _moved(plan: Plan, rng: np.random.Generator) -> Plan:
         shift_m += high_m * np.sin(2.0 * np.pi * along_m / length_m + phase)[:, None] * aside
     shift_m += rng.normal(0.0, rng.choice([0.0, 4.0, 10.0]), plan.nodes_m.shape)
     for scale in _SCALES:
-        moved = Plan(nodes_m=plan.nodes_m + scale * shift_m, links=plan.links)
+        moved = StreetPlan(nodes_m=plan.nodes_m + scale * shift_m, links=plan.links)
         if _has_room(moved, [moved.nodes_m[list(link)] for link in moved.links]):
             return moved
     return plan
 
 
-def _bent(plan: Plan, share: float, rng: np.random.Generator) -> list[F64]:
+def _bent(plan: StreetPlan, share: float, rng: np.random.Generator) -> list[F64]:
     """The lines of all links, a share of the long ones bowed to a side."""
     lines = [plan.nodes_m[list(link)] for link in plan.links]
     for number, line in enumerate(lines):
@@ -117,7 +117,7 @@ def _bowed(line: F64, bow: float) -> F64:
     return np.asarray(line[0] + share * along + 4.0 * bow * share * (1.0 - share) * aside)
 
 
-def _has_room(plan: Plan, lines: Sequence[F64]) -> bool:
+def _has_room(plan: StreetPlan, lines: Sequence[F64]) -> bool:
     """Whether junctions have room: no sharp angles, no short links, no streets beside each other."""
     degree = np.bincount(np.array(plan.links).ravel(), minlength=len(plan.nodes_m))
     for (a, b), line in zip(plan.links, lines, strict=True):
@@ -135,7 +135,7 @@ def _has_room(plan: Plan, lines: Sequence[F64]) -> bool:
     )
 
 
-def least_angle_rad(plan: Plan, lines: Sequence[F64]) -> float:
+def least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
     """The smallest angle between two streets at one junction."""
     ways: dict[int, list[float]] = {}
     for (a, b), line in zip(plan.links, lines, strict=True):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from wcsim.core.seeding import generator
-from wcsim.towns.making.plan import Plan, connected, draw_plan
+from wcsim.towns.making.named_streets import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
+from wcsim.towns.making.plan import StreetPlan, connected, draw_plan
 from wcsim.towns.making.shaping import ShapedPlan, least_angle_rad, shape_plan
-from wcsim.towns.making.streets import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
 from wcsim.towns.making.wishes import KINDS
 
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
@@ -66,6 +66,6 @@ def test_one_way_streets_and_streets_for_walkers_exist(tmp_path: Path) -> None:
 
 def test_the_largest_part_is_kept() -> None:
     nodes_m = np.array([[0.0, 0.0], [1.0, 0.0], [9.0, 9.0], [2.0, 0.0], [9.0, 8.0]])
-    plan = connected(Plan(nodes_m=nodes_m, links=((0, 1), (1, 3), (2, 4))))
+    plan = connected(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 3), (2, 4))))
     assert plan.links == ((0, 1), (1, 2))
     assert plan.nodes_m.tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]

@@ -54,7 +54,7 @@ WALK = StreetClass(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Street:
+class NamedStreet:
     """One street with the links that it runs along."""
 
     number: int
@@ -74,7 +74,7 @@ class Street:
         return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
 
 
-def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[Street, ...]:
+def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[NamedStreet, ...]:
     """All streets of a plan with their classes: the longest ones are main streets.
 
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
@@ -85,7 +85,7 @@ def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[Street, ..
     rank = np.cumsum(lengths_m[order]) / lengths_m.sum()
     main, walks = float(rng.uniform(*_MAIN_SHARE)), float(rng.choice([0.0, 0.1, 0.2]))
     widths = rng.uniform(-1.0, 1.0)  # a town of wide pavements, or of narrow ones
-    found: list[Street] = []
+    found: list[NamedStreet] = []
     for number, (row, so_far) in enumerate(zip(order.tolist(), rank.tolist(), strict=True)):
         kind = MAIN if not number or so_far <= main else COLLECTOR if so_far <= main + _COLLECTOR_SHARE else RESIDENTIAL
         found.append(_drawn(number, chains[row], kind, float(widths), rng))
@@ -100,12 +100,14 @@ def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[Street, ..
     return tuple(found)
 
 
-def _drawn(number: int, links: tuple[int, ...], kind: StreetClass, widths: float, rng: np.random.Generator) -> Street:
+def _drawn(
+    number: int, links: tuple[int, ...], kind: StreetClass, widths: float, rng: np.random.Generator
+) -> NamedStreet:
     low_m, high_m = kind.pavement_m
     drawn = np.clip(0.35 * widths + rng.uniform(0.0, 1.0, 2), 0.0, 1.0)
     pavements_m = low_m + (high_m - low_m) * drawn
     cycles, lane_m = rng.random() < kind.cycle_share, float(rng.uniform(*kind.lane_m))
-    return Street(
+    return NamedStreet(
         number=number,
         links=links,
         kind=kind,
@@ -118,7 +120,7 @@ def _drawn(number: int, links: tuple[int, ...], kind: StreetClass, widths: float
     )
 
 
-def _if_reachable(shaped: ShapedPlan, streets: list[Street], changed: Street) -> Street:
+def _if_reachable(shaped: ShapedPlan, streets: list[NamedStreet], changed: NamedStreet) -> NamedStreet:
     """The changed street, or the one that it was when somebody could not get somewhere then."""
     graph = networkx.DiGraph()
     for street in (*streets[: changed.number], changed, *streets[changed.number + 1 :]):
