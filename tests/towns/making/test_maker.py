@@ -8,12 +8,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from wcsim.bridge.town_run import RecordOrder, record_town
 from wcsim.config import load_run_config, with_overrides
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
+from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.importing import jam_trial
 from wcsim.towns.importing.demand import CLASSES
 from wcsim.towns.making import maker
@@ -24,7 +26,7 @@ from wcsim.towns.scenario.town import Town, content_hash, streets_hash
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.xml_io import read_root
 
-SMALL = Wishes(size_m=400.0, kind="grid", hill_m=12.0)
+SMALL = Wishes(size_m=400.0, kind="grid", hill_m=40.0)
 ELSEWHERE = """
 import sys
 from pathlib import Path
@@ -32,7 +34,7 @@ from wcsim.towns.importing import jam_trial
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import Wishes
 jam_trial.TRIAL_S = 20
-make_town(Path(sys.argv[1]), 3, Wishes(size_m=400.0, kind="grid", hill_m=12.0), name="small")
+make_town(Path(sys.argv[1]), 3, Wishes(size_m=400.0, kind="grid", hill_m=40.0), name="small")
 """
 SMALL_CAMERAS = ("world.warmup_s=60", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
@@ -62,10 +64,12 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(town: 
     assert own_work(there) == ()
 
 
-def test_another_seed_is_another_town(town: Town, tmp_path: Path) -> None:
-    other = make_town(tmp_path / "small", 4, SMALL)
-    assert streets_hash(other) != streets_hash(town)
-    assert content_hash(other) != content_hash(town)
+def test_another_seed_is_another_town(tmp_path: Path) -> None:
+    level = replace(SMALL, hill_m=0.0, traffic=0.0)
+    towns = [make_town(tmp_path / str(seed) / "small", seed, level) for seed in (3, 4, 5)]
+    assert len({streets_hash(town) for town in towns}) == 3
+    assert len({content_hash(town) for town in towns}) == 3
+    assert len({town.poly.read_bytes() for town in towns if town.poly is not None}) == 3
 
 
 def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
@@ -80,7 +84,9 @@ def test_streets_have_what_a_city_has(town: Town) -> None:
     net = read_net(town.net, town.file.origin_m)
     pavements_m = {lane.width_m for lane in net.lanes(LaneKind.SIDEWALK)}
     assert max(pavements_m) - min(pavements_m) > 0.8
-    assert max(lane.z_m.max() for edge in net.edges for lane in edge.lanes) > 3.0
+    heights_m = np.concatenate([lane.z_m for edge in net.edges for lane in edge.lanes])
+    assert 3.0 < np.ptp(heights_m) <= 40.1
+    assert 0.01 < steepest_grade(net) <= 0.12
     signalled = {name for link in net.connections if link.tls_id for name in (link.start, link.end)}
     crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
     assert crossings & signalled and crossings - signalled
@@ -106,6 +112,12 @@ def test_what_somebody_did_there_is_not_lost(town: Town, tmp_path: Path) -> None
     with pytest.raises(TownError, match=r"notes\.txt"):
         make_town(mine.folder, 6, SMALL)
     assert bytes_in(mine.folder)["notes.txt"] == b"mine"
+    (mine.folder / "notes.txt").unlink()
+    toml = mine.folder / "town.toml"
+    toml.write_text(toml.read_text(encoding="utf-8").replace("town make", "town import"), encoding="utf-8")
+    with pytest.raises(TownError, match="town made of a map"):
+        make_town(mine.folder, 6, SMALL)
+    (mine.folder / "notes.txt").write_text("mine", encoding="utf-8")
     make_town(mine.folder, 6, replace(SMALL, traffic=0.0), overwrite=True)
     assert "notes.txt" not in bytes_in(mine.folder)
 

@@ -10,7 +10,7 @@ import pytest
 
 from wcsim.core.seeding import generator
 from wcsim.towns.making.named_streets import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
-from wcsim.towns.making.plan import StreetPlan, connected, draw_plan
+from wcsim.towns.making.plan import StreetPlan, connected, draw_plan, merged
 from wcsim.towns.making.shaping import ShapedPlan, least_angle_rad, shape_plan
 from wcsim.towns.making.wishes import KINDS
 
@@ -69,3 +69,10 @@ def test_the_largest_part_is_kept() -> None:
     plan = connected(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 3), (2, 4))))
     assert plan.links == ((0, 1), (1, 2))
     assert plan.nodes_m.tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+
+
+def test_junctions_that_are_too_close_are_made_one() -> None:
+    nodes_m = np.array([[0.0, 0.0], [100.0, 0.0], [120.0, 0.0], [220.0, 0.0], [120.0, 90.0]])
+    plan = merged(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 2), (2, 3), (2, 4), (1, 4))))
+    assert plan.links == ((0, 1), (1, 2), (1, 3))
+    assert plan.nodes_m.tolist() == [[0.0, 0.0], [110.0, 0.0], [220.0, 0.0], [120.0, 90.0]]

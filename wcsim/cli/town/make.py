@@ -41,7 +41,7 @@ class MakeOptions:
     hill: float | None = None
     """Height in metres of its land, 0 for a level town; default: the seed's choice."""
     replace: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Make a town again that somebody has worked on: what was changed or added there is lost."""
+    """Make it in place of a town that was imported, or that somebody has worked on, too: all that is lost."""
     json: OutFile = None
     """Write the result of the check to this file."""
 

@@ -28,7 +28,7 @@ from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
 from wcsim.towns.scenario.manifest import hashes_of
-from wcsim.towns.scenario.town import Town, net_middle, open_town
+from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 from wcsim.towns.walking.islands import share_of, walkable_parts
@@ -63,14 +63,14 @@ def make_town(
     overwrite: bool = False,
     stage: Stage = lambda told: None,
 ) -> Town:
-    """Make a town, replacing a town that is there if nobody has worked on it.
+    """Make a town, replacing a made one that is there if nobody has worked on it.
 
     Args:
         folder: Where the town is to be.
         seed: Of everything in it, 0 to MOST_SEED.
         wishes: What is not left to the seed.
         name: The town's name; by default that of its folder.
-        overwrite: Replace a town that somebody has worked on, too.
+        overwrite: Replace a town that was imported, or that somebody has worked on, too.
         stage: Called with what begins now, before anything that takes long.
 
     Raises:
@@ -83,6 +83,8 @@ def make_town(
     check_words(name, wishes.split)
     check_wishes(seed, wishes)
     check_place(out, overwrite=overwrite)
+    if not overwrite:
+        _check_made(out)
     with workplace(name, out) as work:
         stage("drawing streets")
         ground = _ground(name, seed, wishes, work)
@@ -90,6 +92,14 @@ def make_town(
         _fill(name, seed, wishes, ground, work, stage)
         move_in_place(work, out)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
+
+
+def _check_made(out: Path) -> None:
+    """Raise TownError when a folder holds a town that was imported."""
+    if (out / "town.toml").is_file() and "town make" not in read_town_file(out / "town.toml").rebuild:
+        raise TownError(
+            f"{out} holds a town made of a map; choose another name or --out, or give --replace: it is lost then"
+        )
 
 
 def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:

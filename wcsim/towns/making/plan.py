@@ -67,7 +67,7 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     plan = _middle(plan, size_m)
     if kind == "spider":  # netgenerate attaches streets to the innermost ring only
         return _with_stubs(plan, rng)
-    return _joined(_merged(plan)) if kind == "random" else plan
+    return _joined(merged(plan)) if kind == "random" else plan
 
 
 def connected(plan: StreetPlan) -> StreetPlan:
@@ -79,6 +79,20 @@ def connected(plan: StreetPlan) -> StreetPlan:
     number = {node: new for new, node in enumerate(kept)}
     links = tuple((number[a], number[b]) for a, b in plan.links if a in number and b in number)
     return StreetPlan(nodes_m=plan.nodes_m[kept], links=links)
+
+
+def merged(plan: StreetPlan) -> StreetPlan:
+    """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
+    nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
+    while links:
+        lengths_m = np.hypot(*(nodes_m[[a for a, _ in links]] - nodes_m[[b for _, b in links]]).T)
+        if lengths_m.min() >= _SHORTEST_M:
+            break
+        kept, gone = links[int(lengths_m.argmin())]
+        nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
+        moved = [tuple(kept if node == gone else node for node in link) for link in links]
+        links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
+    return connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
 
 
 def _grid(size_m: float, rng: np.random.Generator) -> list[str]:
@@ -119,20 +133,6 @@ def _with_stubs(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
     out_m = plan.nodes_m[rim] * (1.0 + rng.uniform(*_STUB_M) / far_m[rim])[:, None]
     links = [(int(node), len(far_m) + number) for number, node in enumerate(rim)]
     return StreetPlan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *links))
-
-
-def _merged(plan: StreetPlan) -> StreetPlan:
-    """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
-    nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
-    while links:
-        lengths_m = np.hypot(*(nodes_m[[a for a, _ in links]] - nodes_m[[b for _, b in links]]).T)
-        if lengths_m.min() >= _SHORTEST_M:
-            break
-        kept, gone = links[int(lengths_m.argmin())]
-        nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
-        moved = [tuple(kept if node == gone else node for node in link) for link in links]
-        links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
-    return connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
 
 
 def _joined(plan: StreetPlan) -> StreetPlan:
