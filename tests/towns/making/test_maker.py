@@ -20,7 +20,7 @@ from wcsim.towns.importing import jam_trial
 from wcsim.towns.importing.demand import CLASSES
 from wcsim.towns.making import maker
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.making.wishes import MOST_SEED, Wishes
+from wcsim.towns.making.wishes import KINDS, MOST_SEED, Wishes
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town, content_hash, streets_hash
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -78,6 +78,15 @@ def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
     assert report.notes == ()
     assert report.unroutable == 0
     assert set(CLASSES) - {"tram"} <= set(report.classes)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> None:
+    """Seed 4 makes a grid in which no corner of a junction is left to the pavement."""
+    town = make_town(tmp_path / "tiny", 4, Wishes(size_m=300.0, kind=kind, traffic=0.0))
+    faults = check_town(town).faults
+    assert len(faults) == 1 and faults[0].startswith("nobody walks")
+    assert "wcsim town make tiny" in faults[0] and "--traffic 1" in faults[0]
 
 
 def test_streets_have_what_a_city_has(town: Town) -> None:
