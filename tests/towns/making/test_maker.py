@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from shapely.errors import GEOSException
 
 from wcsim.bridge.town_run import RecordOrder, record_town
 from wcsim.config import load_run_config, with_overrides
@@ -23,7 +25,7 @@ from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import KINDS, MOST_SEED, Wishes
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town, content_hash, streets_hash
-from wcsim.towns.sumo.net import LaneKind, read_net
+from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 
 SMALL = Wishes(size_m=400.0, kind="grid", hill_m=40.0)
@@ -87,6 +89,23 @@ def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> Non
     faults = check_town(town).faults
     assert len(faults) == 1 and faults[0].startswith("nobody walks")
     assert "wcsim town make tiny" in faults[0] and "--traffic 1" in faults[0]
+
+
+def test_streets_whose_ground_cannot_be_built_are_drawn_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    level = replace(SMALL, hill_m=0.0, traffic=0.0)
+    first = make_town(tmp_path / "first" / "small", 3, level)
+    calls, real = [], maker.walkable_parts
+
+    def fails_once(net: Net, chair_ways: tuple[str, ...]) -> list[shapely.Polygon]:
+        calls.append(net)
+        if len(calls) == 1:
+            raise GEOSException("side location conflict")
+        return real(net, chair_ways)
+
+    monkeypatch.setattr(maker, "walkable_parts", fails_once)
+    second = make_town(tmp_path / "second" / "small", 3, level)
+    assert len(calls) == 2
+    assert streets_hash(second) != streets_hash(first)
 
 
 def test_streets_have_what_a_city_has(town: Town) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from shapely.errors import GEOSException
 
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
@@ -112,11 +113,11 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
             streets = streets_of(shaped, rng)
             path = write_net(name, shaped, streets, draw_signals(rng), work, rng)
             net = read_net(path)
-        except (SumoError, TownError) as error:
+            share = share_of(walkable_parts(net, CHAIR_WAYS))
+        except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue
-        parts = walkable_parts(net, CHAIR_WAYS)
-        if share_of(parts) >= _GOOD_SHARE and len(net.lanes(LaneKind.CROSSING)) >= _LEAST_CROSSINGS:
+        if share >= _GOOD_SHARE and len(net.lanes(LaneKind.CROSSING)) >= _LEAST_CROSSINGS:
             return _Ground(net=_lifted(path, seed, wishes), path=path, kind=kind)
     raise TownError(
         f"town {name}: no {kind} streets of {wishes.size_m:g} m that hang together were found in {_ATTEMPTS} attempts; "
