@@ -34,8 +34,19 @@ def refused(result: Result, *told: str) -> None:
 
 OPTIONS = {
     "nonsense": ("unknown command 'nonsense'", "demo, train"),
-    "town": ("needs a command", "import, list, check"),
-    "town sell": ("'sell'", "import, list, check"),
+    "town": ("needs a command", "import, make, list, check"),
+    "town sell": ("'sell'", "import, make, list, check"),
+    "town make x --seed -1": ("--seed -1", "0 to 2147483647"),
+    "town make x --seed 2147483648": ("--seed 2147483648",),
+    "town make ../x": ("'../x'", "letters, digits"),
+    "town make /x": ("'/x'", "letters, digits"),
+    "town make scenes": ("'scenes'", "no town's folder"),
+    "town make x --size 20": ("size of 20 m", "300 to 1500"),
+    "town make x --size nan": ("size of nan m", "300 to 1500"),
+    "town make x --size 1e9": ("size of 1e+09 m", "300 to 1500"),
+    "town make x --traffic -1": ("traffic -1", "0 to 10"),
+    "town make x --parked 2": ("parked 2", "0 to 1"),
+    "town make x --hill 999": ("hill of 999 m", "0 to 200"),
     "scene dance": ("'dance'", "run, list, bless"),
     "bench press": ("'press'", "tick, camera"),
     "train --seed -1": ("--seed -1", "0 to 2147483647"),
@@ -147,7 +158,7 @@ def test_wrong_options_for_runs_that_are_there_are_refused(wcsim, folder, words)
     "words",
     [
         *("train --bogus 1", "train --seed abc", "train --seed", "test --episodes many", "town check", "town list x"),
-        *("town import --name x", "snapshot a b", "doctor --json"),
+        *("town import --name x", "town make", "town make x --kind star", "snapshot a b", "doctor --json"),
     ],
 )
 def test_what_the_parser_refuses_ends_with_2_too(wcsim, folder, words):

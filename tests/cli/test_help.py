@@ -12,7 +12,7 @@ from wcsim.cli.main import SUBCOMMANDS
 
 ROOT = Path(__file__).parents[2]
 NESTED = {
-    "town": ("import", "list", "check", "pave", "run", "tour"),
+    "town": ("import", "make", "list", "check", "pave", "run", "tour"),
     "scene": ("run", "list", "bless", "new"),
     "bench": (
         *("tick", "camera", "chair", "users", "crashes", "reaction"),
@@ -60,6 +60,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
         assert ("--seed INT" in told) == has_chance
         has_result = words in {("train",), ("test",), ("doctor",), ("town", "check"), ("town", "run"), ("scene", "run")}
         has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("town", "tour"), ("cache",)}
+        has_result |= words == ("town", "make")
         assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
 
 

@@ -46,6 +46,7 @@ NOWHERE = (
     *(("demo", "--train-town", "atlantis"), ("snapshot", "atlantis"), ("video", "atlantis")),
     *(("town", "check", "atlantis"), ("town", "run", "atlantis"), ("town", "tour", "atlantis")),
     *(("town", "pave", "atlantis", "--out", "x"), ("town", "import", "--name", "x", "--osm", "atlantis.osm")),
+    ("town", "make", "x", "--size", "1"),
     *(("scene", "run", "atlantis"), ("scene", "bless", "atlantis"), ("replay", "atlantis")),
     *(("bench", name, "--town", "atlantis") for name in ("tick", "reaction", "bridge", "soak", "crashes")),
     *(("bench", name, "--towns", "atlantis") for name in ("camera", "users")),

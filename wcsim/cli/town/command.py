@@ -1,4 +1,4 @@
-"""`wcsim town import | list | check | pave | run | tour`."""
+"""`wcsim town import | make | list | check | pave | run | tour`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from rich.table import Column, Table
 from wcsim.cli.shared.common import OutFile, parse, subcommand, write_json
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.cli.town.import_ import run as run_import
+from wcsim.cli.town.make import MakeOptions
+from wcsim.cli.town.make import run as run_make
 from wcsim.cli.town.pave import PaveOptions
 from wcsim.cli.town.pave import run as run_pave
 from wcsim.cli.town.report import print_report, report_json
@@ -43,6 +45,7 @@ def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     known = {
         "import": ImportOptions,
+        "make": MakeOptions,
         "list": ListOptions,
         "check": CheckOptions,
         "pave": PaveOptions,
@@ -52,6 +55,8 @@ def run(words: list[str]) -> int:
     name = subcommand(words, "town", known, known.__getitem__)
     if name == "import":
         return run_import(parse(ImportOptions, words[1:], "town import"))
+    if name == "make":
+        return run_make(parse(MakeOptions, words[1:], "town make"))
     if name == "list":
         parse(ListOptions, words[1:], "town list")
         return _list()

@@ -109,7 +109,8 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     larger = f"take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name {town.name}"
-    pave = larger if town.file.rebuild else pave_cure(town)
+    imported = "town import" in town.file.rebuild
+    pave = larger if imported else pave_cure(town)
     if not found.walkingareas:
         return [f"the net has no walking areas, so nobody can walk; {pave}"]
     lines = []
@@ -117,7 +118,7 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
         lines.append(f"the net has no crossings, so nobody can cross a street; {pave}")
     if found.walkable_largest_share < _ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
-        cure = larger if town.file.rebuild else f"join the parts: {netedit_cure(town)}"
+        cure = larger if imported else f"join the parts: {netedit_cure(town)}"
         lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
 

@@ -183,7 +183,8 @@ def _mitred(area: BaseGeometry, distance_m: float) -> BaseGeometry:
 
 def _opened(area: BaseGeometry, half_m: float) -> BaseGeometry:
     """Without strips narrower than twice `half_m`."""
-    return _areas(_mitred(_mitred(area, -half_m), half_m).intersection(area))
+    wide = _mitred(_mitred(area, -half_m), half_m)
+    return MultiPolygon() if wide.is_empty else _areas(wide.intersection(area))  # GEOS fails at nothing
 
 
 def _without_pockets(low: BaseGeometry, motor: BaseGeometry) -> BaseGeometry:

@@ -74,6 +74,13 @@ def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     return Dem(height_m=_hill(relief.hill_m, _shape(area), seed), box=area)
 
 
+def hill_over(hill_m: float, box_m: Box, seed: int) -> Dem:
+    """A made-up hill over a net's own metres, for a net that lies nowhere on the globe."""
+    west, south, east, north = box_m
+    shape = max(8, round((north - south) / CELL_M)), max(8, round((east - west) / CELL_M))
+    return Dem(height_m=_hill(hill_m, shape, seed), box=box_m)
+
+
 def heights_at(dem: Dem, places: F64) -> F64:
     """Heights (n,) at longitudes and latitudes (n, 2), bilinear between the middles of the cells."""
     west, south, east, north = dem.box

@@ -5,7 +5,6 @@ Everything is made in a folder beside the target and moved into place at the end
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -19,18 +18,18 @@ from wcsim.towns.importing.build_net import EXTRACT, BuiltNet, build_net
 from wcsim.towns.importing.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
 from wcsim.towns.importing.elevation import Heights, make_dem, write_dem
 from wcsim.towns.importing.folder_texts import license_text, sumocfg_text, town_toml_text
-from wcsim.towns.importing.jam_trial import ROUNDS, stuck_ways
+from wcsim.towns.importing.jam_trial import write_tried
 from wcsim.towns.importing.lift import lift_net
 from wcsim.towns.importing.map_marks import MapMarks, map_marks
 from wcsim.towns.importing.netconvert import NetOrder, convert_polygons
 from wcsim.towns.importing.parking import Parking, find_parking
-from wcsim.towns.importing.work_folder import move_in_place, workplace
+from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
 from wcsim.towns.osm.area import Box, check_box, middle_of, size_m
 from wcsim.towns.osm.driving_side import Side, side_at
 from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_note, left_out_of, stops_inside, ways_inside
 from wcsim.towns.osm.read import Extract, read_extract
-from wcsim.towns.scenario.manifest import hashes_of, own_work
-from wcsim.towns.scenario.town import NOT_TOWNS, Town, open_town
+from wcsim.towns.scenario.manifest import hashes_of
+from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 from wcsim.towns.walking.islands import ways_of
@@ -104,25 +103,13 @@ def import_town(
 
 
 def _check(order: ImportOrder) -> None:
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", order.name):
-        raise TownError(f"a town cannot be named {order.name!r}; expected letters, digits, - and _")
-    if order.name in NOT_TOWNS:
-        raise TownError(f"a town cannot be named {order.name!r}, for that is no town's folder; choose another name")
-    if order.split not in ("train", "test"):
-        raise TownError(f"unknown split {order.split!r} of town {order.name}; expected train or test")
+    check_words(order.name, order.split)
     if order.bbox is not None:
         check_box(order.bbox)
     check_rates(order.per_hour)
     if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
-    if order.out.is_dir() and any(order.out.iterdir()) and not (order.out / "town.toml").is_file():
-        raise TownError(f"{order.out} is not empty and not a town; give another folder, or empty it")
-    work = own_work(order.out) if (order.out / "town.toml").is_file() and not order.overwrite else ()
-    if work:
-        raise TownError(
-            f"{order.out} holds what was changed or added since its import: {', '.join(work[:5])}"
-            f"{' and more' * (len(work) > 5)}; choose another --name or --out, or give --replace: all that is lost then"
-        )
+    check_place(order.out, overwrite=order.overwrite)
 
 
 def _side(order: ImportOrder, box: Box) -> Side:
@@ -240,13 +227,11 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
 
 def _write_demand(order: ImportOrder, work: Path, built: BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
     """Write the flows, without the walking ways on which people get stuck."""
-    for trials_left in reversed(range(ROUNDS + 1)):
-        text = flows_text(built.net, ways, order.seed, order.traffic, order.per_hour, parking.vehicles)
-        write_gzip(work / f"{order.name}.rou.xml.gz", text.encode())
-        stuck = stuck_ways(work / f"{order.name}.sumocfg", ways) if trials_left and ways else ()
-        if not stuck:
-            return
-        ways = tuple(way for way in ways if way not in stuck)
+
+    def text_of(some: tuple[Way, ...]) -> str:
+        return flows_text(built.net, some, order.seed, order.traffic, order.per_hour, parking.vehicles)
+
+    write_tried(work / f"{order.name}.sumocfg", ways, text_of)
 
 
 def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tuple[str, ...]) -> None:

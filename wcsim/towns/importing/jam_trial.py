@@ -6,15 +6,33 @@ Where SUMO's pavements are pinched, people block each other for minutes, and wit
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from wcsim.errors import SumoError
 from wcsim.towns.importing.demand import Way
 from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import write_gzip
 
 TRIAL_S = 600
 ROUNDS = 2
 _JAMMED = re.compile(r"Person 'walkers\.\d+\.(\d+)\.\d+' is jammed")
+
+
+def write_tried(sumocfg: Path, ways: tuple[Way, ...], text_of: Callable[[tuple[Way, ...]], str]) -> None:
+    """Write the route file of a town's folder, without the walking ways on which people get stuck.
+
+    Args:
+        sumocfg: The town's, which names <its stem>.rou.xml.gz.
+        ways: All ways.
+        text_of: The route file's text for some of them.
+    """
+    for trials_left in reversed(range(ROUNDS + 1)):
+        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text_of(ways).encode())
+        stuck = stuck_ways(sumocfg, ways) if trials_left and ways else ()
+        if not stuck:
+            return
+        ways = tuple(way for way in ways if way not in stuck)
 
 
 def stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:

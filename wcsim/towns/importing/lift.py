@@ -33,9 +33,19 @@ def lift_net(path: Path, dem: Dem, relief: Heights) -> Dem:
     Raises TownError when the net does not say where on the globe it lies.
     """
     root = read_root(path)
+    return _lifted(root, path, dem, relief, lambda points_m: _places(root, points_m, path))
+
+
+def lift_own_net(path: Path, dem: Dem, relief: Heights) -> Dem:
+    """The same where the land's box is in the net's own metres, for a net that lies nowhere on the globe."""
+    return _lifted(read_root(path), path, dem, relief, lambda points_m: points_m)
+
+
+def _lifted(root: Element, path: Path, dem: Dem, relief: Heights, places_of: Callable[[F64], F64]) -> Dem:
+    """`places_of` turns points (n, 2) of the net into places of the land."""
     found = [(element, _points(element)) for element in root.iter() if element.get("shape")]
     ends = np.cumsum([len(points_m) for _, points_m in found])
-    places = _places(root, np.concatenate([points_m for _, points_m in found]), path)
+    places = places_of(np.concatenate([points_m for _, points_m in found]))
     runs_m = [np.hypot(*np.diff(points_m, axis=0).T) for _, points_m in found]
     driven = [element.tag == "lane" for element, _ in found]
 
@@ -51,7 +61,7 @@ def lift_net(path: Path, dem: Dem, relief: Heights) -> Dem:
         element.set("shape", " ".join(f"{x:.2f},{y:.2f},{z:.3f}" for x, y, z in rows))
     junctions = [element for element in root.iterfind("junction")]
     middles_m = np.array([[float(element.get("x", "0")), float(element.get("y", "0"))] for element in junctions])
-    for element, z in zip(junctions, heights_at(used, _places(root, middles_m, path)).tolist(), strict=True):
+    for element, z in zip(junctions, heights_at(used, places_of(middles_m)).tolist(), strict=True):
         element.set("z", f"{z:.3f}")
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return used

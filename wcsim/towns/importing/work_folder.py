@@ -10,7 +10,35 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from wcsim.errors import TownError
+from wcsim.towns.scenario.manifest import own_work
+from wcsim.towns.scenario.town import NOT_TOWNS
+
 _OLD = "-old"
+
+
+def check_words(name: str, split: str) -> None:
+    """Raise TownError unless a town can have this name and this split."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
+        raise TownError(f"a town cannot be named {name!r}; expected letters, digits, - and _")
+    if name in NOT_TOWNS:
+        raise TownError(f"a town cannot be named {name!r}, for that is no town's folder; choose another name")
+    if split not in ("train", "test"):
+        raise TownError(f"unknown split {split!r} of town {name}; expected train or test")
+
+
+def check_place(out: Path, *, overwrite: bool) -> None:
+    """Raise TownError when a folder holds something else than a town, or a town that somebody has worked on."""
+    if out.exists() and not out.is_dir():
+        raise TownError(f"{out} is a file; give another folder, or remove it")
+    if out.is_dir() and any(out.iterdir()) and not (out / "town.toml").is_file():
+        raise TownError(f"{out} is not empty and not a town; give another folder, or empty it")
+    work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
+    if work:
+        raise TownError(
+            f"{out} holds what was changed or added since it was made: {', '.join(work[:5])}"
+            f"{' and more' * (len(work) > 5)}; choose another name or --out, or give --replace: all that is lost then"
+        )
 
 
 @contextmanager

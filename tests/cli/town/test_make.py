@@ -1,0 +1,52 @@
+"""`wcsim town make`: a town from a seed, made again by the command that its folder holds."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run, files_in
+from wcsim.towns.importing import jam_trial
+from wcsim.towns.scenario.town import open_town
+
+SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--traffic", "0.5")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+
+
+def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
+    wcsim: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = wcsim("town", "make", "mine", "--seed", "9", *SMALL, "--split", "test", "--json", "made.json")
+    assert made.code == 0, made.err
+    told = json.loads(Path("made.json").read_text())
+    assert told["faults"] == [] and told["crossings"] > 5 and told["cpu"]["own_s"] > 0.0
+    assert "CPU time, in seconds" in made.out and "drawing streets" in made.err
+    place = folder / "scenarios" / "sumo" / "mine"
+    town = open_town(place)
+    assert (town.name, town.split) == ("mine", "test")
+    assert wcsim("town", "check", "mine").code == 0
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+    monkeypatch.chdir(place)
+    again = wcsim(*shlex.split(town.file.rebuild)[1:])
+    assert again.code == 0, again.err
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == before
+
+
+def test_a_town_that_somebody_changed_is_left_as_it_is(wcsim: Run, folder: Path) -> None:
+    assert wcsim("town", "make", "mine", "--seed", "9", *SMALL).code == 0
+    config = folder / "scenarios" / "sumo" / "mine" / "mine.sumocfg"
+    config.write_text(config.read_text().replace('"300"', '"60"'))
+    before = files_in(folder)
+    refused = wcsim("town", "make", "mine", "--seed", "10", *SMALL)
+    assert refused.code == 2 and "mine.sumocfg" in refused.err and "--replace" in refused.err
+    assert files_in(folder) == before and '"60"' in config.read_text()
+    assert wcsim("town", "make", "mine", "--seed", "10", *SMALL, "--replace").code == 0
+    assert '"60"' not in config.read_text()

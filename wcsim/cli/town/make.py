@@ -1,0 +1,78 @@
+"""`wcsim town make`: a town without a map, from a seed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, write_json
+from wcsim.cli.town.report import print_report, report_json
+from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
+from wcsim.cli.town.trial import checked
+from wcsim.towns.importing.work_folder import check_words
+from wcsim.towns.making.wishes import Wishes, check_wishes
+
+
+@dataclass
+class MakeOptions:
+    """Make a town without a map: streets, pavements, hills, buildings, furniture, parked cars and endless traffic."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """The town's name."""
+    seed: int = 0
+    """Seed of everything in it: another seed is another town, the same one the same bytes."""
+    size: float = 700.0
+    """About how many metres it is across."""
+    kind: Literal["any", "grid", "spider", "random"] = "any"
+    """What its streets are like; any: the seed's choice."""
+    split: Literal["train", "test"] = "train"
+    """Whether networks may be trained in it, or only tested."""
+    out: OutFolder = None
+    """Where to put it; default ./scenarios/sumo/NAME."""
+    traffic: float = 1.0
+    """All traffic times this; 0 for none."""
+    parked: float = 0.7
+    """Share of the parking spaces that has a car in it."""
+    hill: float | None = None
+    """Height in metres of its land, 0 for a level town; default: the seed's choice."""
+    replace: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Make it in place of a town that was imported, or that somebody has worked on, too: all that is lost."""
+    json: OutFile = None
+    """Write the result of the check to this file."""
+
+
+def run(options: MakeOptions) -> int:
+    """Make, check, and say what came out; 0 when the town has no faults, else 1."""
+    started_s = time.monotonic()
+    out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
+    wishes = Wishes(
+        size_m=options.size,
+        kind="" if options.kind == "any" else options.kind,
+        split=options.split,
+        traffic=options.traffic,
+        parked=options.parked,
+        hill_m=options.hill,
+    )
+    check_words(options.name, options.split)
+    check_wishes(options.seed, wishes)
+    check_folder("--out", out)
+    result = options.json.resolve() if options.json is not None else None  # this folder itself may be made anew
+
+    from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
+
+    console = Console(stderr=True, highlight=False)
+    clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
+    town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
+    report = checked(town, told=clock.begin)
+    costs = clock.costs()
+    code = print_report(report)
+    Console().print(costs_table(costs))
+    if result is not None:
+        write_json(result, {**report_json(report, time.monotonic() - started_s), "cpu": costs_json(costs)})
+    return code
