@@ -67,7 +67,7 @@ def turning_beside_drop(rng: np.random.Generator) -> Draft:
 def twisted_ramp(rng: np.random.Generator) -> Draft:
     """A pavement climbs and leans towards the road, and the user's hand pulls to that side."""
     pavement = Pavement(width_m=float(rng.uniform(1.8, 2.4)))
-    rise, lean = float(rng.uniform(-0.08, 0.08)), float(rng.uniform(0.05, 0.1))
+    rise, lean = float(rng.uniform(-0.06, 0.06)), float(rng.uniform(0.04, 0.09))
     start_m = (float(rng.uniform(-15.0, 0.0)), pavement.at(float(rng.uniform(0.9, 1.2))))
     begin_s, forward = 0.6, float(rng.choice((0.5, 0.75)))
     pull_s = begin_s + float(rng.uniform(1.0, 2.5))
