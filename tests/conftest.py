@@ -86,7 +86,7 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A town of one street corner with a little traffic, built from a hand-written scene; starts in no time."""
-    from wcsim.scenes.build import build_scene, find_scene
+    from wcsim.towns.scene_folders.build import build_scene, find_scene
 
     work = tmp_path_factory.mktemp("corner")
     from wcsim.towns.scenario.town import find_town

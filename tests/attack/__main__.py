@@ -12,7 +12,7 @@ from tests.attack.outcomes import Case, Tally
 from tests.attack.peers import messages
 from tests.attack.scenarios import scenarios
 from tests.towns.made import hostile
-from wcsim.scenes.build import build_scene, find_scene
+from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.sumo.xml_io import read_bytes
 
 SEED = 7

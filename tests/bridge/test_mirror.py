@@ -9,8 +9,8 @@ import pytest
 from tests.support.actors import actor
 from tests.support.samples import KERB_M, strip_street
 from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
-from wcsim.scenes.build import find_scene
 from wcsim.scenes.run import open_scene, play
+from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import ActorKind, ActorState
 
 

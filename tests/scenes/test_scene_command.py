@@ -12,9 +12,9 @@ import pytest
 from wcsim.cli.main import main
 from wcsim.config.scene import SceneExpect
 from wcsim.errors import TownError
-from wcsim.scenes.build import GOLDEN, find_scene
 from wcsim.scenes.facts import SceneFacts
 from wcsim.scenes.template import write_scene
+from wcsim.towns.scene_folders.build import GOLDEN, find_scene
 
 BROKEN = {
     "no nodes": ("street.nod.xml", None, "", r"has 0 files \*\.nod\.xml"),
@@ -63,6 +63,20 @@ def test_a_changed_scene_fails_and_is_blessed_again(tmp_path, capsys):
     assert main(["scene", "bless", str(folder)]) == 0
     assert "unchanged" in (told := capsys.readouterr().out)
     assert "does not show what it must: crashed is True" in told
+
+
+def test_a_scene_of_a_family_is_made_and_runs(tmp_path, capsys):
+    folder = tmp_path / "look" / "back"
+    assert main(["scene", "make", "reversing-off-kerb", "--seed", "2", "--out", str(folder)]) == 0
+    told = capsys.readouterr().out
+    assert f"wcsim scene run {folder} --film back.webm" in told
+    assert f"-n {folder / 'street.nod.xml'}" in told
+    assert main(["scene", "run", str(folder), "--json", str(tmp_path / "told.json")]) == 1
+    told = json.loads((tmp_path / "told.json").read_text())["reversing-off-kerb-2"]
+    assert told["crashed"]
+    assert len(told["faults"]) == 1, "only the golden trace is missing"
+    assert main(["scene", "make", "reversing", "--out", str(tmp_path / "other")]) == 2
+    assert "expected one of: bus-at-corner" in capsys.readouterr().err
 
 
 def test_a_film_of_a_scene(tmp_path, capsys):

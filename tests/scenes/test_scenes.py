@@ -12,9 +12,9 @@ from wcsim.bridge.recording.trace_diff import difference
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpect, SceneFile
-from wcsim.scenes.build import GOLDEN, find_scene, list_scenes
 from wcsim.scenes.facts import facts_from_line, facts_line, faults
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
+from wcsim.towns.scene_folders.build import GOLDEN, find_scene, list_scenes
 
 NAMES = [folder.name for folder in list_scenes()]
 MUST_BE_THERE = {

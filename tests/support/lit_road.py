@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wcsim.scenes.build import build_scene
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.scene_folders.build import build_scene
 
 CROSSING_LINKS = (2,)  # behind the two directions of the road in the colours of light "C"
 

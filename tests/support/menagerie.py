@@ -16,7 +16,7 @@ from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.scenes.build import build_scene
+from wcsim.towns.scene_folders.build import build_scene
 from wcsim.types import ActorState
 
 CLASSES = (

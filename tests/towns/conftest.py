@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.scenes.build import build_scene, find_scene
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.types import Street
 
 REPOSITORY = Path(__file__).resolve().parents[2]

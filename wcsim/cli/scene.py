@@ -1,4 +1,4 @@
-"""`wcsim scene run | list | bless | new`: short street scenes with a fixed seed, compared with their golden traces."""
+"""`wcsim scene run | list | bless | new | make`: short street scenes with a fixed seed, and their golden traces."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.scenes.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 from wcsim.scenes.facts import SceneFacts, facts_of, faults
 from wcsim.scenes.template import write_scene
+from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 
 Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
 HOME = Path("scenarios") / "sumo" / "scenes"
@@ -61,6 +61,18 @@ class NewOptions:
     """Where the scene's folder is made; scenes in the default place are found by name."""
 
 
+@dataclass
+class MakeOptions:
+    """Write a scene that a seed draws from a family: a danger that a helper can avoid, and a recorded joystick."""
+
+    family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
+    """Which family, as docs/authoring.md lists them."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """The folder to make."""
+    seed: int = 0
+    """Draws places, times, speeds and the side; the same seed writes the same files."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """How a scene ended."""
@@ -72,7 +84,7 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions}
+    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions, "make": MakeOptions}
     name = subcommand(words, "scene", known, known.__getitem__)
     if name == "list":
         parse(ListOptions, words[1:], "scene list")
@@ -81,6 +93,8 @@ def run(words: list[str]) -> int:
         return _run(parse(RunOptions, words[1:], "scene run"))
     if name == "new":
         return _new(parse(NewOptions, words[1:], "scene new"))
+    if name == "make":
+        return _make(parse(MakeOptions, words[1:], "scene make"))
     return _bless(parse(BlessOptions, words[1:], "scene bless")) if name else 0
 
 
@@ -182,11 +196,26 @@ def _new(options: NewOptions) -> int:
     folder = write_scene(options.out, options.name)
     called = _called(folder)
     print(f"{folder}: a scene that runs as it is; change it, and look at what it does:")
-    print(f"  wcsim scene run {called} --film {options.name}.webm")
-    files = [f"{option} {folder / f'street.{kind}.xml'}" for option, kind in NETCONVERT_FILES]
-    print(f"  netedit {' '.join(files)}")
+    _print_ways_in(folder, options.name)
     print(f"  wcsim scene bless {called}   when it is right: from then on a run fails that differs")
     return 0
+
+
+def _make(options: MakeOptions) -> int:
+    from wcsim.towns.scene_folders.families import catalogue  # loads numba, which --help must not
+
+    folder = catalogue.write_scene(options.family, options.seed, options.out)
+    print(f"{folder}: a scene of the family {options.family}; look at what becomes of it:")
+    _print_ways_in(folder, folder.name)
+    return 0
+
+
+def _print_ways_in(folder: Path, film: str) -> None:
+    files = [
+        f"{option} {path}" for option, kind in NETCONVERT_FILES if (path := folder / f"street.{kind}.xml").is_file()
+    ]
+    print(f"  wcsim scene run {_called(folder)} --film {film}.webm")
+    print(f"  netedit {' '.join(files)}")
 
 
 def _called(folder: Path) -> str:

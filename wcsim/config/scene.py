@@ -11,6 +11,7 @@ from wcsim.config import Finite, Model, NotNegative, Share, Text
 
 Stick = Annotated[float, Field(ge=-1.0, le=1.0)]
 Window = tuple[Finite, Finite]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}\.csv$")]
 ScriptStep = tuple[NotNegative, Stick, Stick]  # from this second on: right, forward
 
 
@@ -21,6 +22,7 @@ class SceneSeat(Model):
     heading_deg: Finite  # SUMO's: clockwise from north
     goal_m: tuple[Finite, Finite] | None = None
     profile: Text = "competent"
+    recording: FileName | None = None  # of a joystick, a .csv file beside this one: drives in the place of a profile
     joystick: tuple[Stick, Stick] | None = None  # right, forward
     script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()
 
@@ -28,7 +30,11 @@ class SceneSeat(Model):
     def _is_driven_by_one(self) -> SceneSeat:
         driven = [self.goal_m is not None, self.joystick is not None, bool(self.script)]
         if sum(driven) != 1:
-            raise ValueError("a seat is driven by exactly one of goal_m (with a profile), joystick and script")
+            raise ValueError(
+                "a seat is driven by exactly one of goal_m (with a profile or a recording), joystick and script"
+            )
+        if self.recording is not None and (self.goal_m is None or "profile" in self.model_fields_set):
+            raise ValueError("a recording goes with a goal_m, and without a profile")
         times_s = [step[0] for step in self.script]
         if any(later <= sooner for sooner, later in pairwise(times_s)):
             raise ValueError(f"the times of script must rise, got {times_s}")

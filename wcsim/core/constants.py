@@ -1,4 +1,4 @@
-"""Numbers of the physical world that several layers share, each in this one place with its reason."""
+"""Numbers of the physical world, and a word, that several layers share, each in this one place with its reason."""
 
 from __future__ import annotations
 
@@ -16,3 +16,6 @@ OTHER_LEVEL_M: Final = 2.5
 """Who is so much higher or lower than a chair is on a bridge or in a tunnel: less than the headroom of any."""
 
 GRAVITY_MPS2: Final = 9.81
+
+RECORDED: Final = "recorded:"
+"""Before the file of a recorded joystick, where else the name of a user's profile stands."""

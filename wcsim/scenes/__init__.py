@@ -1,1 +1,1 @@
-"""Short street scenes with a fixed seed: built, run, measured, filmed. The product never imports them."""
+"""Short street scenes with a fixed seed: run, measured, filmed. The product never imports them."""

@@ -20,13 +20,13 @@ from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
-from wcsim.core import frames
 from wcsim.errors import TownError, WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.scenes.build import build_scene
 from wcsim.scenes.facts import SceneFacts, facts_from_line
 from wcsim.scenes.meter import SceneMeter
-from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
+from wcsim.towns.scene_folders.build import build_scene
+from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, Snapshot, StartSpec
 
 _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
@@ -67,8 +67,8 @@ def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS)
     with tempfile.TemporaryDirectory(prefix=_WORK) as work:
         try:
             town, scene = build_scene(folder, Path(work))
-            specs = tuple(_spec(seat, town.file.origin_m) for seat in scene.seats)
-            world = World(town, _config(scene, cameras), specs, scene.seed)
+            specs = seat_specs(folder, scene, town.file.origin_m)
+            world = World(town, scene_config(scene, RunConfig(cameras=cameras)), specs, scene.seed)
         except WcsimError as error:
             raise TownError(_without_work(str(error), folder)) from None
         with world:
@@ -125,13 +125,6 @@ def _without_work(text: str, folder: Path) -> str:
     return text if text.startswith(f"{folder}") else f"{folder}: {text}"
 
 
-def _config(scene: SceneFile, cameras: tuple[CameraConfig, ...]) -> RunConfig:
-    """The default world with the scene's own settings."""
-    base = RunConfig(cameras=cameras)
-    world = base.world.model_copy(update={"warmup_s": scene.warmup_s, "attention_share": scene.attention_share})
-    return base.model_copy(update={"world": world})
-
-
 def _header(world: World, scene: SceneFile) -> TraceHeader:
     return TraceHeader(
         name=scene.name,
@@ -139,19 +132,6 @@ def _header(world: World, scene: SceneFile) -> TraceHeader:
         tick_s=world.config.world.tick_s,
         seats=len(scene.seats),
         fingerprint=fingerprint(),
-    )
-
-
-def _spec(wanted: SceneSeat, origin_m: tuple[float, float]) -> SeatSpec:
-    start = frames.world_from_net(np.array(wanted.start_m), origin_m)
-    goal = frames.world_from_net(np.array(wanted.goal_m or wanted.start_m), origin_m)
-    return SeatSpec(
-        profile=wanted.profile,
-        start=StartSpec(
-            p_W_m=(float(start[0]), float(start[1])),
-            yaw_rad=frames.yaw_from_sumo(wanted.heading_deg),
-            goal_W_m=(float(goal[0]), float(goal[1])),
-        ),
     )
 
 

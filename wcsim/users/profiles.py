@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError
 
 _SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
@@ -18,8 +19,6 @@ _SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the 
 
 HELD_OUT = ("ataxic",)
 """Profiles that no network is trained with."""
-
-RECORDED = "recorded:"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

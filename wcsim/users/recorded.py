@@ -17,11 +17,12 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import FileKind, read_text, shown
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
-from wcsim.users.profiles import RECORDED, UserProfile, profile
+from wcsim.users.profiles import UserProfile, profile
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 

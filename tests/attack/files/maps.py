@@ -27,11 +27,11 @@ from tests.cli.towns import tiny_osm
 from tests.towns.fuzz.flipped_bytes import DISK, RAW, pick
 from wcsim.core.seeding import generator
 from wcsim.errors import WcsimError
-from wcsim.scenes.build import build_scene, find_scene, scene_of
 from wcsim.towns.checks.validate import scan_net
 from wcsim.towns.importing.elevation import Heights, make_dem, own_projections, write_dem
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.town import open_town
+from wcsim.towns.scene_folders.build import build_scene, find_scene, scene_of
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import read_bytes, read_root
 

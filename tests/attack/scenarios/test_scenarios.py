@@ -10,7 +10,7 @@ import pytest
 from tests.attack.outcomes import Outcome, Tally
 from tests.attack.scenarios.scenarios import cases, started
 from tests.towns.made import hostile
-from wcsim.scenes.build import build_scene, find_scene
+from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.sumo.xml_io import read_bytes
 
 SEED = 11

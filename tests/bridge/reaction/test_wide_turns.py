@@ -18,8 +18,8 @@ from wcsim.core import frames
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.scenes.build import build_scene, list_scenes
 from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scene_folders.build import build_scene, list_scenes
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ActorKind, ClassId, StreetGrid

@@ -99,7 +99,7 @@ _OPTIONS = """<configuration>
 
 def write_base(folder: Path) -> None:
     """A sound scenario with a little of everything, and a sound extract of a map."""
-    from wcsim.scenes.build import build_scene, find_scene
+    from wcsim.towns.scene_folders.build import build_scene, find_scene
 
     with tempfile.TemporaryDirectory() as work:
         town = build_scene(find_scene("pedestrian-crossing"), Path(work))[0]

@@ -15,12 +15,13 @@ from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import RunConfig, load_run_config, with_file, with_overrides
 from wcsim.core import seeding
+from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profiles import HELD_OUT, RECORDED, profile
+from wcsim.users.profiles import HELD_OUT, profile
 
 
 class Asked(Protocol):

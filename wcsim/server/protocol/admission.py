@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import shown
 from wcsim.errors import (
     ConfigError,
@@ -21,7 +22,7 @@ from wcsim.server.protocol.bounds import MOST_METRES, MOST_STEPS
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Roster
 from wcsim.types import CLIENT_NAME, SeatSpec
-from wcsim.users.profiles import RECORDED, profile_names
+from wcsim.users.profiles import profile_names
 
 _NAME = re.compile(CLIENT_NAME)
 

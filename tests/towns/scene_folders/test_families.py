@@ -1,0 +1,113 @@
+"""Families of scenes: a seed always writes the same, every street builds, and each holds the danger that it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wcsim.core import seeding
+from wcsim.errors import ConfigError
+from wcsim.scenes.run import open_scene, play
+from wcsim.towns.build_street import build_street
+from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.checks.validate import validate_net
+from wcsim.towns.scene_folders.build import build_scene, scene_of
+from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
+from wcsim.towns.scene_folders.families.draft import Push, mirrored, way_of
+from wcsim.towns.scene_folders.families.overtaking import scooter_cuts_in
+from wcsim.types import ClassId
+
+LONGEST_S = 25.0
+# family: a seed, why the episode of a follower ends, and with whom ("" for kerbs and walls)
+MEANT = {
+    "bus-at-corner": (1, "collision", "v:bus"),
+    "car-door": (0, "collision", "v:door"),
+    "footplate-swing": (0, "collision", ""),
+    "oncoming-pair": (0, "collision", "p:left"),
+    "overtaking-rider": (0, "collision", "v:rider"),
+    "person-turns-round": (2, "collision", "p:walker"),
+    "reversing-off-kerb": (0, "drop", ""),
+    "scooter-cuts-in": (0, "collision", "v:rider"),
+    "turning-beside-drop": (0, "drop", ""),
+    "twisted-ramp": (0, "drop", ""),
+}
+
+
+def texts(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_seed_writes_the_same_bytes_and_another_one_others(family: str, tmp_path: Path) -> None:
+    once, again, other = (
+        texts(write_scene(family, seed, tmp_path / name)) for name, seed in (("a", 3), ("b", 3), ("c", 4))
+    )
+    assert once == again
+    changed = {name for name in once if once[name] != other[name]}
+    assert {"scene.toml", "stick.csv"} <= changed
+    assert "street.nod.xml" in changed or "street.typ.xml" in changed
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_both_sides_and_short_scenes_are_drawn(family: str, tmp_path: Path) -> None:
+    scenes = [scene_of(write_scene(family, seed, tmp_path / str(seed))) for seed in range(12)]
+    assert {scene.lefthand for scene in scenes} == {False, True}
+    assert max(scene.duration_s for scene in scenes) <= LONGEST_S
+    assert len({scene.seed for scene in scenes}) == len(scenes)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_streets_build_and_the_chair_starts_on_pavement(family: str, tmp_path: Path) -> None:
+    town, scene = build_scene(write_scene(family, 5, tmp_path / "scene"), tmp_path / "work")
+    validate_net(town.net)
+    grid = street_of(build_street(town)).grid
+    start_m = np.array(scene.seats[0].start_m)
+    assert int(grid.class_at(start_m)) == ClassId.SIDEWALK
+    assert float(grid.clearance_at(start_m)) > 0.3
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
+    seed, reason, partner = MEANT[family]
+    with open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
+        end = next(snapshot.clients[0] for snapshot, _ in play(world, scene) if snapshot.clients[0].events.crashed)
+    assert end.events.crash_reason == reason
+    assert {contact.actor_id for contact in end.contacts} <= {partner}
+    assert bool(end.contacts) == (reason == "collision")
+
+
+def test_a_mirror_turned_over_twice_changes_nothing() -> None:
+    draft = scooter_cuts_in(seeding.generator(1, "mirror"))
+    other = mirrored(draft)
+    assert other.place.edges != draft.place.edges
+    assert other.lefthand
+    back = mirrored(other)
+    assert back.place.nodes == draft.place.nodes
+    assert back.place.edges.count(",-") == draft.place.edges.count(",-")
+    assert replace(back, place=draft.place) == draft
+
+
+def test_where_a_stick_leads() -> None:
+    straight = way_of((1.0, 2.0), 0.0, (Push(0.0, 0.0, 0.5),), 4.0)
+    assert straight[-1, 1:].tolist() == pytest.approx([1.0, 4.6, np.pi / 2], abs=0.3)
+    assert straight[4, 2] == 2.0, "it obeys late"
+    turned = way_of((0.0, 0.0), 90.0, (Push(0.0, -0.5, 0.0), Push(2.0, 0.0, 0.0)), 3.0)
+    assert turned[-1, 3] > 0.8
+    assert np.abs(turned[:, 1:3]).max() < 1e-9
+
+
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"unknown family of scenes 'car-dor'.*did you mean 'car-door'"):
+        write_scene("car-dor", 1, tmp_path / "a")
+    with pytest.raises(ConfigError, match="seed -1 cannot be used"):
+        write_scene("car-door", -1, tmp_path / "a")
+    write_scene("car-door", 1, tmp_path / "a")
+    with pytest.raises(ConfigError, match="is there already"):
+        write_scene("car-door", 1, tmp_path / "a")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_scene("car-door", 1, tmp_path / "file" / "a")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "file"]

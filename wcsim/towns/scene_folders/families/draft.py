@@ -1,0 +1,188 @@
+"""A scene before it is written: streets, traffic and a joystick as plain numbers, which a mirror can turn over."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from wcsim.config import ChairConfig
+from wcsim.core.joystick import driven, limits_of, shaped
+from wcsim.types import F64
+
+SAMPLE_S = 0.1  # of a joystick that is written
+_STEP_S = 0.05
+_LATE_S = 0.2  # from the stick to the chair that obeys it, as in the test that these scenes are for
+RECORDING = "stick.csv"
+_Y_OF_SHAPE = re.compile(r"(?<=,)-?[0-9.]+")  # of an edge: no other attribute of it has commas
+
+FORE_M, CASTER_M, AFT_M, HALF_M = 0.8, 0.5, 0.34, 0.31
+"""The usual chair, from its drive axle: to the footplate's edge, the casters, its rear end; and half its width."""
+
+XY = tuple[float, float]
+
+
+class Node(NamedTuple):
+    """A junction of the net."""
+
+    name: str
+    x_m: float
+    y_m: float
+    z_m: float = 0.0
+
+
+class Thing(NamedTuple):
+    """What stands somewhere: a polygon of SUMO's or wcsim's types, filled."""
+
+    name: str
+    kind: str
+    outline_m: tuple[XY, ...]
+
+
+class Push(NamedTuple):
+    """A joystick from a second on, until the next one.
+
+    In steps of a quarter, which are actions of every action set: who only follows then does what the user asks for.
+    """
+
+    at_s: float
+    right: float
+    forward: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """The street of a scene; `types`, `edges` and `crossings` are lines of SUMO's plain XML."""
+
+    nodes: tuple[Node, ...]
+    types: str
+    edges: str
+    crossings: str = ""
+    things: tuple[Thing, ...] = ()
+    kerb_height_m: float = 0.12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draft:
+    """One scene, with the kerb or the danger on the left, in net coordinates; `routes` are lines of XML."""
+
+    shows: str
+    place: Place
+    routes: str = ""
+    start_m: XY
+    heading_deg: float = 90.0
+    goal_m: XY
+    stick: tuple[Push, ...]
+    duration_s: float
+    attention_share: float = 0.0
+    lefthand: bool = False
+
+
+def mirrored(draft: Draft) -> Draft:
+    """The same with left and right exchanged: y turned over, and traffic on the other side."""
+    place = draft.place
+    return replace(
+        draft,
+        place=replace(
+            place,
+            nodes=tuple(node._replace(y_m=-node.y_m) for node in place.nodes),
+            edges=_Y_OF_SHAPE.sub(lambda y: _text(-float(y[0])), place.edges),
+            things=tuple(t._replace(outline_m=tuple((x, -y) for x, y in t.outline_m)) for t in place.things),
+        ),
+        start_m=(draft.start_m[0], -draft.start_m[1]),
+        goal_m=(draft.goal_m[0], -draft.goal_m[1]),
+        heading_deg=180.0 - draft.heading_deg,
+        stick=tuple(push._replace(right=-push.right) for push in draft.stick),
+        lefthand=not draft.lefthand,
+    )
+
+
+def way_of(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s: float) -> F64:
+    """Where the stick alone leads a chair of the usual settings, on flat ground, obeyed 0.2 s late.
+
+    Returns:
+        (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in rad.
+    """
+    chair = ChairConfig()
+    limits = limits_of(chair)
+    x, y, yaw, v, w, a = *start_m, np.deg2rad(90.0 - heading_deg), 0.0, 0.0, 0.0
+    rows = []
+    for step in range(round(until_s / _STEP_S) + 1):
+        time_s = step * _STEP_S
+        rows.append((time_s, x, y, yaw))
+        push = shaped(*_at(stick, time_s - _LATE_S), chair.deadband, chair.shape_exponent)
+        v, w, a = driven(v, w, a, *push, limits, _STEP_S)
+        yaw += w * _STEP_S
+        x, y = x + v * _STEP_S * float(np.cos(yaw)), y + v * _STEP_S * float(np.sin(yaw))
+    return np.array(rows)
+
+
+def files_of(draft: Draft, name: str, seed: int) -> dict[str, str]:
+    """The texts of a scene's folder, by file name."""
+    place = draft.place
+    nodes = [
+        f'<node id="{node.name}" x="{_text(node.x_m)}" y="{_text(node.y_m)}" z="{_text(node.z_m)}" type="priority"/>'
+        for node in place.nodes
+    ]
+    files = {
+        "street.nod.xml": _xml("nodes", "\n".join(nodes)),
+        "street.typ.xml": _xml("types", place.types),
+        "street.edg.xml": _xml("edges", place.edges),
+        "street.rou.xml": _xml("routes", draft.routes),
+        "scene.toml": _toml(draft, name, seed),
+        RECORDING: _csv(draft),
+    }
+    if place.crossings:
+        files["street.con.xml"] = _xml("connections", place.crossings)
+    if place.things:
+        files["street.add.xml"] = _xml("additional", "\n".join(_poly(thing) for thing in place.things))
+    return files
+
+
+def _at(stick: Sequence[Push], time_s: float) -> XY:
+    begun = [push for push in stick if push.at_s <= time_s + 1e-9]
+    return (begun[-1].right, begun[-1].forward) if begun else (0.0, 0.0)
+
+
+def _csv(draft: Draft) -> str:
+    """The joystick until the scene's end and a little longer, so that the user does not give up before."""
+    times_s = [SAMPLE_S * i for i in range(round(draft.duration_s / SAMPLE_S) + 10)]
+    rows = [(time_s, *_at(draft.stick, time_s)) for time_s in times_s]
+    return "\n".join(["time_s,x,y", *(f"{t:.1f},{_text(x)},{_text(y)}" for t, x, y in rows), ""])
+
+
+def _poly(thing: Thing) -> str:
+    shape = " ".join(f"{_text(x)},{_text(y)}" for x, y in thing.outline_m)
+    return f'<poly id="{thing.name}" type="{thing.kind}" fill="1" shape="{shape}"/>'
+
+
+def _xml(root: str, lines: str) -> str:
+    inside = "".join(f"    {line.strip()}\n" for line in lines.splitlines() if line.strip())
+    return f"<{root}>\n{inside}</{root}>\n"
+
+
+def _toml(draft: Draft, name: str, seed: int) -> str:
+    return f"""\
+name = {json.dumps(name)}
+shows = {json.dumps(draft.shows)}
+seed = {seed}
+duration_s = {_text(draft.duration_s)}
+kerb_height_m = {_text(draft.place.kerb_height_m)}
+lefthand = {json.dumps(draft.lefthand)}
+attention_share = {_text(draft.attention_share)}
+
+[[seats]]
+start_m = [{_text(draft.start_m[0])}, {_text(draft.start_m[1])}]
+heading_deg = {_text(draft.heading_deg)}
+goal_m = [{_text(draft.goal_m[0])}, {_text(draft.goal_m[1])}]
+recording = "{RECORDING}"
+"""
+
+
+def _text(value: float) -> str:
+    """Millimetres are enough; never a minus before nothing."""
+    return f"{round(value, 3) + 0.0:.3f}"
