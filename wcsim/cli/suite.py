@@ -98,6 +98,10 @@ class MakeOptions:
     """Attempts at crossings for each town."""
     hazards: int = 30
     """Starts that end in a crash of the user alone, at most, for each town."""
+    tight: int = 5
+    """Generated scenes of each family of tight places."""
+    tight_from: int = 0
+    """Their first seed."""
     jobs: int = 1
     """Processes that drive side by side."""
     seed: int = 0
@@ -151,6 +155,8 @@ def make_list(words: list[str]) -> int:
     in_bounds("--free", options.free, 1, 10_000)
     in_bounds("--attempts", options.attempts, 1, 10_000)
     in_bounds("--hazards", options.hazards, 0, 10_000)
+    in_bounds("--tight", options.tight, 0, 10_000)
+    in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
     check_folder("--suite-file", options.suite_file)
     import tempfile
 
@@ -168,6 +174,7 @@ def make_list(words: list[str]) -> int:
             free_blocks=options.free,
             attempts=options.attempts,
             hazards=options.hazards,
+            tight=range(options.tight_from, options.tight_from + options.tight),
             jobs=options.jobs,
             work=Path(work),
         )

@@ -31,8 +31,9 @@ class BlockFile(Model):
     """Some episodes that share a world, a chair each."""
 
     part: Part
-    town: Text  # its name
-    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of the world
+    town: Text  # its name; of a tight place the family of generated scenes
+    scene_sha256: Sha256 | None = None  # of a tight place's files
+    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of the world; of a tight place that of its scene
     settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over those of the suite
     episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
 

@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ from wcsim.agents.policy_api import Policy, SeesTruth, Warns
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile
+from wcsim.core.constants import RECORDED
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.fault import fault, hardest
@@ -50,7 +52,9 @@ class BlockOrder:
     town: Town
     config: RunConfig  # of the policy, with the suite's settings laid over it
     judged: bool  # forks say whether an intervention was needed
+    recordings: Path | None = None  # folder of recorded joysticks that users are named by
     late_s: float = LATE_S
+    world_seed: int | None = None  # another than the block's
 
 
 def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeRecord, ...]:
@@ -63,8 +67,9 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     config = with_overrides(order.config, (*order.block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in order.block.episodes]
     visible = any(policy.name == VISIBLE_BOUND for policy in policies)
-    specs = tuple(_seat_spec(episode, visible) for episode in order.block.episodes)
-    with World(order.town, config, specs, order.block.seed) as world:
+    specs = tuple(_seat_spec(order, episode, visible) for episode in order.block.episodes)
+    seed = order.block.seed if order.world_seed is None else order.world_seed
+    with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
         while True:
             given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
@@ -78,9 +83,12 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     return tuple(seat.record for seat in seats if seat.record is not None)
 
 
-def _seat_spec(episode: EpisodeFile, visible: bool) -> SeatSpec:
+def _seat_spec(order: BlockOrder, episode: EpisodeFile, visible: bool) -> SeatSpec:
+    user = episode.profile
+    if order.recordings is not None and user.startswith(RECORDED):
+        user = f"{RECORDED}{order.recordings / user.removeprefix(RECORDED)}"
     return SeatSpec(
-        profile=episode.profile,
+        profile=user,
         max_steps=episode.max_steps,
         truth=True,
         truth_visible=visible,

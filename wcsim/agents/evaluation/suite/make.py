@@ -16,6 +16,7 @@ from wcsim.agents.evaluation.suite.draw import SEATS, Place, Wanted, crossing_bl
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+from wcsim.agents.evaluation.suite.tight import tight_blocks
 from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
@@ -43,6 +44,7 @@ class MakeOrder:
     free_blocks: int
     attempts: int
     hazards: int  # at most
+    tight: range  # seeds of the generated scenes, of each family
     jobs: int = 1
     work: Path  # folder for what is driven meanwhile
 
@@ -57,7 +59,11 @@ def make_suite(order: MakeOrder, towns: Sequence[Town], told: Told) -> SuiteFile
     told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")
     hazard = _hazards(order, named, free, config, told) if order.hazards else []
     return SuiteFile(
-        suite=order.suite, set=order.set, settings=SETTINGS, towns=named, blocks=(*free, *crossing, *hazard)
+        suite=order.suite,
+        set=order.set,
+        settings=SETTINGS,
+        towns=named,
+        blocks=(*free, *crossing, *hazard, *tight_blocks(order.tight)),
     )
 
 

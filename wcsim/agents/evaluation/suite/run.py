@@ -9,11 +9,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, refused
-from wcsim.agents.evaluation.suite.list_file import Suite, block_key, require_towns, towns_of
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import config_of, policy_path
@@ -95,7 +97,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
                 piece = Piece(
                     index=index,
                     block=block,
-                    town=str(towns[block.town]),
+                    town=str(towns.get(block.town, "")),
                     settings=(*file.settings, *order.settings),
                     policy=policy.name,
                     network=order.network,
@@ -150,15 +152,18 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
         config = _windowed(config, _opened(piece, config, 0))
     except WcsimError as error:
         return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
-    order = BlockOrder(
-        index=piece.index,
-        block=piece.block,
-        town=find_town(piece.town),
-        config=config,
-        judged=piece.judged,
-        late_s=piece.late_s,
-    )
-    return [record.to_json() for record in drive_block(order, make_policy)]
+    with TemporaryDirectory(prefix="wcsim-suite-") as work:
+        order = BlockOrder(
+            index=piece.index,
+            block=piece.block,
+            town=find_town(piece.town) if piece.block.part != TIGHT else open_tight(piece.block, Path(work)),
+            config=config,
+            judged=piece.judged,
+            late_s=piece.late_s,
+        )
+        if piece.block.part == TIGHT:
+            order = in_scene(order, Path(work))
+        return [record.to_json() for record in drive_block(order, make_policy)]
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
