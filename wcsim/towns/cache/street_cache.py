@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.towns.cache.folder import cache_folder, write_whole
+from wcsim.towns.cache.pread_file import PreadFile
 from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.ground.tiles import Packed
 from wcsim.types import Street
@@ -35,7 +36,7 @@ def _read(path: Path) -> Street | None:
     try:
         if not zipfile.is_zipfile(path):
             return None
-        data = np.load(path, allow_pickle=False)
+        data = np.load(PreadFile(path), allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
     try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import struct
-import sys
 from collections.abc import Mapping
 from typing import Final
 
@@ -20,6 +19,7 @@ from wcsim.types import Command, Joystick, Snapshot
 
 ALONE_S: Final = 5.0
 _ANSWER = struct.Struct("<d")
+_MOST_SAID: Final = 2000
 
 
 def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:
@@ -33,22 +33,28 @@ def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) ->
     reader, writer = os.pipe()
     pid = os.fork()
     if pid == 0:
-        code = 1
         try:
             os.close(reader)
-            os.write(writer, _ANSWER.pack(_alone(world, seat, actions, tick_s)))
-            code = 0
+            os.write(writer, _answer(world, seat, actions, tick_s))
         finally:
-            sys.stdout.flush()
-            os._exit(code)  # nothing of the parent's may be closed, flushed or removed here
+            os._exit(0)  # nothing of the parent's may be closed, flushed or removed here
     os.close(writer)
     with os.fdopen(reader, "rb") as answers:
         answer = answers.read()
     os.waitpid(pid, 0)
     if len(answer) != _ANSWER.size:
-        raise PhysicsError(f"the copy of the world that judges seat {seat} gave no answer; expected one: try again")
+        said = answer.decode(errors="replace") or "no answer"
+        raise PhysicsError(f"the copy of the world that judges seat {seat} gave {said}; expected seconds: try again")
     (crash_s,) = _ANSWER.unpack(answer)
     return None if math.isinf(crash_s) else float(crash_s)
+
+
+def _answer(world: World, seat: int, actions: ActionSet, tick_s: float) -> bytes:
+    """What a copy says: seconds, or what went wrong in it."""
+    try:
+        return _ANSWER.pack(_alone(world, seat, actions, tick_s))
+    except Exception as error:  # it is told where it is understood: in the process that was copied
+        return f"{type(error).__name__}: {error}"[:_MOST_SAID].encode()
 
 
 def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:

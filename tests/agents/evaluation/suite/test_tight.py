@@ -1,0 +1,35 @@
+"""Tight places: generated scenes as blocks of a list, driven like any other."""
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import Held, config
+from wcsim.agents.evaluation.suite import tight
+from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block
+from wcsim.agents.policies.baselines import baseline
+from wcsim.errors import TownError
+
+
+@pytest.fixture(scope="module")
+def block():
+    (found,) = [item for item in tight.tight_blocks([3]) if item.town == "reversing-off-kerb"]
+    return found
+
+
+def driven(block, work, make):
+    town = tight.open_tight(block, work)
+    order = BlockOrder(index=0, block=block, town=town, config=config(), judged=True)
+    (record,) = drive_block(tight.in_scene(order, work), make)
+    return record
+
+
+def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block, tmp_path):
+    alone = driven(block, tmp_path / "a", lambda: baseline("follow", config()))
+    assert alone.part == "tight" and alone.own and alone.missed and alone.score == 0.0
+    held = driven(block, tmp_path / "b", lambda: Held(0.0, 0.0))
+    assert held.status == "timed_out" and not held.own
+    assert any(item.verdict == "needed" for item in held.interventions)
+
+
+def test_a_scene_that_is_another_than_the_lists_is_refused(block, tmp_path):
+    with pytest.raises(TownError, match="another version"):
+        tight.open_tight(block.model_copy(update={"scene_sha256": "0" * 64}), tmp_path)
