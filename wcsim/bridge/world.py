@@ -141,6 +141,14 @@ class World(Closing):
         moved.chair.place(p_W_m, yaw_rad)
         self._open.traffic.look_again(self._places())
 
+    def in_danger(self, seat: int) -> bool:
+        """Whether a user's stick of now ends badly, on the true geometry.
+
+        Raises ProtocolError when the seat is free or not there.
+        """
+        asked = self._seating.at(seat)
+        return asked.in_danger(self._others(asked))
+
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
         return self._sumo.everyone()

@@ -59,10 +59,21 @@ class Oracle:
         self._limits = limits_of(chair)
         self._tick_s = tick_s
 
-    def danger(self, plant: PlantState, joystick: Joystick, actors: Iterable[ActorState]) -> bool:
-        """Whether the user's command ends badly. `actors` are the others, this chair not among them."""
+    def danger(
+        self,
+        plant: PlantState,
+        joystick: Joystick,
+        actors: Iterable[ActorState],
+        waiting: Sequence[Joystick] = (),
+        accel_mps2: float = 0.0,
+    ) -> bool:
+        """Whether the user's command ends badly, as `assess` says it, without the other commands.
+
+        `actors` are the others, this chair not among them.
+        """
         commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        return bool(np.isfinite(self._roll_out(plant, commands, _others_near(plant, actors), (), 0.0)[0]))
+        others = _others_near(plant, actors, later_s=len(waiting) * self._tick_s)
+        return bool(np.isfinite(self._roll_out(plant, commands, others, waiting, accel_mps2)[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""

@@ -272,6 +272,11 @@ class Ego:
             visible=seen.visible,
         )
 
+    def in_danger(self, others: Sequence[ActorState]) -> bool:
+        """Whether the user's stick of now ends badly: `Truth.danger`, for a seat that has asked for no truth."""
+        plant, waiting = self.chair.state(), tuple(self._waiting)
+        return self._oracle.danger(plant, self.user.joystick, others, waiting, self.chair.drive_accel_mps2())
+
     def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:
         """This seat's share of the world's snapshot."""
         return ClientSnapshot(

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.agents.evaluation.suite.lists import (
+    POINTS,
     Dies,
     Held,
     NoNumber,
@@ -13,8 +14,11 @@ from tests.agents.evaluation.suite.lists import (
     config,
     order_of,
 )
+from tests.support.worlds import open_world
 from wcsim.agents.evaluation.suite.drive import drive_block, refused
+from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.policies.baselines import baseline
+from wcsim.types import SeatSpec
 
 
 def follow():
@@ -82,3 +86,15 @@ def test_a_policy_that_cannot_be_used_is_refused_in_every_episode(corner):
     records = refused(4, block, "it has another action set")
     assert [record.status for record in records] == ["refused"] * 2 and records[0].block == 4
     assert all(record.score == 0.0 and "action set" in record.reason for record in records)
+
+
+def test_danger_is_that_of_the_truth(corner):
+    spec = SeatSpec(profile="inattentive", truth=True, max_steps=4000)
+    with open_world(corner, "world.action_delay_ticks=2", seats=2, seed=5, spec=spec) as world:
+        said = []
+        for _ in range(120):
+            clients = world.tick(users_alone(world.snapshot, POINTS, {})).clients
+            said += [client.truth.danger for client in clients if client.first is None]
+            asked = [world.in_danger(client.seat) for client in clients if client.first is None]
+            assert asked == said[len(said) - len(asked) :]
+        assert len(set(said)) == 2

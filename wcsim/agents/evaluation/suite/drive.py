@@ -66,8 +66,9 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     """
     config = with_overrides(order.config, (*order.block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in order.block.episodes]
-    visible = any(policy.name == VISIBLE_BOUND for policy in policies)
-    specs = tuple(_seat_spec(order, episode, visible) for episode in order.block.episodes)
+    specs = tuple(
+        _seat_spec(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)
+    )
     seed = order.block.seed if order.world_seed is None else order.world_seed
     with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
@@ -83,15 +84,15 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     return tuple(seat.record for seat in seats if seat.record is not None)
 
 
-def _seat_spec(order: BlockOrder, episode: EpisodeFile, visible: bool) -> SeatSpec:
+def _seat_spec(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec:
     user = episode.profile
     if order.recordings is not None and user.startswith(RECORDED):
         user = f"{RECORDED}{order.recordings / user.removeprefix(RECORDED)}"
     return SeatSpec(
         profile=user,
         max_steps=episode.max_steps,
-        truth=True,
-        truth_visible=visible,
+        truth=isinstance(policy, SeesTruth),
+        truth_visible=policy.name == VISIBLE_BOUND,
         start=StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m),
     )
 
@@ -123,7 +124,7 @@ class _Seat:
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
         self._stood_s = self._done_m = self._before_m = 0.0
-        self._in_red = False
+        self._in_red, self._free = False, True
         self._seen, self._info = self._chair.begin(world.snapshot.clients[number])
         self._begun = False
 
@@ -141,6 +142,7 @@ class _Seat:
                 POLICY_FAILED, f"{type(error).__name__}: {error}" if not isinstance(error, WcsimError) else str(error)
             )
             return
+        self._free = not self._world.in_danger(self.number)
         self._look_at(action)
         yield self._sent(action)
 
@@ -192,12 +194,11 @@ class _Seat:
 
     def _count(self, step: EpisodeStep) -> None:
         info, tick_s = step.info, self._config.world.tick_s
-        truth = self._info.get("truth")
         self._done_m += info["progress_m"]
         self._meter.add(
             KpiStep(
                 distance=float(info["joystick_distance"]),
-                free=None if truth is None else not truth.danger,
+                free=self._free,
                 asked=info["asked"],
                 given=info["given"],
                 speed_mps=float(info["speed_mps"]),
