@@ -240,6 +240,7 @@ SAME_FILE_NAME = {
     "elements": "of a scenario's files, when they are staged and when pavements are laid",
     "faults": "of a town, and those that a soak plants",
     "files": "written whole, of a scenario, of the cache",
+    "make": "a list of a suite, and the command of a town",
     "overrides": "of a scenario's options, and of a run's settings",
     "parts": "of a message, and of the barrier's bench",
     "people": "as the oracle reckons with them, and how they look",

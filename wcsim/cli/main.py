@@ -33,7 +33,9 @@ SUBCOMMANDS = (
     Subcommand("train", "wcsim.cli.training.train", "train a network in a town"),
     Subcommand("serve", "wcsim.cli.serve", "run a world that clients join and leave"),
     Subcommand("join", "wcsim.cli.training.join", "train a network in a world that somebody serves"),
-    Subcommand("test", "wcsim.cli.test", "test trained networks and baselines in towns they have never seen"),
+    Subcommand(
+        "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns they have never seen"
+    ),
     Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),

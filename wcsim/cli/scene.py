@@ -62,7 +62,7 @@ class NewOptions:
 
 
 @dataclass
-class MakeOptions:
+class SceneMakeOptions:
     """Write a scene that a seed draws from a family: a danger that a helper can avoid, and a recorded joystick."""
 
     family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
@@ -84,7 +84,7 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions, "make": MakeOptions}
+    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions, "make": SceneMakeOptions}
     name = subcommand(words, "scene", known, known.__getitem__)
     if name == "list":
         parse(ListOptions, words[1:], "scene list")
@@ -94,7 +94,7 @@ def run(words: list[str]) -> int:
     if name == "new":
         return _new(parse(NewOptions, words[1:], "scene new"))
     if name == "make":
-        return _make(parse(MakeOptions, words[1:], "scene make"))
+        return _make(parse(SceneMakeOptions, words[1:], "scene make"))
     return _bless(parse(BlessOptions, words[1:], "scene bless")) if name else 0
 
 
@@ -201,7 +201,7 @@ def _new(options: NewOptions) -> int:
     return 0
 
 
-def _make(options: MakeOptions) -> int:
+def _make(options: SceneMakeOptions) -> int:
     from wcsim.towns.scene_folders.families import catalogue  # loads numba, which --help must not
 
     folder = catalogue.write_scene(options.family, options.seed, options.out)

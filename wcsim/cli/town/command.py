@@ -13,7 +13,7 @@ from rich.table import Column, Table
 from wcsim.cli.shared.common import OutFile, parse, subcommand, write_json
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.cli.town.import_ import run as run_import
-from wcsim.cli.town.make import MakeOptions
+from wcsim.cli.town.make import TownMakeOptions
 from wcsim.cli.town.make import run as run_make
 from wcsim.cli.town.pave import PaveOptions
 from wcsim.cli.town.pave import run as run_pave
@@ -45,7 +45,7 @@ def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     known = {
         "import": ImportOptions,
-        "make": MakeOptions,
+        "make": TownMakeOptions,
         "list": ListOptions,
         "check": CheckOptions,
         "pave": PaveOptions,
@@ -56,7 +56,7 @@ def run(words: list[str]) -> int:
     if name == "import":
         return run_import(parse(ImportOptions, words[1:], "town import"))
     if name == "make":
-        return run_make(parse(MakeOptions, words[1:], "town make"))
+        return run_make(parse(TownMakeOptions, words[1:], "town make"))
     if name == "list":
         parse(ListOptions, words[1:], "town list")
         return _list()

@@ -19,7 +19,7 @@ from wcsim.towns.making.wishes import Wishes, check_wishes
 
 
 @dataclass
-class MakeOptions:
+class TownMakeOptions:
     """Make a town without a map: streets, pavements, hills, buildings, furniture, parked cars and endless traffic."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -46,7 +46,7 @@ class MakeOptions:
     """Write the result of the check to this file."""
 
 
-def run(options: MakeOptions) -> int:
+def run(options: TownMakeOptions) -> int:
     """Make, check, and say what came out; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from wcsim.cli import test
+from wcsim.cli.evaluation import test
 from wcsim.cli.shared.common import OutFolder, Repeated, parse, write_json
 from wcsim.cli.shared.run_config import learning, resolve_run
 from wcsim.cli.training.train import checked_town, train_in

@@ -31,7 +31,7 @@ XY = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class DrawPlace:
     """A town to draw in."""
 
     name: str
@@ -41,10 +41,10 @@ class Place:
     config: RunConfig
 
 
-def place_of(name: str, street: Street, config: RunConfig) -> Place:
+def place_of(name: str, street: Street, config: RunConfig) -> DrawPlace:
     """A town's street with its ways. Raises TownError when it has none."""
     outline = plant_spec(config.chair).outline
-    return Place(name=name, street=street, router=Router(street.walk), outline=outline, config=config)
+    return DrawPlace(name=name, street=street, router=Router(street.walk), outline=outline, config=config)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class Wanted:
     crossing_share: float = 0.5
 
 
-def free_blocks(place: Place, wanted: Wanted, blocks: int, seed: int) -> list[BlockFile]:
+def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> list[BlockFile]:
     """Blocks of ways along the town's pavements. Raises TownError when the town is too small for one."""
     made = []
     for number in range(blocks):
@@ -71,7 +71,7 @@ def free_blocks(place: Place, wanted: Wanted, blocks: int, seed: int) -> list[Bl
     return made
 
 
-def crossing_blocks(place: Place, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
+def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
     """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
 
     Raises TownError when the town has no crossing that somebody can get to.
@@ -100,7 +100,7 @@ def crossing_blocks(place: Place, wanted: Wanted, attempts: int, seed: int) -> l
     return made
 
 
-def _block(place: Place, wanted: Wanted, seed: int, number: int, episodes: Sequence[EpisodeFile]) -> BlockFile:
+def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[EpisodeFile]) -> BlockFile:
     return BlockFile(
         part=wanted.part,
         town=place.name,
@@ -128,7 +128,7 @@ def _distance_m(one_m: F64, other_m: F64) -> float:
     return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
 
 
-def _ways(place: Place, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, F64]]:
+def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, F64]]:
     for _ in range(_TRIES // 10):
         start, yaw_rad = place.router.random_start(rng)
         if not _clear(place, start, yaw_rad):
@@ -140,7 +140,7 @@ def _ways(place: Place, wanted: Wanted, who: str, rng: np.random.Generator) -> I
 
 
 def _attempt(
-    place: Place, crossing: int, back: bool, who: str, rng: np.random.Generator
+    place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator
 ) -> tuple[EpisodeFile, F64] | None:
     """A way over one crossing, from a pavement near its one end to one near its other."""
     points_m = place.street.walk.edges[crossing].points_W_m
@@ -158,7 +158,7 @@ def _attempt(
     return None
 
 
-def _beside(place: Place, end_m: F64, rng: np.random.Generator) -> XY | None:
+def _beside(place: DrawPlace, end_m: F64, rng: np.random.Generator) -> XY | None:
     """A place on a pavement near a crossing's end, drawn; None where there is no pavement."""
     choices = place.router.places_near((float(end_m[0]), float(end_m[1])), _NEAR_M, _FAR_M)
     if not len(choices):
@@ -167,7 +167,7 @@ def _beside(place: Place, end_m: F64, rng: np.random.Generator) -> XY | None:
     return x_m, y_m
 
 
-def _clear(place: Place, start: XY, yaw_rad: float) -> bool:
+def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     """Whether nothing that stands is in the way of a start; who moves is not there yet."""
 
     def nobody(_p_W_m: F64, _reach_m: float) -> Sequence[ActorState]:
@@ -176,7 +176,7 @@ def _clear(place: Place, start: XY, yaw_rad: float) -> bool:
     return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, nobody)
 
 
-def _episode(place: Place, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, F64]:
+def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, F64]:
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.draw import SEATS, Place, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
@@ -67,12 +67,12 @@ def make_suite(order: MakeOrder, towns: Sequence[Town], told: Told) -> SuiteFile
     )
 
 
-def _free(place: Place, order: MakeOrder) -> list[BlockFile]:
+def _free(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
     wanted = Wanted(part="free", profiles=("ataxic", "ataxic", "inattentive"), settings=(USUAL_STREET,))
     return free_blocks(place, wanted, order.free_blocks, order.seed)
 
 
-def _crossing(place: Place, order: MakeOrder) -> list[BlockFile]:
+def _crossing(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
     """Careful and careless users, among others who look and others who look less."""
     made: list[BlockFile] = []
     for number, settings in enumerate((USUAL_STREET, CARELESS_STREET)):

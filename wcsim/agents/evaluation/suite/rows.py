@@ -37,55 +37,84 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
         records: Its episodes.
         unaided: The same episodes with the user alone, in the same order; empty where they were not driven.
     """
-    crashes = [record for record in records if record.status == CRASHED]
-    own = [record for record in crashes if record.own]
-    km = math.fsum(record.m for record in records) / 1000.0
-    steps = sum(record.steps for record in records)
-    time_s = math.fsum(record.time_s for record in records)
-    moving = [record.moving_steps for record in records]
-    within = [record.moving_within / record.moving_steps if record.moving_steps else 0.0 for record in records]
-    found = [item for record in records for item in record.interventions]
-    low, high = garwood(len(own))
-    rated = km >= _FAR_ENOUGH_KM
-    scores = [record.score for record in records]
     row: Row = {
         "policy": policy,
         "part": part,
         "episodes": len(records),
         "status": {name: sum(record.status == name for record in records) for name in STATUSES},
+        **_crashes(records),
+        **_obedience(records),
+        **_service(records),
+        **_interventions(records),
+    }
+    if len(unaided) == len(records) and records:
+        row |= _twins(records, unaided)
+    return {key: _rounded(value) for key, value in row.items()}
+
+
+def _crashes(records: Sequence[EpisodeRecord]) -> Row:
+    crashes = [record for record in records if record.status == CRASHED]
+    own = sum(record.own for record in crashes)
+    km = _km(records)
+    low, high = garwood(own)
+    rated = km >= _FAR_ENOUGH_KM
+    return {
         "km": km,
-        "crashes_own": len(own),
-        "crashes_other": len(crashes) - len(own),
+        "crashes_own": own,
+        "crashes_other": len(crashes) - own,
         "drops": sum(record.reason == DROP for record in crashes),
         "crash_reasons": dict(sorted(Counter(record.reason for record in crashes).items())),
-        "crashes_per_km": len(own) / km if rated else None,
+        "crashes_per_km": own / km if rated else None,
         "crashes_per_km_ci": [low / km, high / km] if rated else None,
+        "red_entries": sum(record.red_entries for record in records),
+        "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
+        "alive_at_end_ci": _pair(bootstrapped([float(_alive(record)) for record in records])),
+    }
+
+
+def _obedience(records: Sequence[EpisodeRecord]) -> Row:
+    steps = sum(record.steps for record in records)
+    moving = [record.moving_steps for record in records]
+    within = [record.moving_within / record.moving_steps if record.moving_steps else 0.0 for record in records]
+    return {
         "kpi1": _ratio(math.fsum(record.distance_sum for record in records), steps),
         "kpi1_free_within": _ratio(sum(record.moving_within for record in records), sum(moving)),
         "kpi1_free_within_ci": _pair(bootstrapped(within, [float(count) for count in moving])),
         "kpi2_median": float(np.median([record.steps for record in records])) if records else None,
-        "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
-        "alive_at_end_ci": _pair(bootstrapped([float(_alive(record)) for record in records])),
-        "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),
-        "arrivals": sum(record.status == FINISHED for record in records),
-        "attempts": len(records),
-        "arrivals_ci": _pair(bootstrapped([float(record.status == FINISHED) for record in records])),
-        "road_s": math.fsum(record.road_s for record in records),
-        "red_entries": sum(record.red_entries for record in records),
         "blocked_share": _ratio(sum(r.blocked_steps for r in records), sum(r.free_steps for r in records)),
         "freezes": sum(record.freezes for record in records),
+    }
+
+
+def _service(records: Sequence[EpisodeRecord]) -> Row:
+    scores = [record.score for record in records]
+    arrived = [float(record.status == FINISHED) for record in records]
+    return {
+        "speed_mps": _ratio(math.fsum(record.m for record in records), math.fsum(record.time_s for record in records)),
+        "arrivals": round(sum(arrived)),
+        "attempts": len(records),
+        "arrivals_ci": _pair(bootstrapped(arrived)),
+        "road_s": math.fsum(record.road_s for record in records),
+        "score": _ratio(math.fsum(scores), len(scores)),
+        "score_ci": _pair(bootstrapped(scores)),
+    }
+
+
+def _interventions(records: Sequence[EpisodeRecord]) -> Row:
+    found = [item for record in records for item in record.interventions]
+    km = _km(records)
+    return {
         "interventions": len(found),
         "needed": sum(item.verdict == NEEDED for item in found),
         "needless": sum(item.verdict == NEEDLESS for item in found),
         "missed": sum(record.missed for record in records),
         "warned_share": _ratio(sum(record.warned for record in records), sum(record.to_warn for record in records)),
-        "false_warnings_per_km": sum(record.false_warnings for record in records) / km if rated else None,
-        "score": _ratio(math.fsum(scores), len(scores)),
-        "score_ci": _pair(bootstrapped(scores)),
+        "false_warnings_per_km": sum(r.false_warnings for r in records) / km if km >= _FAR_ENOUGH_KM else None,
     }
-    if len(unaided) == len(records) and records:
-        row |= _twins(records, unaided)
-    return {key: _rounded(value) for key, value in row.items()}
+
+
+def _km(records: Sequence[EpisodeRecord]) -> float:
+    return math.fsum(record.m for record in records) / 1000.0
 
 
 def pooled_rows(

@@ -35,7 +35,7 @@ Done = Callable[[str, int, int], object]  # policy, blocks done, blocks in all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class NamedPolicy:
     """A policy as somebody names it, and what its result depends on."""
 
     name: str
@@ -87,7 +87,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     judged = _judged(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
-    asked = [Asked(name=name, digest=policy_digest(name, order)) for name in policies]
+    asked = [NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
     for policy in asked:
         for index, block in enumerate(file.blocks):
             path = _kept_path(order, index, policy.digest)

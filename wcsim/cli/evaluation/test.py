@@ -14,10 +14,11 @@ from wcsim.agents.networks.names import is_own, require_named
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
 from wcsim.agents.runs.policy_file import read_policy_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
+from wcsim.cli.evaluation.judged_suite import run_suites
+from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
-from wcsim.cli.suite import make_list, run_suites
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
@@ -67,7 +68,7 @@ class Options:
 
 
 def run(words: list[str]) -> int:
-    """Test and print one table for each town and profile; with --suite or --make-suite see `wcsim/cli/suite.py`."""
+    """Test and print one table for each town and profile; with --suite or --make-suite see their files here."""
     if _says(words, "--make-suite"):
         return make_list(words)
     if _says(words, "--suite"):

@@ -1,0 +1,1 @@
+"""Commands that judge policies: test, on towns or on a suite, and lists for a suite."""

@@ -1,0 +1,109 @@
+"""`wcsim test --suite`: policies judged on a fixed list of episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.cli.evaluation.result_tables import show_result
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.errors import ConfigError
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.agents.evaluation.suite.records import EpisodeRecord
+
+MOST_JOBS = 256
+CLEAN = (
+    "cameras.0.noise=none",
+    "world.action_delay_ticks=0",
+)
+
+
+@dataclass
+class SuiteOptions:
+    """Judge policies on a fixed list of episodes: free ways, crossings, hazards, tight places."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
+    """Run folders, policy folders, module:Class, or baselines; the baselines are added unless --only."""
+    suite: str = ""
+    """The list: the name of one that comes with wcsim, or a file of --make-suite."""
+    jobs: int = 1
+    """Processes that drive side by side; the result is the same for any number."""
+    out: OutFolder = None
+    """Folder for the result and what is kept of it. (default: runs/suite-SET)"""
+    resume: bool = False
+    """Go on in a folder where some of it has been driven."""
+    only: bool = False
+    """Drive these policies and the user alone, without the other baselines."""
+    clean: bool = False
+    """Turn every perturbation off: no noise, no delay."""
+    forks: int = 1_000_000
+    """Episodes whose interventions are judged by letting the user drive alone from there, evenly spread."""
+    preset: str = "quick"
+    """Settings of policies that bring none."""
+    set: Repeated = ()
+    """section.key=value, laid over those of the list; the result says so."""
+    network: str = ""
+    """Your own network as module:Class, for runs that were trained with it."""
+    json: OutFile = None
+    """Write the result to this file, too."""
+
+
+def run_suites(words: list[str]) -> int:
+    """Judge policies on a list; a table for each part and one for all."""
+    options = parse(SuiteOptions, words, "test")
+    in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
+    in_bounds("--forks", options.forks, 0, 1_000_000)
+    from wcsim.agents.evaluation.suite.list_file import open_suite
+
+    suite = open_suite(options.suite)
+    out = options.out or Path("runs") / f"suite-{suite.file.set}"
+    check_folder("--out", out / "x")
+    if (out / "kept").exists() and not options.resume:
+        raise ConfigError(
+            f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
+        )
+    from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+
+    added = () if options.only else (*NAMES, *UPPER_BOUNDS)
+    names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
+    changed = (*(CLEAN if options.clean else ()), *options.set)
+    order = SuiteOrder(
+        suite=suite,
+        out=out,
+        jobs=options.jobs,
+        preset=options.preset,
+        settings=changed,
+        network=options.network,
+        forks=options.forks,
+    )
+    told = Console(stderr=True, highlight=False)
+    told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
+    records = run_suite(order, names, lambda name, done, of: told.print(f"{name}: {done} of {of} blocks", style="dim"))
+    result = _result(suite.file, suite.sha256, records, changed)
+    write_json(out / "result.json", result)
+    write_json(out / "episodes.json", {name: [record.to_json() for record in found] for name, found in records.items()})
+    show_result(Console(), result, changed)
+    if options.json is not None:
+        write_json(options.json, result)
+    return 0
+
+
+def _result(
+    file: Any, sha256: str, records: Mapping[str, Sequence[EpisodeRecord]], changed: Sequence[str]
+) -> dict[str, Any]:
+    from wcsim.agents.evaluation.suite.rows import pooled_rows, result_of
+    from wcsim.agents.evaluation.suite.run import UNAIDED
+
+    rows, pooled = [], []
+    for name, found in records.items():
+        parts, whole = pooled_rows(name, found, records[UNAIDED])
+        rows += parts
+        pooled.append(whole)
+    return {**result_of(file, sha256, rows, pooled), "changed": list(changed)}

@@ -1,0 +1,78 @@
+"""`wcsim test --make-suite`: a list of episodes for any town."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from wcsim.cli.evaluation.judged_suite import MOST_JOBS
+from wcsim.cli.shared.common import check_folder, in_bounds, parse
+
+
+@dataclass
+class SuiteMakeOptions:
+    """Make a list of test episodes for towns of your own."""
+
+    make_suite: str
+    """Towns, joined by commas."""
+    suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
+    """The list to write."""
+    name: str = "own-suite-v1"
+    """What it is called, with its version."""
+    free: int = 8
+    """Blocks of free ways for each town, six ways each."""
+    attempts: int = 40
+    """Attempts at crossings for each town."""
+    hazards: int = 30
+    """Starts that end in a crash of the user alone, at most, for each town."""
+    tight: int = 5
+    """Generated scenes of each family of tight places."""
+    tight_from: int = 0
+    """Their first seed."""
+    jobs: int = 1
+    """Processes that drive side by side."""
+    seed: int = 0
+    """Seed of the list."""
+
+
+def make_list(words: list[str]) -> int:
+    """Make a list and write it."""
+    options = parse(SuiteMakeOptions, words, "test")
+    in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
+    in_bounds("--free", options.free, 1, 10_000)
+    in_bounds("--attempts", options.attempts, 1, 10_000)
+    in_bounds("--hazards", options.hazards, 0, 10_000)
+    in_bounds("--tight", options.tight, 0, 10_000)
+    in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
+    check_folder("--suite-file", options.suite_file)
+    import tempfile
+
+    from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
+    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
+    from wcsim.towns.scenario.town import find_town
+
+    told = Console(stderr=True, highlight=False)
+    towns = [find_town(name) for name in options.make_suite.split(",")]
+    with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
+        order = MakeOrder(
+            suite=options.name,
+            set=options.suite_file.stem,
+            seed=options.seed,
+            free_blocks=options.free,
+            attempts=options.attempts,
+            hazards=options.hazards,
+            tight=range(options.tight_from, options.tight_from + options.tight),
+            jobs=options.jobs,
+            work=Path(work),
+        )
+        file = make_suite(order, towns, lambda text: told.print(text, style="dim"))
+    write_list(file, options.suite_file)
+    suite = suite_of(file)
+    Console().print(
+        f"{options.suite_file}: {suite.episodes} episodes in {len(file.blocks)} blocks, {suite.sha256[:12]}"
+    )
+    return 0

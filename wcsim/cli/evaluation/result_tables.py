@@ -1,0 +1,64 @@
+"""The tables of a result: safety and service, for each part and for all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+Column = tuple[str, str, str]
+_SAFE: tuple[Column, ...] = (
+    ("episodes", "epi-\nsodes", "{:d}"),
+    ("km", "\nkm", "{:.2f}"),
+    ("crashes_own", "own\ncrash", "{:d}"),
+    ("crashes_per_km", "own\n/km", "{:.2f}"),
+    ("crashes_per_km_ci", "\n95 %", "{0:.1f}-{1:.1f}"),
+    ("crashes_other", "other\ncrash", "{:d}"),
+    ("drops", "\ndrops", "{:d}"),
+    ("red_entries", "at\nred", "{:d}"),
+    ("missed", "\nmissed", "{:d}"),
+    ("saved", "\nsaved", "{:d}"),
+    ("lost", "\nlost", "{:d}"),
+)
+_THERE: tuple[Column, ...] = (
+    ("kpi1_free_within", "\nwithin", "{:.1%}"),
+    ("blocked_share", "\nblocked", "{:.1%}"),
+    ("freezes", "\nfroze", "{:d}"),
+    ("needed", "\nneeded", "{:d}"),
+    ("needless", "need-\nless", "{:d}"),
+    ("speed_mps", "\nm/s", "{:.2f}"),
+    ("arrivals", "arri-\nvals", "{:d}"),
+    ("road_s", "s on\nroad", "{:.0f}"),
+    ("score", "\nscore", "{:.3f}"),
+    ("score_ci", "\n95 %", "{0:.2f}-{1:.2f}"),
+)
+
+
+def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[str]) -> None:
+    """Print a result of `wcsim test --suite`, two tables for each part and two for all."""
+    version = f"{result['suite']} {result['set']}{' CHANGED by ' + ' '.join(changed) if changed else ''}"
+    for part in [*dict.fromkeys(row["part"] for row in result["rows"]), ""]:
+        rows = [row for row in (result["rows"] if part else result["pooled"]) if row["part"] == part]
+        title = f"{version}: {part or 'all parts'}"
+        console.print(_table(f"{title}, safety", _SAFE, rows), _table(f"{title}, service", _THERE, rows))
+    console.print("saved, lost: own crashes that the user alone has and the policy has not, and the other way round")
+    console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
+
+
+def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
+    table.add_column("\npolicy", no_wrap=True)
+    for _, heading, _ in columns:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(str(row["policy"]), *(_cell(row.get(key), text) for key, _, text in columns))
+    return table
+
+
+def _cell(value: Any, text: str) -> str:
+    if value is None:
+        return "-"
+    return text.format(*value) if isinstance(value, list) else text.format(value)
