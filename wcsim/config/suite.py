@@ -42,7 +42,8 @@ class TownOfSuite(Model):
     """A town that must be there as it was when the list was made."""
 
     name: Text
-    streets_sha256: Sha256  # of its net
+    sha256: Sha256  # of its net, traffic and furniture
+    made_seed: Annotated[int, Field(ge=0, lt=1 << 31)] | None = None  # made of this seed by `wcsim town make`
 
 
 class SuiteFile(Model):

@@ -71,7 +71,7 @@ class Events:
     jam_teleports: int = 0
     on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
     crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
-    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
+    entered_red: bool = False  # it sets out over a crossing that had red at the kerb line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.samples import strip_street
 from tests.support.worlds import open_world
-from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
+from wcsim.bridge.ego.crossing_watch import SET_OUT_M, CrossingWatch, OnRoad
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import ActorKind, ActorState, Command, Joystick, SeatSpec, SignalState, StartSpec, WayKind
@@ -107,16 +107,23 @@ def test_a_wait_on_the_road_is_seen_and_the_crossing_still_counts():
     assert sum(moment.crossed for moment in drive(((40.0, 1.0), (40.0, -6.0)), watch=watch)) == 1
 
 
-def test_the_footplate_passes_the_kerb_line_at_red():
+def test_who_passes_the_kerb_line_at_red_and_goes_on_set_out_at_red():
     seen = drive(OVER)
     (k,) = [k for k, moment in enumerate(seen) if moment.entered_red]
-    assert 6.0 - 0.1 * k - HALF_M == pytest.approx(4.0, abs=0.11)  # half a chair before its middle gets there
-    assert not seen[k].on_carriageway
+    assert 6.0 - 0.1 * k == pytest.approx(4.0 - SET_OUT_M, abs=0.11)  # its middle is beyond the kerb
+    assert seen[k].on_carriageway
     assert red_entries(OVER, colours="G") == red_entries(OVER, colours="o") == 0
     assert red_entries(OVER[::-1]) == 1
     assert red_entries(OVER, graph=walk("")) == 0  # no light governs it
     assert red_entries(OVER, colours="G" * 18 + "r") == 0  # it was on the road when the light changed
     assert red_entries(OVER, colours="G" * 14 + "r") == 1
+    assert red_entries(OVER, colours="r" * 20 + "G") == 0  # it waited with the footplate out, and went at green
+
+
+@pytest.mark.parametrize("reached_m", [3.95, 3.6])
+def test_who_waits_with_the_footplate_or_its_middle_over_the_kerb_has_not_set_out(reached_m):
+    assert red_entries(((40.0, 6.0), (40.0, reached_m), (40.0, 6.0))) == 0
+
 
 
 def test_setting_out_at_red_beside_the_crossing_is_not_counted():
@@ -124,15 +131,15 @@ def test_setting_out_at_red_beside_the_crossing_is_not_counted():
 
 
 def test_a_footplate_that_trembles_over_the_kerb_entered_once():
-    tremble = ((40.0, 4.6), *[(40.0, y) for _ in range(6) for y in (4.4, 4.6)], (40.0, 4.0))
+    tremble = ((40.0, 4.6), *[(40.0, y) for _ in range(6) for y in (4.4, 4.6)], (40.0, 3.4), (40.0, 3.0))
     facing = [replace(chair(x, y, 0.0), yaw_rad=-math.pi / 2) for x, y in tremble]
     watch = CrossingWatch(GRID, walk("t"))
     assert sum(watch.see(at, TICK_S * k, light("r")).entered_red for k, at in enumerate(facing)) == 1
-    later = [(facing[0], 10.0), (facing[0], 11.0), (facing[1], 11.1)]  # behind the kerb for a second: it sets out anew
-    assert [watch.see(at, time_s, light("r")).entered_red for at, time_s in later] == [False, False, True]
+    later = [(facing[0], 10.0), (facing[0], 11.0), (facing[1], 11.1), (facing[-1], 11.2)]  # behind for a second
+    assert [watch.see(at, time_s, light("r")).entered_red for at, time_s in later] == [False, False, False, True]
 
 
-def test_the_crossing_that_the_chair_faces_decides():
+def test_the_crossing_that_the_chair_goes_over_decides():
     """At a corner two crossings begin within reach of one footplate; one has green, the other one red."""
     graph = walk("t")
     (mine,) = (edge for edge in graph.edges if edge.kind is WayKind.CROSSING)
@@ -141,6 +148,7 @@ def test_the_crossing_that_the_chair_faces_decides():
     assert red_entries(OVER, graph=both) == 1
     green_mine = replace(graph, edges=(replace(mine, tls_links=(0,)), replace(aside, tls_links=(1,))))
     assert red_entries(OVER, graph=green_mine) == 0
+    assert red_entries(((40.0, 6.0), (40.0, 3.6), (60.0, 3.6)), graph=both) == 0  # it only swept the corner
 
 
 def test_a_town_without_crossings():

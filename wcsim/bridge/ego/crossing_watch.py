@@ -17,6 +17,8 @@ BEFORE_M = 1.0  # and so far before its ends
 ENTRY_SHARE = 0.35  # who gets onto the road beyond this share of a crossing came in from somewhere else
 OVER_SHARE = 0.8  # who leaves the road beyond this share of it has got over
 AGAIN_S = 1.0  # a footplate that was behind the kerb for so long passes it anew
+SET_OUT_M = 0.5  # a middle so far beyond a crossing's end has set out: who waits with a footplate over the kerb has not
+ALONG_COS = 0.5  # and heads along it, within 60 degrees: a corner touches the crossings of two streets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +27,7 @@ class OnRoad:
 
     on_carriageway: bool = False  # its middle
     crossed: bool = False  # in from one pavement, out on the opposite one, over a crossing all the way
-    entered_red: bool = False  # its footplate passed the kerb line of a crossing that has red
+    entered_red: bool = False  # it sets out over a crossing that had red as its footplate passed the kerb line
 
 
 class CrossingWatch:
@@ -45,6 +47,7 @@ class CrossingWatch:
         self._on_road: bool | None = None
         self._foot_on_road: bool | None = None
         self._foot_behind_s = -math.inf  # since when the footplate has been behind the kerb
+        self._passed: dict[int, tuple[bool, bool]] = {}  # kerbs it came over: of the last point, at red
 
     def see(self, chair: ActorState, time_s: float, signals: Iterable[SignalState]) -> OnRoad:
         """Take the next tick: the chair's box, SUMO's time, the signals of now."""
@@ -54,7 +57,7 @@ class CrossingWatch:
         return OnRoad(
             on_carriageway=(on_road := self._ground.class_here(x, y) in ROADWAY),
             crossed=self._gets_over(x, y, on_road),
-            entered_red=self._enters_red((x + half_m * ahead[0], y + half_m * ahead[1]), ahead, time_s, signals),
+            entered_red=self._enters_red((x, y), (x + half_m * ahead[0], y + half_m * ahead[1]), time_s, signals),
         )
 
     def _gets_over(self, x_m: float, y_m: float, on_road: bool) -> bool:
@@ -77,22 +80,35 @@ class CrossingWatch:
         return False
 
     def _enters_red(
-        self, foot_m: tuple[float, float], ahead: tuple[float, float], time_s: float, signals: Iterable[SignalState]
+        self,
+        middle_m: tuple[float, float],
+        foot_m: tuple[float, float],
+        time_s: float,
+        signals: Iterable[SignalState],
     ) -> bool:
+        """Whether the chair has now gone far enough out onto a crossing whose kerb line its footplate passed at red."""
+        ahead = np.array(foot_m) - middle_m
+        ahead /= np.linalg.norm(ahead)
         before, since_s = self._foot_on_road, self._foot_behind_s
         self._foot_on_road = self._ground.class_here(*foot_m) in ROADWAY
         if not self._foot_on_road:
             self._foot_behind_s = time_s if before else since_s
             return False
-        if before is not False or time_s - since_s < AGAIN_S - 1e-6:
-            return False
-        share, inside = self._places(*foot_m)
-        facing = self._unit @ np.array(ahead)
-        facing = np.where(share <= 0.5, facing, -facing)
-        there = inside & (np.minimum(share, 1.0 - share) <= ENTRY_SHARE) & (facing > 0.0)
-        if not there.any():
-            return False
-        return is_red(self._edges[int(np.argmax(np.where(there, facing, -np.inf)))], signals)
+        if before is False and time_s - since_s > AGAIN_S - 1e-6:
+            share, inside = self._places(*foot_m)
+            there = np.flatnonzero(inside & (np.minimum(share, 1.0 - share) <= ENTRY_SHARE))
+            self._passed = {int(k): (bool(share[k] > 0.5), is_red(self._edges[k], signals)) for k in there}
+        return bool(self._passed) and self._sets_out_at_red(middle_m, ahead, signals)
+
+    def _sets_out_at_red(self, middle_m: tuple[float, float], ahead: F64, signals: Iterable[SignalState]) -> bool:
+        share, inside = self._places(*middle_m)
+        for k, (last, red) in self._passed.items():
+            out_m = _from(float(share[k]), last) * self._length_m[k]
+            along = float(self._unit[k] @ ahead) * (-1.0 if last else 1.0)
+            if inside[k] and out_m >= SET_OUT_M and along >= ALONG_COS:
+                self._passed = {}
+                return red and is_red(self._edges[k], signals)  # who waited with the footplate out went at green
+        return False
 
     def _places(self, x_m: float, y_m: float) -> tuple[F64, Bool]:
         """How far along each crossing (C,) a point is, as a share of its length, and whether it is on it (C,)."""

@@ -18,7 +18,7 @@ class SuiteMakeOptions:
     """Make a list of test episodes for towns of your own."""
 
     make_suite: str
-    """Towns, joined by commas."""
+    """Towns, joined by commas; made:SEED is a town without a map (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
     """The list to write."""
     name: str = "own-suite-v1"
@@ -51,12 +51,11 @@ def make_list(words: list[str]) -> int:
     check_folder("--suite-file", options.suite_file)
     import tempfile
 
-    from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
+    from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
-    from wcsim.towns.scenario.town import find_town
+    from wcsim.agents.evaluation.suite.run import TOWNS
 
     told = Console(stderr=True, highlight=False)
-    towns = [find_town(name) for name in options.make_suite.split(",")]
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
             suite=options.name,
@@ -69,6 +68,7 @@ def make_list(words: list[str]) -> int:
             jobs=options.jobs,
             work=Path(work),
         )
+        towns = asked_towns(options.make_suite, order.work / TOWNS)
         file = make_suite(order, towns, lambda text: told.print(text, style="dim"))
     write_list(file, options.suite_file)
     suite = suite_of(file)

@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.list_file import Suite, suite_of
 from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.supervisor.actions import action_set
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.towns.street import load_street
 
 POINTS = action_set("square81")
@@ -38,7 +38,7 @@ def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float
 
 def suite_in(corner: Path, *blocks: BlockFile) -> Suite:
     town = find_town(str(corner))
-    named = (TownOfSuite(name=str(corner), streets_sha256=streets_hash(town)),)
+    named = (TownOfSuite(name=str(corner), sha256=content_hash(town)),)
     placed = tuple(block.model_copy(update={"town": str(corner)}) for block in blocks)
     return suite_of(SuiteFile(suite="corner-v1", set="try", settings=QUICK, towns=named, blocks=placed))
 

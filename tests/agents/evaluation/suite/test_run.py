@@ -43,11 +43,11 @@ def test_a_list_that_was_changed_is_another_list(corner, tmp_path):
     assert len({suite.sha256, shorter.sha256, changed.sha256}) == 3
 
 
-def test_a_town_with_other_streets_is_refused(corner):
+def test_a_town_with_other_streets_is_refused(corner, tmp_path):
     file = suite_in(corner, block_of(corner)).file
-    other = file.model_copy(update={"towns": (file.towns[0].model_copy(update={"streets_sha256": "0" * 64}),)})
+    other = file.model_copy(update={"towns": (file.towns[0].model_copy(update={"sha256": "0" * 64}),)})
     with pytest.raises(TownError, match="--make-suite"):
-        towns_of(suite_of(other).file)
+        towns_of(suite_of(other).file, tmp_path)
 
 
 def test_a_list_that_is_none_is_refused(tmp_path):

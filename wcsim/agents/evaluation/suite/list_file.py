@@ -13,8 +13,10 @@ from wcsim.config import parse
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
 from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scenario.town import Town, find_town, streets_hash
+from wcsim.towns.scenario.manifest import own_work
+from wcsim.towns.scenario.town import Town, content_hash, find_town, open_town
 
+MADE: Final = "made"
 TIGHT: Final = "tight"  # the part whose towns are generated scenes
 _LIST = FileKind(what="a list of test episodes", limit_bytes=64 << 20, error=ConfigError)
 _SHIPPED = Path(__file__).parent / "lists"
@@ -69,18 +71,53 @@ def write_list(file: SuiteFile, path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def towns_of(file: SuiteFile) -> dict[str, Town]:
-    """The list's towns, by name. Raises TownError when one is missing, or other streets than those of the list."""
+def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
+    """The list's towns, by name; those made of a seed are made in `folder`, if they are not there.
+
+    Raises:
+        TownError: One is missing, or is another than that of the list.
+        SumoError: One of SUMO's tools failed at a made one.
+    """
     found = {}
     for wanted in file.towns:
-        town = find_town(wanted.name)
-        got = streets_hash(town)
-        if got != wanted.streets_sha256:
+        town = find_town(wanted.name) if wanted.made_seed is None else made_town(folder, wanted.made_seed)
+        got = content_hash(town)
+        if got != wanted.sha256:
             raise TownError(
-                f"town {wanted.name} has streets {got[:12]}; expected {wanted.streets_sha256[:12]}, those that the "
-                f"list {file.suite} {file.set} was made for: make a list of your own with --make-suite {wanted.name}"
+                f"town {wanted.name} hashes to {got[:12]}; expected {wanted.sha256[:12]}, the one that the list "
+                f"{file.suite} {file.set} was made for: make a list of your own with --make-suite {wanted.name}"
             )
         found[wanted.name] = town
+    return found
+
+
+def made_town(folder: Path, seed: int) -> Town:
+    """The town `made-SEED` in a folder, made if it is not there as it was made. Raises TownError or SumoError."""
+    out = folder / f"{MADE}-{seed}"
+    if out.is_dir() and not own_work(out):
+        return open_town(out)
+    from wcsim.towns.making.maker import make_town  # loads what builds streets
+    from wcsim.towns.making.wishes import Wishes
+
+    return make_town(out, seed, Wishes(split="test"), overwrite=True)
+
+
+def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
+    """The towns of `--make-suite`, joined by commas, each with the seed that it was made of; `made:7` is made now.
+
+    Raises:
+        ConfigError: A seed is none.
+        TownError: There is no such town, or it cannot be made.
+    """
+    found: list[tuple[Town, int | None]] = []
+    for word in words.split(","):
+        kind, colon, seed = word.strip().partition(":")
+        if kind != MADE or not colon:
+            found.append((find_town(word.strip()), None))
+        elif not seed.isdecimal() or int(seed) >= 1 << 31:
+            raise ConfigError(f"--make-suite {shown(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
+        else:
+            found.append((made_town(folder, int(seed)), int(seed)))
     return found
 
 

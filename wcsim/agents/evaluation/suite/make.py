@@ -21,7 +21,7 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
 from wcsim.errors import TownError
-from wcsim.towns.scenario.town import Town, streets_hash
+from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.street import load_street
 
 HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes over
@@ -49,11 +49,16 @@ class MakeOrder:
     work: Path  # folder for what is driven meanwhile
 
 
-def make_suite(order: MakeOrder, towns: Sequence[Town], told: Told) -> SuiteFile:
-    """A list for these towns; drives in them to find the hazards. Raises TownError for one that is too small."""
+def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told: Told) -> SuiteFile:
+    """A list for these towns, each with the seed that it was made of; drives in them to find the hazards.
+
+    Raises TownError for one that is too small.
+    """
     config = load_run_config("quick", SETTINGS)
-    named = tuple(TownOfSuite(name=town.name, streets_sha256=streets_hash(town)) for town in towns)
-    places = [place_of(town.name, load_street(town), config) for town in towns]
+    named = tuple(
+        TownOfSuite(name=town.name, sha256=content_hash(town), made_seed=seed) for town, seed in towns
+    )
+    places = [place_of(town.name, load_street(town), config) for town, _ in towns]
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
     told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")

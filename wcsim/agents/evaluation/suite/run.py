@@ -29,6 +29,7 @@ from wcsim.errors import ConfigError, WcsimError
 from wcsim.supervisor.actions import action_set
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
+TOWNS: Final = "towns"  # made ones lie there, in a result's folder
 _KEPT: Final = FileKind(what="a kept result of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 Done = Callable[[str, int, int], object]  # policy, blocks done, blocks in all
@@ -83,7 +84,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     """
     file = order.suite.file
     require_towns(file)
-    towns = {name: town.address for name, town in towns_of(file).items()}
+    towns = {name: town.address for name, town in towns_of(file, order.out / TOWNS).items()}
     judged = _judged(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
