@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -93,6 +93,16 @@ class KpiRow:
     crossings_per_km: float | None
     standing_on_carriageway_s: float
     red_entries: int
+
+
+def joined(logs: Sequence[StepLog]) -> StepLog:
+    """The steps and episodes of several logs, one after the other."""
+    arrays = {
+        field.name: np.concatenate([getattr(log, field.name) for log in logs])
+        for field in fields(StepLog)
+        if field.name != "crash_reasons"
+    }
+    return StepLog(**arrays, crash_reasons=tuple(reason for log in logs for reason in log.crash_reasons))
 
 
 def summarise(log: StepLog) -> KpiRow:

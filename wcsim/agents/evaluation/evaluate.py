@@ -8,11 +8,19 @@ from typing import Any
 
 import gymnasium
 
+from wcsim.agents.evaluation.episode_meter import EpisodeMeter
+from wcsim.agents.evaluation.suite.records import TIMED_OUT, EpisodeRecord
+from wcsim.agents.evaluation.suite.rows import Row, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth
+from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.kpi import KpiMeter, KpiRow, KpiStep
+from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
 
-_MIN_KM = 0.05  # below this a number of crashes per kilometre says nothing
+_AS_IN_SUITES = (
+    *("crashes_own", "crashes_other", "crashes_per_km", "crashes_per_km_ci"),
+    *("kpi2_median", "alive_at_end", "alive_at_end_ci"),
+    *("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,14 +41,24 @@ class EvalRow:
     crashes: int
     crash_reasons: Mapping[str, int]
     km: float
-    crashes_per_km: float | None
+    crashes_per_km: float | None  # of the chair's own
     speed_mps: float | None
     routes_completed: int
     routes_given_up: int
     crossings: int  # completed: in from one pavement, out on the opposite one
     crossings_per_km: float | None
     standing_on_carriageway_s: float
-    red_entries: int  # the footplate passed the kerb line of a crossing that had red
+    red_entries: int  # it set out over a crossing that had red
+    crashes_own: int
+    crashes_other: int  # another's fault, while the chair stood where it may
+    crashes_per_km_ci: tuple[float, float] | None  # of the own ones; Garwood's interval, 95 % as all of these
+    kpi1_moving_within_ci: tuple[float, float] | None  # bootstrap over episodes
+    kpi2_median: float | None
+    alive_at_end: float | None  # share of the episodes that no crash ended
+    alive_at_end_ci: tuple[float, float] | None
+    accel_rms_mps2: float | None  # from step to step
+    stick_travel_per_s: float | None  # way of the stick that the chair was given
+    asked_travel_per_s: float | None  # and of the user's
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
@@ -54,6 +72,7 @@ def evaluate(
     max_steps: int,
     seed: int,
     tick_s: float = 0.1,
+    reward: RewardConfig | None = None,
 ) -> EvalRow:
     """Let a policy drive whole episodes, greedily.
 
@@ -64,6 +83,7 @@ def evaluate(
         max_steps: An episode is cut after this many steps (it counts as survived).
         seed: Of the environment.
         tick_s: Duration of a step.
+        reward: What counts as a collision; by default as everywhere.
 
     Raises:
         ConfigError: `episodes` or `max_steps` is below 1.
@@ -71,17 +91,19 @@ def evaluate(
     """
     if episodes < 1 or max_steps < 1:
         raise ConfigError(f"episodes={episodes}, max_steps={max_steps}; expected at least 1 of each")
-    meter = KpiMeter()
+    logs: list[StepLog] = []
+    records: list[EpisodeRecord] = []
     policy.begin()
     for episode in range(episodes):
         observation, info = env.reset(seed=seed) if episode == 0 else env.reset()
         policy.reset()
-        _drive(policy, env, observation, info, max_steps, tick_s, meter)
-    return _row(policy.name, meter.row())
+        meter = EpisodeMeter(tick_s, reward or RewardConfig())
+        records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter))
+        logs.append(meter.log())
+    return _row(policy.name, summarise(joined(logs)), row_of(policy.name, "", records, ()))
 
 
-def _row(name: str, row: KpiRow) -> EvalRow:
-    far_enough = row.km >= _MIN_KM
+def _row(name: str, row: KpiRow, judged: Row) -> EvalRow:
     return EvalRow(
         policy=name,
         episodes=row.episodes,
@@ -97,44 +119,39 @@ def _row(name: str, row: KpiRow) -> EvalRow:
         crashes=row.crashes,
         crash_reasons=row.crash_reasons,
         km=row.km,
-        crashes_per_km=row.crashes_per_km if far_enough else None,
         speed_mps=row.speed_mean_mps,
         routes_completed=row.routes_completed,
         routes_given_up=row.routes_given_up,
         crossings=row.crossings,
-        crossings_per_km=row.crossings_per_km if far_enough else None,
+        crossings_per_km=None if judged["crashes_per_km"] is None else row.crossings_per_km,
         standing_on_carriageway_s=row.standing_on_carriageway_s,
         red_entries=row.red_entries,
+        kpi1_moving_within_ci=judged["kpi1_free_within_ci"],
+        **{key: judged[key] for key in _AS_IN_SUITES},
     )
 
 
 def _drive(
     policy: Policy,
     env: gymnasium.Env[Any, Any],
-    observation: Any,
-    info: dict[str, Any],
+    begun: tuple[Any, dict[str, Any]],
     max_steps: int,
     tick_s: float,
-    meter: KpiMeter,
-) -> None:
+    meter: EpisodeMeter,
+) -> EpisodeRecord:
     """One episode into the meter."""
+    observation, info = begun
+    ended: dict[str, Any] = {"status": TIMED_OUT}
     for step in range(1, max_steps + 1):
         truth = info.get("truth")  # of the moment that the agent answers to
         if isinstance(policy, SeesTruth):
             policy.see(truth)
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        events = info["events"]
-        meter.add(
-            KpiStep(
-                distance=float(info["joystick_distance"]),
-                free=None if truth is None else not truth.danger,
-                asked=info["asked"],
-                given=info["given"],
-                speed_mps=float(info["speed_mps"]),
-                dt_s=tick_s,
-                events=events,
-            )
-        )
+        meter.add(info, None if truth is None else not truth.danger)
+        if info["events"].crash_reason:
+            ended = meter.crash(info)
         if terminated or truncated or step == max_steps:
-            meter.end_episode(step, events.crash_reason)
-            return
+            break
+    sums = meter.sums(ended.get("reason", ""))
+    time_s = sums["steps"] * tick_s
+    return EpisodeRecord(block=0, seat=0, part="", town="", profile="", time_s=time_s, **ended, **sums)

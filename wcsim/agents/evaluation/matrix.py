@@ -19,7 +19,7 @@ from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.config import RunConfig
+from wcsim.config import RewardConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
@@ -37,26 +37,26 @@ _WIDE, _GAPS = 100, 11  # from so many characters on there is a second space bet
 Columns = tuple[tuple[str, str, str], ...]
 _FOLLOWING: Columns = (
     ("kpi1_mean", "KPI 1", "{:.3f}"),
-    ("kpi1_within", "KPI 1\nwithin", "{:.0%}"),
+    ("kpi1_within", "KPI 1\nwith.", "{:.0%}"),
     ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
-    ("kpi1_moving_mean", "moving\nfree", "{:.3f}"),
-    ("kpi1_moving_within", "\nwithin", "{:.0%}"),
+    ("kpi1_moving_mean", "mov.\nfree", "{:.3f}"),
+    ("kpi1_moving_within", "\nwith.", "{:.0%}"),
     ("free_share", "free\nsteps", "{:.0%}"),
-    ("blocked_share", "\nblocked", "{:.1%}"),
-    ("freezes", "\nfreezes", "{:d}"),
+    ("blocked_share", "bloc-\nked", "{:.1%}"),
+    ("freezes", "free-\nzes", "{:d}"),
     ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
+    ("speed_mps", "\nm/s", "{:.2f}"),
 )
 _GETTING_THERE: Columns = (
-    ("crashes", "\ncrash", "{:d}"),
+    ("crashes_own", "own\ncrash", "{:d}"),
+    ("crashes_other", "other\ncrash", "{:d}"),
     ("km", "\nkm", "{:.2f}"),
-    ("crashes_per_km", "crash\n/km", "{:.2f}"),
-    ("speed_mps", "\nm/s", "{:.2f}"),
-    ("routes_completed", "routes\ndone", "{:d}"),
-    ("routes_given_up", "given\nup", "{:d}"),
-    ("crossings", "cross-\nings", "{:d}"),
-    ("crossings_per_km", "\n/km", "{:.1f}"),
+    ("crashes_per_km", "own\n/km", "{:.2f}"),
+    ("crashes_per_km_ci", "\n95 %", "{0[0]:.1f}-{0[1]:.1f}"),
+    ("routes_completed", "rout.\ndone", "{:d}"),
+    ("crossings", "cros-\nsings", "{:d}"),
     ("red_entries", "at\nred", "{:d}"),
-    ("standing_on_carriageway_s", "s on\nroad", "{:.1f}"),
+    ("standing_on_carriageway_s", "s on\nroad", "{:.0f}"),
 )
 _UPPER_BOUND_NOTES = {
     UPPER_BOUND: "oracle sees the truth: an upper bound",
@@ -76,6 +76,7 @@ class TestPlan:
     max_steps: int  # after so many an episode is cut, and counts as survived
     seed: int  # every policy begins from it, in every town with every profile
     tick_s: float = 0.1
+    reward: RewardConfig | None = None  # what counts as a collision; None: as everywhere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +134,7 @@ def run_test(
         try:
             rows: list[EvalRow] = []
             for policy in policies:
-                rows.append(evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s))
+                rows.append(evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward))
                 if progress is not None:
                     progress(f"{town}, {profile}: {policy.name}")
         finally:

@@ -134,6 +134,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         max_steps=options.max_steps,
         seed=options.seed,
         tick_s=config.world.tick_s,
+        reward=config.reward,
     )
     return run_test(
         policies, make_env, plan, lambda text: console.print(f"tested {text}", style="dim", highlight=False)

@@ -10,7 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep
+from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.alarms import Alarms
 from wcsim.agents.evaluation.suite.forks import crash_alone_s, users_alone
 from wcsim.agents.evaluation.suite.records import (
@@ -21,7 +22,6 @@ from wcsim.agents.evaluation.suite.records import (
     REFUSED,
     TIMED_OUT,
     EpisodeRecord,
-    sums_of,
 )
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
 from wcsim.agents.policy_api import Policy, SeesTruth, Warns
@@ -31,14 +31,11 @@ from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.fault import fault, hardest
-from wcsim.supervisor.kpi import STANDS_MPS, KpiMeter, KpiStep
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of wall clock: a policy that needs longer for an answer has failed
-_STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
 
 MakePolicy = Callable[[], Policy]
 
@@ -120,11 +117,12 @@ class _Seat:
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
-        self._chair, self._link, self._meter = Chair(config), _Link(), KpiMeter()
+        self._chair, self._link = Chair(config), _Link()
+        self._meter = EpisodeMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
-        self._stood_s = self._done_m = self._before_m = 0.0
-        self._in_red, self._free = False, True
+        self._done_m = self._before_m = 0.0
+        self._free = True
         self._seen, self._info = self._chair.begin(world.snapshot.clients[number])
         self._begun = False
 
@@ -155,11 +153,12 @@ class _Seat:
         if alone:
             self._before_m += step.info["progress_m"]
         else:
-            self._count(step)
+            self._done_m += step.info["progress_m"]
+            self._meter.add(step.info, self._free)
         self._seen, self._info = step.observation, step.info
         events = client.events
         if events.crashed:
-            self._crashed(client)
+            self._end(**self._meter.crash(step.info))
         elif events.arrived:
             self._end(FINISHED)
         elif events.gave_up:
@@ -192,36 +191,8 @@ class _Seat:
             tick_s = self._config.world.tick_s
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self.actions, tick_s)
 
-    def _count(self, step: EpisodeStep) -> None:
-        info, tick_s = step.info, self._config.world.tick_s
-        self._done_m += info["progress_m"]
-        self._meter.add(
-            KpiStep(
-                distance=float(info["joystick_distance"]),
-                free=self._free,
-                asked=info["asked"],
-                given=info["given"],
-                speed_mps=float(info["speed_mps"]),
-                dt_s=tick_s,
-                events=info["events"],
-            )
-        )
-        events = info["events"]
-        standing = events.on_carriageway and abs(info["speed_mps"]) < STANDS_MPS
-        self._stood_s = self._stood_s + tick_s if standing else 0.0
-        self._in_red = events.on_carriageway and (self._in_red or events.entered_red)
-
-    def _crashed(self, client: ClientSnapshot) -> None:
-        events, reward = client.events, self._config.reward
-        whose = fault(events.crash_reason, client.contacts, reward)
-        if whose == "other" and (self._stood_s >= _STOOD_S - 1e-9 or self._in_red):
-            whose = "own"  # it stood where it should not
-        hit = hardest(client.contacts, reward) if events.crash_reason == "collision" else None
-        self._end(CRASHED, events.crash_reason, fault=whose, partner="" if hit is None else hit.kind)
-
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
-        self._meter.end_episode(max(0, self._step - self._episode.handover_step), reason if status == CRASHED else "")
-        sums, tick_s = sums_of(self._meter), self._config.world.tick_s
+        sums, tick_s = self._meter.sums(reason if status == CRASHED else ""), self._config.world.tick_s
         crash = sums["steps"] if status == CRASHED and more.get("fault") == "own" else None
         warned, to_warn, false = self._alarms.warnings(crash)
         x_m, y_m, _ = self._world.snapshot.clients[self._at()].plant.p_WB_m.tolist()

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-import numpy as np
-
 from wcsim.errors import ConfigError
-from wcsim.supervisor.kpi import KpiMeter, summarise
 
 FINISHED: Final = "finished"
 CRASHED: Final = "chair_crashed"
@@ -22,9 +19,6 @@ STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
 NOT_JUDGED: Final = "not_judged"
-
-_WITHIN = 0.1768 + 1e-6  # Table 1 of the paper
-_MOVES = 0.3  # a stick that is out so far is meant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +65,10 @@ class EpisodeRecord:
     false_warnings: int = 0
     interventions: tuple[Intervention, ...] = ()
     end_m: tuple[float, float] = (0.0, 0.0)  # where it ended, W
+    accel_sq_sum: float = 0.0  # of the squared change of speed from step to step, (m/s2)^2
+    stick_travel: float = 0.0  # way of the stick's tip that the chair was given, in stick's lengths
+    asked_travel: float = 0.0  # and of the user's own
+    path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
 
     @property
     def own(self) -> bool:
@@ -100,25 +98,5 @@ def record_of(data: Mapping[str, Any]) -> EpisodeRecord:
     values = dict(data)
     values["interventions"] = tuple(Intervention(**item) for item in values.get("interventions", ()))
     values["end_m"] = tuple(values.get("end_m", (0.0, 0.0)))
+    values["path_m"] = tuple((x_m, y_m) for x_m, y_m in values.get("path_m", ()))
     return EpisodeRecord(**values)
-
-
-def sums_of(meter: KpiMeter) -> dict[str, Any]:
-    """The sums of an episode's steps, under their names in `EpisodeRecord`."""
-    log = meter.log()
-    row = summarise(log)
-    free = log.free == 1
-    moving = free & (np.hypot(log.asked[:, 0], log.asked[:, 1]) > _MOVES)
-    return {
-        "steps": len(log.distance),
-        "m": round(1000.0 * row.km, 6),
-        "distance_sum": round(float(log.distance.sum()), 9),
-        "free_steps": int(free.sum()),
-        "blocked_steps": round((row.blocked_share or 0.0) * int(free.sum())),
-        "moving_steps": int(moving.sum()),
-        "moving_within": int((moving & (log.distance <= _WITHIN)).sum()),
-        "freezes": row.freezes,
-        "road_s": round(row.standing_on_carriageway_s, 6),
-        "red_entries": row.red_entries,
-        "crossings": row.crossings,
-    }

@@ -89,8 +89,12 @@ def _obedience(records: Sequence[EpisodeRecord]) -> Row:
 def _service(records: Sequence[EpisodeRecord]) -> Row:
     scores = [record.score for record in records]
     arrived = [float(record.status == FINISHED) for record in records]
+    steps, time_s = sum(record.steps for record in records), _sum(records, "time_s")
     return {
-        "speed_mps": _ratio(math.fsum(record.m for record in records), math.fsum(record.time_s for record in records)),
+        "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), steps)) is None else math.sqrt(mean),
+        "stick_travel_per_s": _ratio(_sum(records, "stick_travel"), time_s),
+        "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
+        "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),
         "arrivals": round(sum(arrived)),
         "attempts": len(records),
         "arrivals_ci": _pair(bootstrapped(arrived)),
@@ -111,6 +115,10 @@ def _interventions(records: Sequence[EpisodeRecord]) -> Row:
         "warned_share": _ratio(sum(record.warned for record in records), sum(record.to_warn for record in records)),
         "false_warnings_per_km": sum(r.false_warnings for r in records) / km if km >= _FAR_ENOUGH_KM else None,
     }
+
+
+def _sum(records: Sequence[EpisodeRecord], name: str) -> float:
+    return math.fsum(getattr(record, name) for record in records)
 
 
 def _km(records: Sequence[EpisodeRecord]) -> float:
