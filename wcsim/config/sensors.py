@@ -72,6 +72,7 @@ class CameraConfig(Model):
     yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
     pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0
     every_ticks: Annotated[int, Field(ge=1, le=100)] = 1
+    lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # of the pictures that never arrive
     rgb: bool = False
     renderer: Literal["numba", "pybullet"] = "numba"
     noise: CameraNoiseConfig | None = None  # or "none", or "typical" for every part with its defaults

@@ -53,4 +53,5 @@ class SuiteFile(Model):
     set: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")]  # dev, validation, v1, or a town's
     settings: Annotated[tuple[Text, ...], Field(max_length=64)]  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
+    forks: Annotated[int, Field(ge=0, le=1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]

@@ -1,5 +1,6 @@
 """The camera rig: where cameras look, when they shoot, and whose buffers they use."""
 
+import itertools
 import math
 import threading
 from dataclasses import replace
@@ -88,6 +89,18 @@ def test_a_slower_camera_repeats_its_image_and_reset_wakes_it(mesh):
         assert taken[4][1] is taken[3][1]
         rig.reset(0)
         assert rig.shoot(0, 7, plant(), (), ())[1].taken_tick == 7
+
+
+def test_a_lost_picture_leaves_the_one_before_and_each_tick_has_its_chance(mesh):
+    lossy = CameraConfig(name="lossy", width_px=40, height_px=30, lost_share=0.4)
+    with CameraRig(mesh, (lossy,), seats=2) as rig:
+        rig.begin(5)
+        taken = [[rig.shoot(seat, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)] for seat in (0, 1)]
+        rig.begin(5)
+        again = [rig.shoot(0, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)]
+    assert taken[0] == again != taken[1]
+    assert taken[0][0] == 0 and all(a in (b, tick) for tick, (b, a) in enumerate(itertools.pairwise(taken[0]), 1))
+    assert sum(at != tick for tick, at in enumerate(taken[0])) == pytest.approx(80, abs=25)
 
 
 def test_frames_outlive_two_more_shots_of_their_camera(mesh):

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
-from wcsim.cli.evaluation.result_tables import show_result
+from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
 from wcsim.errors import ConfigError
 
@@ -19,10 +19,6 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
 
 MOST_JOBS = 256
-CLEAN = (
-    "cameras.0.noise=none",
-    "world.action_delay_ticks=0",
-)
 
 
 @dataclass
@@ -43,8 +39,10 @@ class SuiteOptions:
     """Drive these policies and the user alone, without the other baselines."""
     clean: bool = False
     """Turn every perturbation off: no noise, no delay."""
-    forks: int = 1_000_000
-    """Episodes whose interventions are judged by letting the user drive alone from there, evenly spread."""
+    sensitivity: bool = False
+    """Drive these policies and the user alone clean, and with each disturbance alone: which one moves the score?"""
+    forks: int | None = None
+    """Episodes whose interventions are judged by letting the user drive alone from there. (default: as in the list)"""
     preset: str = "quick"
     """Settings of policies that bring none."""
     set: Repeated = ()
@@ -59,7 +57,7 @@ def run_suites(words: list[str]) -> int:
     """Judge policies on a list; a table for each part and one for all."""
     options = parse(SuiteOptions, words, "test")
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
-    in_bounds("--forks", options.forks, 0, 1_000_000)
+    in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
     from wcsim.agents.evaluation.suite.list_file import open_suite
 
     suite = open_suite(options.suite)
@@ -70,8 +68,9 @@ def run_suites(words: list[str]) -> int:
             f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
         )
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+    from wcsim.agents.evaluation.suite.sensitivity import CLEAN, sensitivity
 
-    added = () if options.only else (*NAMES, *UPPER_BOUNDS)
+    added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
     changed = (*(CLEAN if options.clean else ()), *options.set)
     order = SuiteOrder(
@@ -81,10 +80,17 @@ def run_suites(words: list[str]) -> int:
         preset=options.preset,
         settings=changed,
         network=options.network,
-        forks=options.forks,
+        forks=suite.file.forks if options.forks is None else options.forks,
     )
     told = Console(stderr=True, highlight=False)
     told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
+    if options.sensitivity:
+        moved = sensitivity(order, names, lambda text: told.print(text, style="dim"))
+        write_json(out / "sensitivity.json", moved)
+        show_sensitivity(Console(), f"{suite.file.suite} {suite.file.set}", moved)
+        if options.json is not None:
+            write_json(options.json, {"suite": suite.file.suite, "set": suite.file.set, "rows": moved})
+        return 0
     records = run_suite(order, names, lambda name, done, of: told.print(f"{name}: {done} of {of} blocks", style="dim"))
     result = _result(suite.file, suite.sha256, records, changed)
     write_json(out / "result.json", result)

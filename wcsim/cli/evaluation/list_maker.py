@@ -33,6 +33,8 @@ class SuiteMakeOptions:
     """Generated scenes of each family of tight places."""
     tight_from: int = 0
     """Their first seed."""
+    forks: int = 1_000_000
+    """Episodes of the list whose interventions are judged, evenly spread."""
     jobs: int = 1
     """Processes that drive side by side."""
     seed: int = 0
@@ -45,6 +47,7 @@ def make_list(words: list[str]) -> int:
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     in_bounds("--free", options.free, 1, 10_000)
     in_bounds("--attempts", options.attempts, 1, 10_000)
+    in_bounds("--forks", options.forks, 0, 1_000_000)
     in_bounds("--hazards", options.hazards, 0, 10_000)
     in_bounds("--tight", options.tight, 0, 10_000)
     in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
@@ -65,6 +68,7 @@ def make_list(words: list[str]) -> int:
             attempts=options.attempts,
             hazards=options.hazards,
             tight=range(options.tight_from, options.tight_from + options.tight),
+            forks=options.forks,
             jobs=options.jobs,
             work=Path(work),
         )

@@ -48,6 +48,25 @@ def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[s
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
 
 
+_MOVED: tuple[Column, ...] = (
+    ("crashes_own", "own\ncrash", "{:d}"),
+    ("crashes_other", "other\ncrash", "{:d}"),
+    ("kpi1_free_within", "\nwithin", "{:.1%}"),
+    ("speed_mps", "\nm/s", "{:.2f}"),
+    ("score", "\nscore", "{:.3f}"),
+    ("score_change", "change\nof it", "{:+.3f}"),
+    ("score_change_ci", "\n95 %", "{0:+.2f} to {1:+.2f}"),
+)
+
+
+def show_sensitivity(console: Console, title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the rows of `wcsim test --suite --sensitivity`, a table for each policy."""
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        own = [{**row, "policy": row["disturbance"]} for row in rows if row["policy"] == policy]
+        console.print(_table(f"{title}: {policy}, each disturbance alone", _MOVED, own))
+    console.print("change of it: mean over the same episodes driven clean", style="dim")
+
+
 def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     table.add_column("\npolicy", no_wrap=True)

@@ -28,6 +28,7 @@ from wcsim.physics.sensors.pixel_noise import child
 from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
+_LOST = 1 << 40  # beside the keys of ticks: whether a tick's picture is lost
 
 # Axes of a camera that looks along x of its mount: x right, y down, z forward, each in the mount's frame.
 _R_CM = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -194,8 +195,8 @@ class CameraRig:
     def shoot_all(self, scenes: Mapping[int, Surroundings], meanwhile: Work | None = None) -> None:
         """Take (or repeat) the image of every camera of these seats, in all threads; `frames` hands them out.
 
-        A camera with `every_ticks` > 1 repeats its last image with its old `taken_tick`. A seat's own wheelchair, among
-        the scene's or not, is never drawn.
+        A camera with `every_ticks` > 1, or whose picture is lost, repeats its last image with its old `taken_tick`.
+        A seat's own wheelchair, among the scene's or not, is never drawn.
 
         Args:
             scenes: what there is to see, by seat, all of one moment: the same actors, chairs and signals.
@@ -233,7 +234,13 @@ class CameraRig:
         return total
 
     def _repeats(self, index: int, shutter: _Shutter, tick: int) -> bool:
-        return shutter.last is not None and 0 <= tick - shutter.last.taken_tick < self.cameras[index].every_ticks
+        if shutter.last is None or tick < shutter.last.taken_tick:
+            return False
+        camera = self.cameras[index]
+        if tick - shutter.last.taken_tick < camera.every_ticks:
+            return True
+        lost = child(child(shutter.key, _LOST), tick) / 2.0**64
+        return tick > shutter.last.taken_tick and lost < camera.lost_share
 
     def _shots(self, scenes: Mapping[int, Surroundings], due: Mapping[tuple[int, int], _Shutter]) -> list[_Shot]:
         """The pictures of these cameras (seat, number); what all share of the street is made once."""

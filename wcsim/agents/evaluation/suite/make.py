@@ -45,6 +45,7 @@ class MakeOrder:
     attempts: int
     hazards: int  # at most
     tight: range  # seeds of the generated scenes, of each family
+    forks: int = 1_000_000  # episodes of the whole list whose interventions are judged, at most
     jobs: int = 1
     work: Path  # folder for what is driven meanwhile
 
@@ -68,6 +69,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         set=order.set,
         settings=SETTINGS,
         towns=named,
+        forks=order.forks,
         blocks=(*free, *crossing, *hazard, *tight_blocks(order.tight)),
     )
 
