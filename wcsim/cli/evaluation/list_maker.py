@@ -29,6 +29,8 @@ class SuiteMakeOptions:
     """Attempts at crossings for each town."""
     hazards: int = 30
     """Starts that end in a crash of the user alone, at most, for each town."""
+    more_ways: int = 0
+    """Blocks of free ways for each town that are looked through for such starts alone."""
     tight: int = 5
     """Generated scenes of each family of tight places."""
     tight_from: int = 0
@@ -47,6 +49,7 @@ def make_list(words: list[str]) -> int:
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     in_bounds("--free", options.free, 1, 10_000)
     in_bounds("--attempts", options.attempts, 1, 10_000)
+    in_bounds("--more-ways", options.more_ways, 0, 10_000)
     in_bounds("--forks", options.forks, 0, 1_000_000)
     in_bounds("--hazards", options.hazards, 0, 10_000)
     in_bounds("--tight", options.tight, 0, 10_000)
@@ -67,6 +70,7 @@ def make_list(words: list[str]) -> int:
             free_blocks=options.free,
             attempts=options.attempts,
             hazards=options.hazards,
+            more_ways=options.more_ways,
             tight=range(options.tight_from, options.tight_from + options.tight),
             forks=options.forks,
             jobs=options.jobs,

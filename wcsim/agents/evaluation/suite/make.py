@@ -44,6 +44,7 @@ class MakeOrder:
     free_blocks: int
     attempts: int
     hazards: int  # at most
+    more_ways: int = 0  # blocks of free ways that are looked through for hazards alone
     tight: range  # seeds of the generated scenes, of each family
     forks: int = 1_000_000  # episodes of the whole list whose interventions are judged, at most
     jobs: int = 1
@@ -63,7 +64,8 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
     told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")
-    hazard = _hazards(order, named, free, config, told) if order.hazards else []
+    more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
+    hazard = _hazards(order, named, [*free, *more], config, told) if order.hazards else []
     return SuiteFile(
         suite=order.suite,
         set=order.set,
@@ -74,8 +76,10 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     )
 
 
-def _free(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
+def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[BlockFile]:
     wanted = Wanted(part="free", profiles=("ataxic", "ataxic", "inattentive"), settings=(USUAL_STREET,))
+    if more:
+        return free_blocks(place, wanted, order.more_ways, seeding.derive(order.seed, "more ways"))
     return free_blocks(place, wanted, order.free_blocks, order.seed)
 
 

@@ -6,17 +6,22 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+import numpy as np
+
 from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import config_of, policy_path
 from wcsim.config import RunConfig, with_overrides
@@ -145,15 +150,18 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
 
     config = _config(piece.policy, piece.preset, piece.settings)
     made = iter(range(len(piece.block.episodes)))
+    with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
 
-    def make_policy() -> Policy:
-        return _opened(piece, config, seeding.derive(piece.block.seed, "driver", next(made)))
+        def open_one(seed: int) -> Policy:
+            policy = _opened(piece, config, seed)
+            if hasattr(policy, "close"):
+                opened.callback(policy.close)
+            return policy
 
-    try:
-        config = _windowed(config, _opened(piece, config, 0))
-    except WcsimError as error:
-        return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
-    with TemporaryDirectory(prefix="wcsim-suite-") as work:
+        try:
+            config = _windowed(config, open_one(0))
+        except WcsimError as error:
+            return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
         order = BlockOrder(
             index=piece.index,
             block=piece.block,
@@ -164,7 +172,8 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
         )
         if piece.block.part == TIGHT:
             order = in_scene(order, Path(work))
-        return [record.to_json() for record in drive_block(order, make_policy)]
+        records = drive_block(order, lambda: open_one(seeding.derive(piece.block.seed, "driver", next(made))))
+        return [record.to_json() for record in records]
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
@@ -172,6 +181,11 @@ def policy_digest(name: str, order: SuiteOrder) -> str:
     said: list[Any] = [order.settings, order.forks, _code_digest()]
     if is_baseline(name):
         said += ["baseline", name, order.preset]
+    elif is_served(name):
+        with closing(ServedPolicy(name, np.zeros((0, 2)))) as served:
+            said += ["served", served.version, order.preset]
+    elif is_onnx(name):
+        said += ["onnx", [_file_digest(path) for path in sorted(Path(name).iterdir()) if path.is_file()]]
     elif ":" in name and not Path(name.rpartition(":")[0]).exists():
         said += ["class", name, order.preset, _file_digest(Path(str(_source_of(name))))]
     else:
@@ -180,9 +194,18 @@ def policy_digest(name: str, order: SuiteOrder) -> str:
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
+def is_onnx(name: str) -> bool:
+    """Whether a policy's name is a folder with an ONNX model."""
+    return is_onnx_folder(Path(name))
+
+
 def _opened(piece: Piece, config: RunConfig, seed: int) -> Policy:
     """The policy of a piece. Raises PolicyError when it does not fit."""
-    name = piece.policy
+    name, actions = piece.policy, action_set(config.env.actions)
+    if is_served(name):
+        return ServedPolicy(name, actions.points)
+    if is_onnx(name):
+        return OnnxPolicy(Path(name), name, len(actions))
     if ":" in name and not is_baseline(name) and not Path(name.rpartition(":")[0]).exists():
         policy: Policy = find_class(name, "policy")(config)
         return policy
@@ -208,6 +231,9 @@ def _config(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
     """A policy's own settings, or the preset, with those of the suite laid over them."""
     from wcsim.config import load_run_config
 
+    if is_onnx(policy):
+        about = read_about(Path(policy))
+        return with_overrides(load_run_config(about.preset, about.settings), settings)
     own_class = ":" in policy and not Path(policy.rpartition(":")[0]).exists()
     base = load_run_config(preset) if is_baseline(policy) or own_class else config_of(policy, preset, ())
     config = with_overrides(base, settings)

@@ -1,0 +1,122 @@
+"""A policy that another process serves on a socket, in whatever language: `tcp:PORT` or `tcp:HOST:PORT`.
+
+The test connects once for each chair. Every message has four bytes with its length (little endian) and then that many
+bytes: one line of JSON, a line feed, and the bytes of the arrays that the line names, one after the other.
+
+    {"kind": "hello", "actions": [[0.0, 0.0], ...], "arrays": []}     answer: {"name": "mine", "version": "3"}
+    {"kind": "reset", "arrays": []}                                   answer: {}
+    {"kind": "act", "arrays": [["depth", "uint8", [60, 80]], ...]}    answer: {"action": 40, "warning": false}
+
+Arrays are C-ordered and little endian; `warning` may be missing. An example: `examples/served_policy.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.agents.policy_api import Observation
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+
+SCHEME: Final = "tcp:"
+_ANSWER_BYTES: Final = 1 << 16
+_PATIENCE_S: Final = 10.0
+
+
+def is_served(name: str) -> bool:
+    """Whether a policy's name is the address of a process that serves it."""
+    return name.startswith(SCHEME)
+
+
+class ServedPolicy:
+    """One chair's connection to such a process; `close` ends it.
+
+    Args:
+        address: `tcp:PORT` or `tcp:HOST:PORT`.
+        points: (actions, 2) the joystick position of each action.
+    """
+
+    def __init__(self, address: str, points: npt.NDArray[Any]) -> None:
+        """Raises PolicyError when nobody answers there."""
+        self.name, self._warning = address, False
+        host, port = _parts(address)
+        try:
+            self._socket = socket.create_connection((host, port), _PATIENCE_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError as error:
+            raise PolicyError(f"{shown(address)}: nobody serves a policy there ({error}); start it first") from None
+        try:
+            about = self._asked("hello", {}, actions=points.tolist())
+        except PolicyError:
+            self._socket.close()
+            raise
+        self.version = f"{about.get('name', '')} {about.get('version', '')}"
+
+    @property
+    def warning(self) -> bool:
+        """Whether it warns, as of its last `act`."""
+        return self._warning
+
+    def close(self) -> None:
+        """End the connection."""
+        self._socket.close()
+
+    def begin(self) -> None:
+        """The process is told of episodes alone."""
+
+    def reset(self) -> None:
+        """Tell that an episode begins."""
+        self._warning = False
+        self._asked("reset", {})
+
+    def act(self, observation: Observation) -> int:
+        """The action that the process answers with. Raises PolicyError when it is gone, or answers something else."""
+        answer = self._asked("act", observation)
+        action = answer.get("action")
+        if not isinstance(action, int) or isinstance(action, bool):
+            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected {{\"action\": a whole number}}")
+        self._warning = answer.get("warning") is True
+        return action
+
+    def _asked(self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object) -> dict[str, Any]:
+        arrays = {key: _little(np.asarray(array)) for key, array in observation.items()}
+        named = [[key, array.dtype.name, list(array.shape)] for key, array in arrays.items()]
+        head = json.dumps({"kind": kind, **more, "arrays": named}).encode() + b"\n"
+        text = head + b"".join(array.tobytes() for array in arrays.values())
+        try:
+            self._socket.sendall(len(text).to_bytes(4, "little") + text)
+            length = int.from_bytes(self._read(4), "little")
+            if length > _ANSWER_BYTES:
+                raise PolicyError(f"{self.name}: an answer of {length} bytes; expected at most {_ANSWER_BYTES}")
+            answer = json.loads(self._read(length))
+        except (OSError, ValueError) as error:
+            raise PolicyError(f"{self.name}: no answer to {kind!r}: {error}; is the process alive?") from None
+        if not isinstance(answer, dict):
+            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected a JSON object")
+        return answer
+
+    def _read(self, length: int) -> bytes:
+        found = b""
+        while len(found) < length:
+            more = self._socket.recv(length - len(found))
+            if not more:
+                raise ConnectionError("the process has closed the connection")
+            found += more
+        return found
+
+
+def _little(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+
+
+def _parts(address: str) -> tuple[str, int]:
+    host, _, port = address.removeprefix(SCHEME).rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) < 1 << 16:
+        raise PolicyError(f"{shown(address)!r} is no address of a policy; expected tcp:PORT or tcp:HOST:PORT")
+    return host or "127.0.0.1", int(port)
