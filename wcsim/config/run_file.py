@@ -120,3 +120,10 @@ class ManifestFile(Model):
         if len(set(self.clients)) != len(self.clients):
             raise ValueError(f"clients are named {list(self.clients)}; expected each to have a name of its own")
         return self
+
+
+class OnnxPolicyFile(Model):
+    """`policy.toml` beside an ONNX model: what it was trained with."""
+
+    preset: Text = "quick"
+    settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over the preset

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from pydantic import Field
 
 from wcsim.agents.policy_api import Observation
-from wcsim.config import Model, Text, parse
+from wcsim.config import parse
+from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import is_file, shown
 from wcsim.errors import ConfigError, PolicyError
 
@@ -24,13 +24,6 @@ MODEL_FILE: Final = "policy.onnx"
 ABOUT_FILE: Final = "policy.toml"
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
 _LIMIT_BYTES: Final = 1 << 30
-
-
-class OnnxPolicyFile(Model):
-    """`policy.toml`: what the model was trained with."""
-
-    preset: Text = "quick"
-    settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over the preset
 
 
 def is_onnx_folder(path: Path) -> bool:

@@ -80,7 +80,7 @@ class ServedPolicy:
         answer = self._asked("act", observation)
         action = answer.get("action")
         if not isinstance(action, int) or isinstance(action, bool):
-            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected {{\"action\": a whole number}}")
+            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected an action, a whole number")
         self._warning = answer.get("warning") is True
         return action
 

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.evaluation.judged_suite import MOST_JOBS
-from wcsim.cli.shared.common import check_folder, in_bounds, parse
+from wcsim.cli.shared.common import check_output, in_bounds, parse
 
 
 @dataclass
@@ -54,7 +54,7 @@ def make_list(words: list[str]) -> int:
     in_bounds("--hazards", options.hazards, 0, 10_000)
     in_bounds("--tight", options.tight, 0, 10_000)
     in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
-    check_folder("--suite-file", options.suite_file)
+    check_output("--suite-file", options.suite_file)
     import tempfile
 
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list

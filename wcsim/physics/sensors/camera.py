@@ -236,11 +236,8 @@ class CameraRig:
     def _repeats(self, index: int, shutter: _Shutter, tick: int) -> bool:
         if shutter.last is None or tick < shutter.last.taken_tick:
             return False
-        camera = self.cameras[index]
-        if tick - shutter.last.taken_tick < camera.every_ticks:
-            return True
-        lost = child(child(shutter.key, _LOST), tick) / 2.0**64
-        return tick > shutter.last.taken_tick and lost < camera.lost_share
+        camera, lost = self.cameras[index], child(child(shutter.key, _LOST), tick) / 2.0**64
+        return tick - shutter.last.taken_tick < camera.every_ticks or lost < camera.lost_share
 
     def _shots(self, scenes: Mapping[int, Surroundings], due: Mapping[tuple[int, int], _Shutter]) -> list[_Shot]:
         """The pictures of these cameras (seat, number); what all share of the street is made once."""

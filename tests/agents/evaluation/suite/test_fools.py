@@ -1,0 +1,54 @@
+"""Whoever has one fault is caught by the column that is there for it, in real drives through Helsinki."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wcsim.agents.evaluation.suite.list_file import open_suite, suite_of
+from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+
+FOOLS = ("Stands", "NeverCrosses", "FreezesBeforeWalkers", "Oscillates", "ReversesHome", "WarnsAlways")
+BLOCKS = {"free": 2, "crossing": 3, "hazard": 2}  # of each part
+
+
+@pytest.mark.proof
+def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
+    file = open_suite("dev").file
+    blocks = [b for part, many in BLOCKS.items() for b in [b for b in file.blocks if b.part == part][:many]]
+    named = {f"{__package__}.fools:{name}": name for name in FOOLS}
+    order = SuiteOrder(suite=suite_of(file.model_copy(update={"blocks": tuple(blocks)})), out=tmp_path, jobs=2)
+    driven = run_suite(order, (UNAIDED, "oracle", *named), lambda *_: None)
+    parts, whole = {}, {}
+    for policy, records in driven.items():
+        rows, row = pooled_rows(policy, records, driven[UNAIDED])
+        name = named.get(policy, policy)
+        whole[name], parts[name] = row, {item["part"]: item for item in rows}
+    sane, follow = whole["oracle"], whole[UNAIDED]
+
+    assert follow["crashes_own"] >= 5 * max(1, sane["crashes_own"]) and follow["missed"] == follow["crashes_own"]
+    assert parts[UNAIDED]["hazard"]["alive_at_end"] < 0.3 < parts["oracle"]["hazard"]["alive_at_end"]
+
+    stands = whole["Stands"]
+    assert stands["arrivals"] == 0 and stands["score"] < 0.05 and stands["blocked_share"] > 0.9
+    assert stands["freezes"] > 10 * max(1, sane["freezes"])
+
+    shy = parts["NeverCrosses"]["crossing"]
+    assert shy["arrivals"] <= 0.3 * parts["oracle"]["crossing"]["arrivals"] and shy["freezes"] > 0
+
+    afraid = whole["FreezesBeforeWalkers"]
+    assert afraid["blocked_share"] > 5 * sane["blocked_share"] and afraid["freezes"] > 3 * max(1, sane["freezes"])
+    assert afraid["score"] < sane["score"]
+
+    shaky = whole["Oscillates"]
+    assert shaky["stick_travel_per_s"] > 5 * shaky["asked_travel_per_s"] and shaky["kpi1_free_within"] < 0.5
+    assert shaky["needless"] > 5 * max(1, sane["needless"])
+
+    back = whole["ReversesHome"]
+    assert back["arrivals"] == 0 and back["score"] < 0.1 and back["kpi1_free_within"] < 0.5
+
+    loud = whole["WarnsAlways"]
+    assert loud["warned_share"] > 0.9 and loud["false_warnings_per_km"] > 100
+    assert (sane["warned_share"], loud["crashes_own"]) != (1.0, 0)  # who warns always saves nobody

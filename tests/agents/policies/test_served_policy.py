@@ -1,0 +1,103 @@
+"""A policy in a process of its own: the example, and processes that do wrong."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.errors import PolicyError
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "served_policy.py"
+POINTS = np.array([[0.0, 0.0], [0.0, 0.3], [0.0, 1.0]])
+
+
+def free_port() -> int:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def example() -> Iterator[str]:
+    port = free_port()
+    with subprocess.Popen([sys.executable, str(EXAMPLE), str(port)]) as process:
+        for _ in range(200):
+            try:
+                socket.create_connection(("127.0.0.1", port), 1.0).close()
+                break
+            except OSError:
+                time.sleep(0.05)
+        yield f"tcp:{port}"
+        process.terminate()
+
+
+def seen(depth: int) -> dict[str, np.ndarray]:
+    return {"depth": np.full((1, 60, 80), depth, np.uint8), "joystick": np.array([0.0, 1.0], np.float32)}
+
+
+def test_the_example_follows_and_creeps_when_something_is_near(example: str) -> None:
+    first, second = ServedPolicy(example, POINTS), ServedPolicy(example, POINTS)  # a connection for each chair
+    assert first.version == "careful 1"
+    for policy in (first, second):
+        policy.begin()
+        policy.reset()
+        assert (policy.act(seen(250)), policy.warning) == (2, False)
+        assert (policy.act(seen(60)), policy.warning) == (1, True)
+        policy.reset()
+        assert not policy.warning
+        policy.close()
+
+
+def answering(*answers: bytes) -> str:
+    """A process that answers so, one answer a message, and then closes the connection."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with server, server.accept()[0] as there:
+            for answer in answers:
+                length = int.from_bytes(there.recv(4), "little")
+                while length:
+                    length -= len(there.recv(length))
+                there.sendall(len(answer).to_bytes(4, "little") + answer)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp:127.0.0.1:{server.getsockname()[1]}"
+
+
+HELLO = json.dumps({"name": "x", "version": "1"}).encode()
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (b'{"action": 1.5}', "a whole number"),
+        (b'{"action": true}', "a whole number"),
+        (b"[1]", "a JSON object"),
+        (b"\xff", "no answer to 'act'"),
+        (b" " * (1 << 17), "at most 65536"),
+        (None, "no answer to 'act'"),
+    ],
+)
+def test_a_wrong_answer_or_none_is_told(answer: bytes | None, said: str) -> None:
+    policy = ServedPolicy(answering(HELLO, *([] if answer is None else [answer])), POINTS)
+    with pytest.raises(PolicyError, match=said):
+        policy.act(seen(1))
+    policy.close()
+
+
+def test_nobody_there_and_no_address() -> None:
+    with pytest.raises(PolicyError, match="nobody serves"):
+        ServedPolicy(f"tcp:{free_port()}", POINTS)
+    for wrong in ("tcp:", "tcp:x", "tcp:70000", "tcp:host:0"):
+        with pytest.raises(PolicyError, match="no address"):
+            ServedPolicy(wrong, POINTS)
