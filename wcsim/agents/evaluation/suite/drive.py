@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from wcsim.agents.envs.episode_view import Chair, EpisodeStep
 from wcsim.agents.evaluation.suite.alarms import Alarms
@@ -57,8 +57,24 @@ class BlockOrder:
     world_seed: int | None = None  # another than the block's
 
 
-def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeRecord, ...]:
+class Watch(Protocol):
+    """Somebody who looks on while a block is driven, and changes nothing; it ends when `seats` have ended."""
+
+    @property
+    def seats(self) -> frozenset[int]:
+        """Those that are looked at."""
+
+    def see(self, seat: int, step: EpisodeStep, world: World) -> None:
+        """A step of one of them is done."""
+
+    def ended(self, seat: int, world: World) -> None:
+        """An episode has ended; its chair is about to leave the street."""
+
+
+def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None = None) -> tuple[EpisodeRecord, ...]:
     """Drive all episodes of a block, each to its end; records in the order of the block.
+
+    With somebody to watch, those alone that have ended when the last of the watched ones has.
 
     Raises:
         TownError: The town cannot be opened.
@@ -72,7 +88,9 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     seed = order.block.seed if order.world_seed is None else order.world_seed
     with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
-        while True:
+        for seat in seats:
+            seat.watch = watch if watch is not None and seat.number in watch.seats else None
+        while watch is None or any(seat.record is None for seat in seats if seat.watch is not None):
             given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
             left = [seat for seat in seats if seat.record is None]
             if not left:
@@ -117,6 +135,7 @@ class _Seat:
     def __init__(self, order: BlockOrder, config: RunConfig, world: World, number: int, policy: Policy) -> None:
         self.number, self.record = number, None  # type: int, EpisodeRecord | None
         self.actions: ActionSet = action_set(config.env.actions)
+        self.watch: Watch | None = None
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
@@ -157,6 +176,8 @@ class _Seat:
         else:
             self._count(step)
         self._seen, self._info = step.observation, step.info
+        if self.watch is not None:
+            self.watch.see(self.number, step, self._world)
         events = client.events
         if events.crashed:
             self._crashed(client)
@@ -248,6 +269,8 @@ class _Seat:
             **sums,
             **more,
         )
+        if self.watch is not None:
+            self.watch.ended(self.number, self._world)
         self._world.dismiss(self.number)
 
     def _at(self) -> int:

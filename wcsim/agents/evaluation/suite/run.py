@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, refused
+from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
@@ -83,34 +83,45 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     """
     file = order.suite.file
     require_towns(file)
-    towns = {name: town.address for name, town in towns_of(file).items()}
+    towns = town_addresses(order)
     judged = _judged(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
     asked = [NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
     for policy in asked:
-        for index, block in enumerate(file.blocks):
+        for index in range(len(file.blocks)):
             path = _kept_path(order, index, policy.digest)
             if path.is_file():
                 kept[policy.name, index] = _read_kept(path)
             else:
-                piece = Piece(
-                    index=index,
-                    block=block,
-                    town=str(towns.get(block.town, "")),
-                    settings=(*file.settings, *order.settings),
-                    policy=policy.name,
-                    network=order.network,
-                    preset=order.preset,
-                    judged=index in judged,
-                    late_s=order.late_s,
-                )
-                left.append((piece, path))
+                left.append((piece_of(order, index, policy.name, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
     return {
         policy.name: tuple(record for index in range(len(file.blocks)) for record in kept[policy.name, index])
         for policy in asked
     }
+
+
+def town_addresses(order: SuiteOrder) -> dict[str, str]:
+    """Where the list's towns are, by name. Raises TownError, see `towns_of`."""
+    return {name: str(town.address) for name, town in towns_of(order.suite.file).items()}
+
+
+def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool) -> Piece:
+    """One block with one policy; `towns` as in `town_addresses`."""
+    file = order.suite.file
+    block = file.blocks[index]
+    return Piece(
+        index=index,
+        block=block,
+        town=towns.get(block.town, ""),
+        settings=(*file.settings, *order.settings),
+        policy=policy,
+        network=order.network,
+        preset=order.preset,
+        judged=judged,
+        late_s=order.late_s,
+    )
 
 
 def _drive_all(
@@ -138,11 +149,11 @@ def _drive_all(
             raise
 
 
-def drive_piece(piece: Piece) -> list[dict[str, Any]]:
+def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]]:
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = _config(piece.policy, piece.preset, piece.settings)
+    config = settings_of(piece)
     made = iter(range(len(piece.block.episodes)))
 
     def make_policy() -> Policy:
@@ -163,7 +174,7 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
         )
         if piece.block.part == TIGHT:
             order = in_scene(order, Path(work))
-        return [record.to_json() for record in drive_block(order, make_policy)]
+        return [record.to_json() for record in drive_block(order, make_policy, watch)]
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
@@ -203,13 +214,14 @@ def _source_of(name: str) -> str:
     return inspect.getsourcefile(find_class(name, "policy")) or ""
 
 
-def _config(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
+def settings_of(piece: Piece) -> RunConfig:
     """A policy's own settings, or the preset, with those of the suite laid over them."""
     from wcsim.config import load_run_config
 
+    policy, preset = piece.policy, piece.preset
     own_class = ":" in policy and not Path(policy.rpartition(":")[0]).exists()
     base = load_run_config(preset) if is_baseline(policy) or own_class else config_of(policy, preset, ())
-    config = with_overrides(base, settings)
+    config = with_overrides(base, piece.settings)
     action_set(config.env.actions)
     return config
 
