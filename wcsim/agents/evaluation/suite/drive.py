@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,9 +88,8 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
     seed = order.block.seed if order.world_seed is None else order.world_seed
     with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
-        for seat in seats:
-            seat.watch = watch if watch is not None and seat.number in watch.seats else None
-        while watch is None or any(seat.record is None for seat in seats if seat.watch is not None):
+        watched = _looked_at(seats, watch)
+        while any(seat.record is None for seat in watched):
             given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
             left = [seat for seat in seats if seat.record is None]
             if not left:
@@ -113,6 +112,16 @@ def _seat_spec(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatS
         truth_visible=policy.name == VISIBLE_BOUND,
         start=StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m),
     )
+
+
+def _looked_at(seats: Sequence[_Seat], watch: Watch | None) -> Sequence[_Seat]:
+    """The seats whose ends are waited for: those of the watch, which hear of it, or all."""
+    if watch is None:
+        return seats
+    chosen = [seat for seat in seats if seat.number in watch.seats]
+    for seat in chosen:
+        seat.watch = watch
+    return chosen
 
 
 class _Link:
