@@ -30,7 +30,7 @@ class Options:
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     """What `wcsim test --suite` or `wcsim train` wrote."""
     pictures: int = 8
-    """Failures that are shown in pictures, the worst of each policy; each is driven once more, which takes seconds."""
+    """Failures that are shown in pictures, the worst of each policy; each is driven once more, up to a minute."""
     jobs: int = 1
     """Processes that drive them."""
 

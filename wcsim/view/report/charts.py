@@ -152,7 +152,8 @@ def score_chart(rows: Sequence[tuple[str, Sequence[tuple[str, Estimate]]]], plac
 def town_chart(town: str, ground: Ground | None, ways: Sequence[Way], places: Mapping[str, int]) -> bytes:
     """Ways and crashes of all policies on a town."""
     out = io.BytesIO()
-    with _drawn(f"town-{town}", out, 5.2) as axes:
+    tall = 1.0 if ground is None else (ground.north_m - ground.south_m) / (ground.east_m - ground.west_m)
+    with _drawn(f"town-{town}", out, 0.9 + 4.1 * min(2.0, max(0.3, tall))) as axes:
         if ground is not None:
             extent = (ground.west_m, ground.east_m, ground.south_m, ground.north_m)
             axes.imshow(ground.image, extent=extent, interpolation="nearest")

@@ -45,8 +45,8 @@ class Paired:
 
 
 def compared(result: KeptResult) -> tuple[Paired, ...]:
-    """Every policy with each rival that was driven, by part, all parts last."""
-    parts = (*dict.fromkeys(row["part"] for row in result.rows), "")
+    """Every policy with each rival that was driven, by part, all parts first."""
+    parts = ("", *dict.fromkeys(row["part"] for row in result.rows))
     rivals = [name for name in RIVALS if name in result.episodes]
     pairs = [
         (name, rival)
@@ -85,27 +85,38 @@ def paired(result: KeptResult, policy: str, rival: str, part: str) -> Paired | N
     )
 
 
-def verdicts(pairs: Sequence[Paired]) -> tuple[list[str], list[str]]:
-    """What the test separates, and what it does not and how far it is from that; a phrase a pair."""
-    apart, open_ = [], []
-    for pair in pairs:
-        figure = f"{pair.difference:+.3f} [{pair.low:+.3f}, {pair.high:+.3f}]"
-        if pair.separated:
-            apart.append(f"{pair.policy} {'above' if pair.low > 0.0 else 'below'} {pair.rival} ({figure})")
-            continue
-        need = "the scores are equal" if pair.enough is None else f"about {pair.enough} episodes would"
-        open_.append(f"{pair.policy} and {pair.rival} ({figure}; {need})")
-    return apart, open_
+def verdicts(pairs: Sequence[Paired]) -> list[str]:
+    """What the test decides between policies and one rival, and what it does not, in sentences.
+
+    Args:
+        pairs: Of one part, with one rival.
+    """
+    found = []
+    for word, chosen in (
+        ("above", [pair.policy for pair in pairs if pair.low > 0.0]),
+        ("below", [pair.policy for pair in pairs if pair.high < 0.0]),
+    ):
+        if chosen:
+            found.append(f"{word} it by the score: {', '.join(chosen)}")
+    left = [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated]
+    if left:
+        found.append(f"not separated from it: {', '.join(left)}")
+    sure = [pair for pair in pairs if pair.mcnemar_p < _SURE]
+    for word, some in (
+        ("fewer own crashes", [pair for pair in sure if pair.saved > pair.lost]),
+        ("more own crashes", [pair for pair in sure if pair.saved < pair.lost]),
+    ):
+        if some:
+            told = ", ".join(f"{pair.policy} ({pair.saved} saved, {pair.lost} lost)" for pair in some)
+            found.append(f"{word}, p below {_SURE}: {told}")
+    return found
 
 
-def crash_verdicts(pairs: Sequence[Paired]) -> list[str]:
-    """Which policies crash less or more often than their rival, by McNemar's test."""
-    return [
-        f"{pair.policy} {'less' if pair.saved > pair.lost else 'more'} often than {pair.rival} "
-        f"({pair.saved} saved, {pair.lost} lost, p {pair.mcnemar_p:.3g})"
-        for pair in pairs
-        if pair.mcnemar_p < _SURE
-    ]
+def _lacking(pair: Paired) -> str:
+    """Why two are not separated."""
+    if pair.enough is None:
+        return "equal scores"
+    return f"{pair.difference:+.3f}; needs about {pair.enough} episodes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

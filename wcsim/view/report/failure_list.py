@@ -50,7 +50,7 @@ def failure_exhibit(
     note = el("p", why_none, class_="note") if why_none else ""
     return Exhibit(
         name="failures",
-        title="Failures",
+        title="All failures, worst first",
         says=WORST,
         body=joined((_filters(failures), note, el("div", head, *rows, id="failures-list"))),
         csv=csv_of((*columns, "last_second_mps", "severity", "unaided", "command"), plain),

@@ -135,7 +135,7 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     plain: list[list[Cell]] = []
     for name, e in here:
         who: list[Cell] = [name, e.record.block, e.record.seat]
-        plain += [[*who, "way", second, round(x, 2), round(y, 2)] for second, (x, y) in enumerate(e.path_m or ())]
+        plain += [[*who, "way", second, round(x, 1), round(y, 1)] for second, (x, y) in enumerate(e.path_m or ())]
         plain.append([*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m])
     missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
     missing += "" if ground is not None or not points else " The town itself is not on this machine."

@@ -50,15 +50,12 @@ def page(title: str, intro: Markup, sections: Sequence[Section]) -> str:
 def shown(exhibit: Exhibit, more: object = "") -> Markup:
     """An exhibit with its title, how to read it, and its numbers."""
     csv = el("a", "CSV", href=data_uri("text/csv", exhibit.csv.encode()), download=f"{exhibit.name}.csv", class_="csv")
-    links: list[object] = [" ", csv]
-    if exhibit.svg:
-        address = data_uri("image/svg+xml", exhibit.svg)
-        links += [" ", el("a", "SVG", href=address, download=f"{exhibit.name}.svg", class_="csv")]
+    beside = el("span", f" {FIGURES}/{exhibit.name}.svg", class_="csv") if exhibit.svg else ""
     return el(
         "div",
         el("h3", exhibit.title),
         exhibit.body,
-        el("p", exhibit.says, *links, class_="says"),
+        el("p", exhibit.says, " ", csv, beside, class_="says"),
         more,
         class_="exhibit drawn" if exhibit.svg else "exhibit",
         id=f"x-{exhibit.name}",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, crash_verdicts, parts_of_score, verdicts
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, parts_of_score, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import Failure
 from wcsim.view.report.figures import figures_of
@@ -17,6 +17,7 @@ from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.tables import comparison_table, legend, result_table, weights_table
 
+_BEST = 3
 _COLOURS_SAY = (
     "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
     "people, dark blue cars, black unknown), below the depth (red near, blue far, black out of range, white not "
@@ -68,7 +69,7 @@ def _intro(result: KeptResult) -> Markup:
     km = sum(float(row.get("km") or 0.0) for row in result.pooled)
     count = sum(len(episodes) for episodes in result.episodes.values())
     best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
-    ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best)
+    ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
     changed: object = el("strong", " ".join(result.changed)) if result.changed else "nothing: the list's own settings"
     return facts(
         (
@@ -85,21 +86,24 @@ def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, we
     items = []
     for part in ("", *parts):
         here = [pair for pair in pairs if pair.part == part]
-        if not here:
-            continue
-        apart, left = verdicts(here)
-        crashes = crash_verdicts(here)
-        name = f"{part or 'All parts'} ({max(pair.episodes for pair in here)} episodes)"
-        said = [
-            f"{name}: by the score, ",
-            f"separated are {'; '.join(apart)}" if apart else "nothing is separated",
-            f". Not separated: {'; '.join(left)}" if left else "",
-            f". Own crashes: {'; '.join(crashes)}." if crashes else ". Own crashes differ for nobody (p below 0.05).",
-        ]
-        items.append(el("li", *said))
-    rivals = " and ".join(RIVALS)
-    intro = f"Each policy against {rivals}, as far as they were driven, over the same episodes."
-    return joined((el("p", intro), el("ul", *items), shown(against), shown(weights)))
+        if here:
+            name = f"{part or 'All parts'} ({max(pair.episodes for pair in here)} episodes)"
+            items.append(el("li", el("b", name), el("ul", *_against(here))))
+    intro = (
+        "Policies over the same episodes. Separated is what the 95 % interval of the difference says; the figures are "
+        "in the table below."
+    )
+    return joined((el("p", intro), el("ul", *items, class_="verdicts"), shown(against), shown(weights)))
+
+
+def _against(pairs: Sequence[Paired]) -> list[Markup]:
+    """A line a rival."""
+    found = []
+    for rival in RIVALS:
+        said = verdicts([pair for pair in pairs if pair.rival == rival])
+        if said:
+            found.append(el("li", "against ", el("b", rival), f": {'; '.join(said)}."))
+    return found
 
 
 def _episodes(result: KeptResult) -> Exhibit:

@@ -25,6 +25,13 @@ class Column:
 
 
 COLUMNS: Final = (
+    Column(
+        heading="score",
+        key="score",
+        interval="score_ci",
+        says="0 after an own crash or a red entry, else share of the way x pace x obedience; mean over episodes",
+        form="{:.3f}",
+    ),
     Column(heading="episodes", key="episodes", says="how many; every one counts, whatever became of it"),
     Column(heading="km", key="km", says="way that was driven", form="{:.2f}"),
     Column(heading="own crashes", key="crashes_own", says="by the chair's own fault, falls off kerbs among them"),
@@ -65,13 +72,6 @@ COLUMNS: Final = (
     Column(heading="saved", key="saved", says="episodes in which the user alone crashes and the policy does not"),
     Column(heading="lost", key="lost", says="episodes in which the policy crashes and the user alone does not"),
     Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
-    Column(
-        heading="score",
-        key="score",
-        interval="score_ci",
-        says="0 after an own crash or a red entry, else share of the way x pace x obedience; mean over episodes",
-        form="{:.3f}",
-    ),
 )
 
 
@@ -108,20 +108,8 @@ def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     """Policies against their rivals over the same episodes."""
     counted = ("episodes", "saved", "lost", "p (McNemar)")
     headings = ("policy", "against", "part", *counted, "score, difference", "separated")
-    shown = [
-        (
-            pair.policy,
-            pair.rival,
-            pair.part or "all",
-            pair.episodes,
-            pair.saved,
-            pair.lost,
-            (f"{pair.mcnemar_p:.2g}", pair.mcnemar_p),
-            (_with_interval(f"{pair.difference:+.3f}", f"{pair.low:+.3f} to {pair.high:+.3f}"), pair.difference),
-            "yes" if pair.separated else "no",
-        )
-        for pair in pairs
-    ]
+    whole = table(headings, [_pair_row(pair) for pair in pairs if not pair.part], "comparison")
+    parts = table(headings, [_pair_row(pair) for pair in pairs if pair.part], "comparison-parts")
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference", "low", "high")
     plain = [[getattr(pair, name) for name in columns] for pair in pairs]
     return Exhibit(
@@ -130,8 +118,22 @@ def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
         says="saved: the rival crashes by its own fault and the policy does not; lost: the other way round. The "
         "interval is drawn over the differences of single episodes. Each holds for itself: of twenty comparisons "
         "of equals one is separated by chance.",
-        body=table(headings, shown, "comparison"),
+        body=joined((whole, el("details", el("summary", "The same, part by part"), parts, class_="more"))),
         csv=csv_of(columns, plain),
+    )
+
+
+def _pair_row(pair: Paired) -> tuple[object, ...]:
+    return (
+        pair.policy,
+        pair.rival,
+        pair.part or "all",
+        pair.episodes,
+        pair.saved,
+        pair.lost,
+        (f"{pair.mcnemar_p:.2g}", pair.mcnemar_p),
+        (_with_interval(f"{pair.difference:+.3f}", f"{pair.low:+.3f} to {pair.high:+.3f}"), pair.difference),
+        "yes" if pair.separated else "no",
     )
 
 
