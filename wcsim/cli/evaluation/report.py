@@ -17,7 +17,7 @@ from wcsim.errors import ConfigError, FileError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import KeptResult
-    from wcsim.view.report.failures import Failure
+    from wcsim.view.report.failures import FailedEpisode
     from wcsim.view.report.illustrate import Illustration, Key
 
 _MOST_PICTURES = 1000
@@ -75,7 +75,7 @@ def _of_test(options: Options) -> Path:
     return write_suite_page(result, options.folder, failures, pictures, why_none)
 
 
-def _pictures(options: Options, result: KeptResult, failures: tuple[Failure, ...]) -> dict[Key, Illustration]:
+def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
     from wcsim.view.report.illustrate import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)

@@ -51,7 +51,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ground:
+class TownPicture:
     """A town from above; row 0 is its northern edge."""
 
     image: U8  # (H, W, 3)
@@ -62,7 +62,7 @@ class Ground:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class DrivenWay:
     """The way of an episode; no points where it was not recorded."""
 
     policy: str
@@ -149,7 +149,7 @@ def score_chart(rows: Sequence[tuple[str, Sequence[tuple[str, Estimate]]]], plac
     return out.getvalue()
 
 
-def town_chart(town: str, ground: Ground | None, ways: Sequence[Way], places: Mapping[str, int]) -> bytes:
+def town_chart(town: str, ground: TownPicture | None, ways: Sequence[DrivenWay], places: Mapping[str, int]) -> bytes:
     """Ways and crashes of all policies on a town."""
     out = io.BytesIO()
     tall = 1.0 if ground is None else (ground.north_m - ground.south_m) / (ground.east_m - ground.west_m)
@@ -222,11 +222,12 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], marks: Sequence[
     with _drawn(name, out) as axes:
         for place, curve in enumerate(curves):
             colour = colour_of(place)
-            axes.plot(curve.steps, curve.values, ".", color=colour, markersize=1.5, alpha=0.35)
+            axes.plot(curve.steps, curve.values, ".", color=colour, markersize=4, markeredgewidth=0, alpha=0.45)
             axes.plot(curve.steps, curve.means, color=colour, linewidth=1.3, label=_short(curve.name))
         for step in marks:
             axes.axvline(step, color="#888888", linewidth=0.8, linestyle="--")
         axes.set_ylim(bottom=0.0)
+        axes.set_xlim(left=0.0)
         axes.set_xlabel("steps of training")
         axes.set_ylabel(label)
         _legend(axes, len(curves))

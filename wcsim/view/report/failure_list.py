@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.view.report.failures import WORST, Failure, worst_of
+from wcsim.view.report.failures import WORST, FailedEpisode, worst_of
 from wcsim.view.report.illustrate import Illustration, Key, SeenMoment
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, data_uri, el, joined
 
@@ -15,13 +15,13 @@ _HEADINGS = (
 )
 
 
-def anchor_of(failure: Failure, names: Sequence[str]) -> str:
+def anchor_of(failure: FailedEpisode, names: Sequence[str]) -> str:
     """Where a failure stands on the page."""
     block, seat = failure.key
     return f"f-{names.index(failure.policy)}-{block}-{seat}"
 
 
-def worst_link(failures: Sequence[Failure], names: Sequence[str], policy: str) -> object:
+def worst_link(failures: Sequence[FailedEpisode], names: Sequence[str], policy: str) -> object:
     """A link to a policy's worst moment, a dash where it has none."""
     worst = worst_of(failures, policy)
     if worst is None:
@@ -31,7 +31,7 @@ def worst_link(failures: Sequence[Failure], names: Sequence[str], policy: str) -
 
 
 def failure_exhibit(
-    result: KeptResult, failures: Sequence[Failure], pictures: Mapping[Key, Illustration], why_none: str
+    result: KeptResult, failures: Sequence[FailedEpisode], pictures: Mapping[Key, Illustration], why_none: str
 ) -> Exhibit:
     """All failures; `why_none` says why there are no pictures at all."""
     names = list(result.episodes)
@@ -57,7 +57,7 @@ def failure_exhibit(
     )
 
 
-def _filters(failures: Sequence[Failure]) -> Markup:
+def _filters(failures: Sequence[FailedEpisode]) -> Markup:
     """Two choices; they need the script, and are not shown without it."""
     chosen = (
         ("policy", dict.fromkeys(failure.policy for failure in failures)),
@@ -71,7 +71,7 @@ def _filters(failures: Sequence[Failure]) -> Markup:
     return el("p", *labels, el("span", f"{len(failures)} failures", id="failures-count"), class_="filters")
 
 
-def _entry(number: int, failure: Failure, anchor: str, pictures: Illustration | None) -> Markup:
+def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
     record = failure.episode.record
     speed = "–" if failure.speed_mps is None else f"{failure.speed_mps:.2f}"
     cells = (
@@ -94,7 +94,7 @@ def _entry(number: int, failure: Failure, anchor: str, pictures: Illustration | 
     )  # fmt: skip
 
 
-def _detail(failure: Failure, anchor: str, pictures: Illustration | None) -> Markup:
+def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
     record = failure.episode.record
     said = (
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "

@@ -33,7 +33,7 @@ _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Failure:
+class FailedEpisode:
     """An episode that went wrong."""
 
     policy: str
@@ -51,7 +51,7 @@ class Failure:
         return self.episode.record.block, self.episode.record.seat
 
 
-def failures_of(result: KeptResult, folder: Path) -> tuple[Failure, ...]:
+def failures_of(result: KeptResult, folder: Path) -> tuple[FailedEpisode, ...]:
     """All failures of all policies, worst first."""
     alone = {(e.record.block, e.record.seat): e.record for e in result.episodes.get(UNAIDED, ())}
     found = []
@@ -63,7 +63,7 @@ def failures_of(result: KeptResult, folder: Path) -> tuple[Failure, ...]:
                 continue
             twin = alone.get((record.block, record.seat))
             found.append(
-                Failure(
+                FailedEpisode(
                     policy=policy,
                     episode=episode,
                     reason=reason,
@@ -125,6 +125,6 @@ def command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRec
     return shlex.join(words)
 
 
-def worst_of(failures: Sequence[Failure], policy: str) -> Failure | None:
+def worst_of(failures: Sequence[FailedEpisode], policy: str) -> FailedEpisode | None:
     """A policy's worst moment."""
     return next((failure for failure in failures if failure.policy == policy), None)

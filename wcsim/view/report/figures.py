@@ -10,8 +10,8 @@ from wcsim.agents.evaluation.suite.list_file import TIGHT
 from wcsim.agents.evaluation.suite.records import STATUSES
 from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult, Row
 from wcsim.view.report.charts import (
+    DrivenWay,
     Estimate,
-    Way,
     bar_chart,
     obedience_chart,
     score_chart,
@@ -128,7 +128,8 @@ def _towns(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
 
 def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int]) -> Exhibit:
     ways = [
-        Way(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None) for name, e in here
+        DrivenWay(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None)
+        for name, e in here
     ]
     points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
     ground = ground_around(town, points)

@@ -10,9 +10,8 @@ import numpy as np
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import U8, ClassId
-from wcsim.types import Ground as StreetGround
-from wcsim.view.report.charts import Ground
+from wcsim.types import U8, ClassId, Ground
+from wcsim.view.report.charts import TownPicture
 
 _MARGIN_M: Final = 25.0
 _MOST_CELLS: Final = 700
@@ -33,7 +32,7 @@ _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
 
 
-def ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> Ground | None:
+def ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> TownPicture | None:
     """The ground of a town around some points; None where there is no such town, or no point."""
     if not points_m:
         return None
@@ -49,10 +48,10 @@ def ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> Ground 
     at_x = west + (np.arange(columns) + 0.5) * (east - west) / columns
     at_y = north - (np.arange(rows) + 0.5) * (north - south) / rows
     strips = [_strip(street.grid, at_x, at_y[row : row + _ROWS_AT_ONCE]) for row in range(0, rows, _ROWS_AT_ONCE)]
-    return Ground(image=np.vstack(strips), west_m=west, east_m=east, south_m=south, north_m=north)
+    return TownPicture(image=np.vstack(strips), west_m=west, east_m=east, south_m=south, north_m=north)
 
 
-def _strip(grid: StreetGround, at_x: np.ndarray, at_y: np.ndarray) -> U8:
+def _strip(grid: Ground, at_x: np.ndarray, at_y: np.ndarray) -> U8:
     points = np.stack(np.broadcast_arrays(at_x[None, :], at_y[:, None]), axis=-1)
     table = np.full((256, 3), _OTHER_RGB, np.uint8)
     for class_id, colour in _COLOURS.items():

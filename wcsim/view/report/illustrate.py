@@ -20,7 +20,7 @@ from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8
 from wcsim.view.moments import around_picture, map_of, seen_picture, sticks
-from wcsim.view.report.failures import Failure
+from wcsim.view.report.failures import FailedEpisode
 
 PICTURES: Final = 8
 LAST_S: Final = 2.0
@@ -59,7 +59,7 @@ class _Order:
     kept: tuple[tuple[int, Mapping[str, Any]], ...]  # seat, and its record as it was kept
 
 
-def chosen(failures: Sequence[Failure], each: int) -> list[Failure]:
+def chosen(failures: Sequence[FailedEpisode], each: int) -> list[FailedEpisode]:
     """The worst failures of each policy that were driven at all; `failures` are sorted."""
     taken: dict[str, int] = {}
     found = []
@@ -71,7 +71,7 @@ def chosen(failures: Sequence[Failure], each: int) -> list[Failure]:
 
 
 def illustrated(
-    order: SuiteOrder, failures: Iterable[Failure], jobs: int, done: Callable[[int, int], object]
+    order: SuiteOrder, failures: Iterable[FailedEpisode], jobs: int, done: Callable[[int, int], object]
 ) -> dict[Key, Illustration]:
     """Pictures of these failures. What cannot be driven as it was says so.
 
@@ -82,7 +82,7 @@ def illustrated(
         done: Called with the blocks that are done, and how many there are.
     """
     towns = town_addresses(order)
-    blocks: dict[tuple[str, int], list[Failure]] = {}
+    blocks: dict[tuple[str, int], list[FailedEpisode]] = {}
     for failure in failures:
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
     orders = [

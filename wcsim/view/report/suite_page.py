@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.view.report.comparisons import RIVALS, Paired, compared, parts_of_score, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
-from wcsim.view.report.failures import Failure
+from wcsim.view.report.failures import FailedEpisode
 from wcsim.view.report.figures import figures_of
 from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
@@ -28,7 +28,7 @@ _COLOURS_SAY = (
 def write_suite_page(
     result: KeptResult,
     folder: Path,
-    failures: Sequence[Failure],
+    failures: Sequence[FailedEpisode],
     pictures: Mapping[Key, Illustration],
     why_none: str,
 ) -> Path:

@@ -15,7 +15,7 @@ from wcsim.core.reading import is_file, shown_value
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
-from wcsim.view.report.markup import Cell, Exhibit, csv_of, joined, table
+from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 
 _OVER: Final = 20  # episodes that a mean goes over
@@ -28,7 +28,7 @@ class TrainedEpisode:
     step: int
     phase: int
     length: int
-    kpi1: float
+    kpi1: float  # in the first phase of what the agent would have chosen, where that was looked at
     crashed: bool
 
 
@@ -54,12 +54,13 @@ def _episodes(path: Path) -> tuple[TrainedEpisode, ...]:
 
 
 def _episode(row: Mapping[str, str], path: Path) -> TrainedEpisode:
+    chosen = row["kpi1_greedy"] if row["phase"] == "1" and row["kpi1_greedy"] else row["kpi1"]
     try:
         episode = TrainedEpisode(
             step=int(row["step"]),
             phase=int(row["phase"]),
             length=int(row["length"]),
-            kpi1=float(row["kpi1"]),
+            kpi1=float(chosen),
             crashed=bool(int(row["crashed"])),
         )
     except ValueError:
@@ -90,7 +91,7 @@ def write_training_page(training: Training, folder: Path) -> Path:
         )
     )
     sections = (
-        Section(name="curves", title="Curves", body=joined(map(shown, drawn))),
+        Section(name="curves", title="Curves", body=el("div", *map(shown, drawn), class_="charts")),
         Section(name="clients", title="Clients", body=shown(clients)),
     )
     return write_page(folder, page(f"Training {folder.resolve().name}", intro, sections), (*drawn, clients))
@@ -106,8 +107,12 @@ def running_means(values: Sequence[float], over: int = _OVER) -> list[float]:
     return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
 
 
+_KPI1_SAYS: Final = (
+    "Joystick distance of user and agent, mean over an episode: KPI 1; in the first phase of the actions that the "
+    "agent would have chosen"
+)
 _SAYS: Final = {
-    "kpi1": ("KPI 1, mean joystick distance", "Joystick distance of user and agent, mean over an episode: KPI 1"),
+    "kpi1": ("KPI 1, mean joystick distance", _KPI1_SAYS),
     "length": ("KPI 2, steps alive", "Steps that an episode lasted, at most its limit: KPI 2"),
 }
 
