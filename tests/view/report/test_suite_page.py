@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.failures import failures_of
 from wcsim.view.report.illustrate import Illustration, SeenMoment
 from wcsim.view.report.suite_page import write_suite_page
-from wcsim.view.report.tables import COLUMNS
+from wcsim.view.report.tables import SAFETY, SERVICE
 
 VOID = {"meta", "img", "br", "link", "input"}
 PNG = b"a picture"  # nobody looks at it here
@@ -104,12 +104,13 @@ def test_the_figures_csv_are_there_and_on_the_page(text, folder):
 
 
 def test_numbers_are_those_of_the_result(text, folder, said):
-    table = text[text.index('id="table-all"') : text.index("</table>", text.index('id="table-all"'))]
-    lines = table.split("<tr>")[2:]
-    for row, line in zip(said["pooled"], lines, strict=True):
-        shown = re.findall(r'<td[^>]*data-key="([^"]*)"', line)
-        wanted = [row[column.key] for column in COLUMNS if row[column.key] is not None]
-        assert [float(value) for value in shown] == [pytest.approx(float(value)) for value in wanted]
+    for name, columns in (("safety", SAFETY), ("service", SERVICE)):
+        begin = text.index(f'id="table-all-{name}"')
+        lines = text[begin : text.index("</table>", begin)].split("<tr>")[2:]
+        for row, line in zip(said["pooled"], lines, strict=True):
+            shown = re.findall(r'<td[^>]*data-key="([^"]*)"', line)
+            wanted = [row[column.key] for column in columns if row[column.key] is not None]
+            assert [float(value) for value in shown] == [pytest.approx(float(value)) for value in wanted]
     rows = list(csv.DictReader(io.StringIO((folder / "report" / "table-all.csv").read_text(encoding="utf-8"))))
     assert [row["policy"] for row in rows] == list(POLICIES)
     for row, wanted in zip(rows, said["pooled"], strict=True):

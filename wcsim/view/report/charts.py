@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from wcsim.types import U8
 
 _WIDTH_IN, _HEIGHT_IN = 4.8, 3.4
+_LEGEND_CHARACTERS: Final = 74  # beside each other in that width
 _COLOURS: Final = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#6a3d9a", "#e69f00", "#56b4e9", "#8c510a"),
     *("#444444", "#b2182b", "#35978f", "#7fbc41"),
@@ -87,10 +88,17 @@ def colour_of(place: int) -> str:
 
 @contextmanager
 def _drawn(name: str, out: io.BytesIO, height_in: float = _HEIGHT_IN) -> Iterator[Axes]:
-    """Axes of a figure that is written to `out` at the end; names inside it come from `name` alone."""
+    """The axes of a figure with one panel, see `_figure`."""
+    with _figure(name, out, height_in) as figure:
+        yield figure.add_subplot()
+
+
+@contextmanager
+def _figure(name: str, out: io.BytesIO, height_in: float) -> Iterator[Figure]:
+    """A figure that is written to `out` at the end; names inside it come from `name` alone."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
-        yield figure.add_subplot()
+        yield figure
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
 
 
@@ -127,25 +135,24 @@ def obedience_chart(points: Mapping[str, tuple[Estimate, Estimate]], lines: Sequ
 
 
 def score_chart(rows: Sequence[tuple[str, Sequence[tuple[str, Estimate]]]], places: Mapping[str, int]) -> bytes:
-    """Scores with their intervals, a group a part. `places` are the policies' places in the result."""
+    """Scores with their intervals, a panel a part. `places` are the policies' places in the result."""
     out = io.BytesIO()
-    lines = sum(1 + len(group) for _, group in rows)
-    with _drawn("scores", out, 0.6 + 0.17 * lines) as axes:
-        ticks, labels, at = [], [], 0.0
-        for part, group in rows:
-            ticks.append(at)
-            labels.append(part.upper())
+    tall = -(-len(rows) // 2)
+    with _figure("scores", out, tall * (0.55 + 0.16 * len(places))) as figure:
+        panels = figure.subplots(tall, 2, sharex=True, sharey=True, squeeze=False).flatten()
+        for panel, (part, group) in zip(panels, rows, strict=False):
             for name, score in group:
-                at -= 1.0
-                colour = colour_of(places[name])
-                axes.errorbar([score.value], [at], xerr=score.arms, fmt="o", color=colour, markersize=4)
-                ticks.append(at)
-                labels.append(_short(name))
-            at -= 1.0
-        axes.set_yticks(ticks, labels, fontsize=7)
-        axes.set_xlim(0.0, 1.0)
-        axes.set_xlabel("score, 95 % interval over episodes")
-        axes.grid(visible=False, axis="y")
+                look = {"fmt": _MARKS[places[name] % len(_MARKS)], "color": colour_of(places[name]), "markersize": 4}
+                panel.errorbar([score.value], [places[name]], xerr=score.arms, **look)
+            panel.set_title(part, fontsize=8, loc="left")
+            panel.tick_params(labelsize=7)
+            panel.grid(visible=False, axis="y")
+        for panel in panels[len(rows) :]:
+            panel.set_visible(False)
+        panels[0].set_yticks(list(places.values()), [_short(name, 20) for name in places])
+        panels[0].set_xlim(0.0, 1.0)
+        panels[0].invert_yaxis()
+        figure.supxlabel("score, 95 % interval over episodes", fontsize=8)
     return out.getvalue()
 
 
@@ -237,7 +244,8 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], marks: Sequence[
 def _legend(axes: Axes, entries: int) -> None:
     """Below the axes: it never hides a point."""
     if entries:
-        columns = min(3, entries)
+        longest = max(len(label) for label in axes.get_legend_handles_labels()[1])
+        columns = max(1, min(3, entries, _LEGEND_CHARACTERS // (longest + 6)))
         axes.figure.legend(loc="outside lower center", ncols=columns)
 
 

@@ -24,7 +24,7 @@ class Column:
     interval: str = ""  # key of the interval that stands below the figure
 
 
-COLUMNS: Final = (
+SAFETY: Final = (
     Column(
         heading="score",
         key="score",
@@ -42,9 +42,6 @@ COLUMNS: Final = (
         says="the same a kilometre; Garwood's interval",
         form="{:.2f}",
     ),
-    Column(heading="others'", key="crashes_other", says="crashes that were the other's fault"),
-    Column(heading="drops", key="drops", says="falls off a kerb, counted in own crashes too"),
-    Column(heading="at red", key="red_entries", says="times that it drove onto a crossing at red"),
     Column(
         heading="obeyed",
         key="kpi1_free_within",
@@ -52,8 +49,9 @@ COLUMNS: Final = (
         says="share of the steps without danger, in which the user moves, that the stick was followed within 0.1768",
         form="{:.1%}",
     ),
-    Column(heading="distance", key="kpi1", says="mean joystick distance over all steps (KPI 1)", form="{:.3f}"),
-    Column(heading="steps", key="kpi2_median", says="median of the steps of an episode (KPI 2)", form="{:.0f}"),
+    Column(heading="others'", key="crashes_other", says="crashes that were the other's fault"),
+    Column(heading="drops", key="drops", says="falls off a kerb, counted in own crashes too"),
+    Column(heading="at red", key="red_entries", says="times that it drove onto a crossing at red"),
     Column(
         heading="alive",
         key="alive_at_end",
@@ -61,6 +59,13 @@ COLUMNS: Final = (
         says="share of episodes without any crash",
         form="{:.0%}",
     ),
+    Column(heading="saved", key="saved", says="episodes in which the user alone crashes and the policy does not"),
+    Column(heading="lost", key="lost", says="episodes in which the policy crashes and the user alone does not"),
+    Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
+)
+SERVICE: Final = (
+    Column(heading="distance", key="kpi1", says="mean joystick distance over all steps (KPI 1)", form="{:.3f}"),
+    Column(heading="steps", key="kpi2_median", says="median of the steps of an episode (KPI 2)", form="{:.0f}"),
     Column(heading="arrived", key="arrivals", says="episodes that ended at their destination"),
     Column(heading="m/s", key="speed_mps", says="mean speed", form="{:.2f}"),
     Column(heading="s on road", key="road_s", says="seconds that the chair stood on a carriageway", form="{:.0f}"),
@@ -69,34 +74,38 @@ COLUMNS: Final = (
     Column(heading="needed", key="needed", says="interventions without which the user alone would have crashed in 5 s"),
     Column(heading="needless", key="needless", says="interventions without which nothing would have happened in 5 s"),
     Column(heading="missed", key="missed", says="own crashes without an intervention in the 5 s before"),
-    Column(heading="saved", key="saved", says="episodes in which the user alone crashes and the policy does not"),
-    Column(heading="lost", key="lost", says="episodes in which the policy crashes and the user alone does not"),
-    Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
 )
+COLUMNS: Final = (*SAFETY, *SERVICE)
 
 
 def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> Exhibit:
     """The table of a part, "" for all parts; `worst` gives the last cell of each row."""
     rows = [row for row in (result.rows if part else result.pooled) if row["part"] == part]
-    headings = ["policy", *(el("span", column.heading, title=column.says) for column in COLUMNS)]
+    name = f"table-{part or 'all'}"
+    safety = _table(rows, SAFETY, f"{name}-safety", worst)
+    service = _table(rows, SERVICE, f"{name}-service", None)
+    keys = [key for column in COLUMNS for key in _keys(column)]
+    plain = [[row["policy"], *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
+    return Exhibit(
+        name=name,
+        title=f"Part {part}" if part else "All parts",
+        says="Below a figure: its 95 % interval.",
+        body=joined((safety, service)),
+        csv=csv_of(["policy", *keys], plain),
+    )
+
+
+def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: Worst | None) -> Markup:
+    headings: list[object] = ["policy", *(el("span", column.heading, title=column.says) for column in columns)]
     lines = []
     for row in rows:
-        cells: list[object] = [row["policy"], *(_figure(row, column) for column in COLUMNS)]
+        cells: list[object] = [row["policy"], *(_figure(row, column) for column in columns)]
         if worst is not None:
             cells.insert(1, worst(row["policy"]))
         lines.append(cells)
     if worst is not None:
         headings.insert(1, "worst moment")
-    keys = [key for column in COLUMNS for key in _keys(column)]
-    plain = [[row["policy"], *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
-    name = f"table-{part or 'all'}"
-    return Exhibit(
-        name=name,
-        title=f"Part {part}" if part else "All parts",
-        says="Below a figure: its 95 % interval.",
-        body=table(headings, lines, name),
-        csv=csv_of(["policy", *keys], plain),
-    )
+    return table(headings, lines, name)
 
 
 def legend() -> Markup:
@@ -162,6 +171,8 @@ def weights_table(result: KeptResult) -> Exhibit:
 def _figure(row: Row, column: Column) -> object:
     value = row.get(column.key)
     text = _said(column.form, value)
+    if column.key == "mcnemar_p" and value == 0:
+        return "< 1e-6", value  # a result keeps six digits
     if text is None:
         return "–", None
     bounds = row.get(column.interval) if column.interval else None
