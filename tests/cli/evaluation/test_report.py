@@ -56,3 +56,38 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
     monkeypatch.setattr("wcsim.cli.evaluation.report.find_spec", lambda name: None)
     told = wcsim("report", "out")
     assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
+
+
+OWN = """
+from pathlib import Path
+
+Path("ran").write_text("own code")
+
+
+class Still:
+    name = "own:Still"
+
+    def __init__(self, config):
+        pass
+
+    def begin(self):
+        pass
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        return 40
+"""
+
+
+def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, corner, folder):
+    (folder / "own.py").write_text(OWN, encoding="utf-8")
+    write_list(suite_in(corner, block_of(corner, max_steps=30)).file, folder / "corner.json")
+    assert wcsim("test", "own:Still", "--suite", "corner.json", "--only", "--out", "out").code == 0
+    (folder / "ran").unlink()
+    assert wcsim("report", "out", "--pictures", "1").code == 0
+    page = folder / "out" / "report.html"
+    assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
+    assert wcsim("report", "out", "--pictures", "1", "--own", "own:Still").code == 0
+    assert (folder / "ran").exists() and "runs when you name it" not in page.read_text(encoding="utf-8")

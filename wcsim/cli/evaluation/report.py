@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.evaluation.judged_suite import MOST_JOBS
-from wcsim.cli.shared.common import check_folder, in_bounds, parse
+from wcsim.cli.shared.common import Repeated, check_folder, in_bounds, parse
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, FileError
 
@@ -31,6 +31,8 @@ class Options:
     """What `wcsim test --suite` or `wcsim train` wrote."""
     pictures: int = 8
     """Failures that are shown in pictures, the worst of each policy; each is driven once more, up to a minute."""
+    own: Repeated = ()
+    """module:Class: a policy or network of your own in this test, whose code may run for pictures."""
     jobs: int = 1
     """Processes that drive them."""
 
@@ -83,8 +85,9 @@ def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisod
         return {}
     told = Console(stderr=True, highlight=False)
     return illustrated(
-        order_of(result, options.folder),
+        order_of(result, options.folder, options.own),
         wanted,
+        options.own,
         options.jobs,
         lambda done, of: told.print(f"pictures: {done} of {of} blocks", style="dim"),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,7 +15,14 @@ import numpy as np
 from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, settings_of, town_addresses
+from wcsim.agents.evaluation.suite.run import (
+    Piece,
+    SuiteOrder,
+    is_own_class,
+    piece_of,
+    settings_of,
+    town_addresses,
+)
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8
@@ -26,6 +33,7 @@ PICTURES: Final = 8
 LAST_S: Final = 2.0
 _MAP_PX, _MAP_SPAN_M = 360, 24.0
 _TRAIL_S: Final = 10.0
+_NOT_NAMED: Final = "it is code of its own, which runs when you name it: --own module:Class"
 
 Key = tuple[str, int, int]  # policy, block, seat
 
@@ -71,19 +79,29 @@ def chosen(failures: Sequence[FailedEpisode], each: int) -> list[FailedEpisode]:
 
 
 def illustrated(
-    order: SuiteOrder, failures: Iterable[FailedEpisode], jobs: int, done: Callable[[int, int], object]
+    order: SuiteOrder,
+    failures: Iterable[FailedEpisode],
+    own: Collection[str],
+    jobs: int,
+    done: Callable[[int, int], object],
 ) -> dict[Key, Illustration]:
     """Pictures of these failures. What cannot be driven as it was says so.
 
     Args:
         order: How the test was driven, see `order_of`.
         failures: Those to show.
+        own: Policies and networks of the user's own, module:Class, as they were named to this command: a folder that
+            somebody else made does not decide which code runs here.
         jobs: Processes.
         done: Called with the blocks that are done, and how many there are.
     """
     towns = town_addresses(order)
     blocks: dict[tuple[str, int], list[FailedEpisode]] = {}
+    found_all: dict[Key, Illustration] = {}
     for failure in failures:
+        if is_own_class(failure.policy) and failure.policy not in own:
+            found_all[failure.policy, *failure.key] = Illustration(missing=_NOT_NAMED)
+            continue
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
     orders = [
         _Order(
@@ -92,24 +110,26 @@ def illustrated(
         )
         for (policy, block), found in blocks.items()
     ]
-    found_all: dict[Key, Illustration] = {}
     for number, (each, pictures) in enumerate(_driven(orders, jobs), start=1):
         found_all |= {(each.piece.policy, each.piece.index, seat): picture for seat, picture in pictures}
         done(number, len(orders))
     return found_all
 
 
-def order_of(result: KeptResult, folder: Path) -> SuiteOrder:
-    """How a result was driven. Raises ConfigError when its list is not here, or another one."""
+def order_of(result: KeptResult, folder: Path, own: Collection[str]) -> SuiteOrder:
+    """How a result was driven; `own` as in `illustrated`.
+
+    Raises:
+        ConfigError: Its list is not here, or another one.
+    """
     suite = open_suite(result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
             "the test: run the test again, or go back to the wcsim that made it"
         )
-    return SuiteOrder(
-        suite=suite, out=folder, preset=result.preset, settings=result.changed, network=result.network, forks=0
-    )
+    network = result.network if result.network in own else ""
+    return SuiteOrder(suite=suite, out=folder, preset=result.preset, settings=result.changed, network=network, forks=0)
 
 
 def _driven(orders: Sequence[_Order], jobs: int) -> Iterator[tuple[_Order, list[tuple[int, Illustration]]]]:

@@ -182,7 +182,7 @@ def policy_digest(name: str, order: SuiteOrder) -> str:
     said: list[Any] = [order.settings, order.forks, _code_digest()]
     if is_baseline(name):
         said += ["baseline", name, order.preset]
-    elif ":" in name and not Path(name.rpartition(":")[0]).exists():
+    elif is_own_class(name):
         said += ["class", name, order.preset, _file_digest(Path(str(_source_of(name))))]
     else:
         folder = policy_path(name)
@@ -190,10 +190,15 @@ def policy_digest(name: str, order: SuiteOrder) -> str:
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
+def is_own_class(policy: str) -> bool:
+    """Whether a policy is named as module:Class: opening it runs somebody's code."""
+    return ":" in policy and not is_baseline(policy) and not Path(policy.rpartition(":")[0]).exists()
+
+
 def _opened(piece: Piece, config: RunConfig, seed: int) -> Policy:
     """The policy of a piece. Raises PolicyError when it does not fit."""
     name = piece.policy
-    if ":" in name and not is_baseline(name) and not Path(name.rpartition(":")[0]).exists():
+    if is_own_class(name):
         policy: Policy = find_class(name, "policy")(config)
         return policy
     from wcsim.agents.evaluation.matrix import open_policy  # torch is loaded here
@@ -219,8 +224,7 @@ def settings_of(piece: Piece) -> RunConfig:
     from wcsim.config import load_run_config
 
     policy, preset = piece.policy, piece.preset
-    own_class = ":" in policy and not Path(policy.rpartition(":")[0]).exists()
-    base = load_run_config(preset) if is_baseline(policy) or own_class else config_of(policy, preset, ())
+    base = load_run_config(preset) if is_baseline(policy) or is_own_class(policy) else config_of(policy, preset, ())
     config = with_overrides(base, piece.settings)
     action_set(config.env.actions)
     return config
