@@ -7,6 +7,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.street import load_street
+from wcsim.types import ClassId
 from wcsim.view.report.charts import (
     Curve,
     DrivenWay,
@@ -60,7 +63,16 @@ def test_the_ground_shows_the_street_around_the_points_and_nothing_where_there_i
     assert (ground.west_m, ground.east_m, ground.south_m, ground.north_m) == (-35.0, 45.0, -30.0, 30.0)
     rows, columns, _ = ground.image.shape
     assert columns / rows == pytest.approx(80 / 60, rel=0.01)
-    assert len(np.unique(ground.image.reshape(-1, 3), axis=0)) > 2
+    x = -35.0 + (np.arange(columns) + 0.5) * 80.0 / columns
+    y = 30.0 - (np.arange(rows) + 0.5) * 60.0 / rows
+    street = load_street(find_town(str(corner))).grid
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    classes, open_ground = street.class_at(points), street.clearance_at(points) > 0.0
+    colours = [
+        {tuple(rgb) for rgb in ground.image[(classes == each) & open_ground].tolist()}
+        for each in (ClassId.ROAD, ClassId.SIDEWALK)
+    ]
+    assert [len(each) for each in colours] == [1, 1] and colours[0] != colours[1]
     assert ground_around("atlantis", [(0.0, 0.0)]) is None and ground_around(str(corner), []) is None
 
 

@@ -1,5 +1,6 @@
 """Failures: which, in which order, and the command that drives one again."""
 
+import json
 import shlex
 from pathlib import Path
 
@@ -48,6 +49,16 @@ def test_the_worst_come_first(tmp_path):
     assert worst_of(failures, "dwa") is None
     assert [one.key for one in chosen(failures, 1) if one.policy == "follow"] == [(0, 1)]  # with a car, not the fall
     assert all(one.episode.record.steps for one in chosen(failures, 100))
+
+
+def test_of_two_like_failures_the_faster_is_worse(tmp_path):
+    write_result(tmp_path)
+    path = tmp_path / "episodes.json"
+    episodes = json.loads(path.read_text("utf-8"))
+    episodes["net@0.75"][0]["path_m"][-1] = [4.0, 0.0]
+    path.write_text(json.dumps(episodes), encoding="utf-8")
+    first = failures_of(read_result(tmp_path), tmp_path)[0]
+    assert (first.policy, first.key, first.speed_mps) == ("net@0.75", (0, 0), pytest.approx(3.0 / 0.5))
 
 
 def test_the_speed_of_the_last_second_comes_from_the_way():
