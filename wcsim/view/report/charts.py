@@ -151,7 +151,7 @@ def score_chart(rows: Sequence[tuple[str, Sequence[tuple[str, Estimate]]]], plac
             panel.set_visible(False)
         panels[0].set_yticks(list(places.values()), [_short(name, 20) for name in places])
         panels[0].set_xlim(0.0, 1.0)
-        panels[0].invert_yaxis()
+        panels[0].set_ylim(len(places) - 0.4, -0.6)
         figure.supxlabel("score, 95 % interval over episodes", fontsize=8)
     return out.getvalue()
 
