@@ -36,6 +36,7 @@ SUBCOMMANDS = (
     Subcommand(
         "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns they have never seen"
     ),
+    Subcommand("report", "wcsim.cli.evaluation.report", "the page of a finished test or training, with its failures"),
     Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),

@@ -11,12 +11,15 @@ import tyro
 from rich.console import Console
 
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
+    from wcsim.agents.evaluation.suite.run import SuiteOrder
 
 MOST_JOBS = 256
 
@@ -49,6 +52,8 @@ class SuiteOptions:
     """section.key=value, laid over those of the list; the result says so."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
+    play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
+    """Drive this episode of one policy again, film its last 10 s into --out, and say what happened."""
     json: OutFile = None
     """Write the result to this file, too."""
 
@@ -59,29 +64,24 @@ def run_suites(words: list[str]) -> int:
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
     from wcsim.agents.evaluation.suite.list_file import open_suite
+    from wcsim.agents.evaluation.suite.result_files import ASKED
 
     suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
     check_folder("--out", out / "x")
+    if options.play:
+        return play_episode(_order(options, suite, out), options.policies, options.play)
     if (out / "kept").exists() and not options.resume:
         raise ConfigError(
             f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
         )
-    from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
-    from wcsim.agents.evaluation.suite.sensitivity import CLEAN, sensitivity
+    from wcsim.agents.evaluation.suite.run import UNAIDED, run_suite
+    from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
     added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
-    changed = (*(CLEAN if options.clean else ()), *options.set)
-    order = SuiteOrder(
-        suite=suite,
-        out=out,
-        jobs=options.jobs,
-        preset=options.preset,
-        settings=changed,
-        network=options.network,
-        forks=suite.file.forks if options.forks is None else options.forks,
-    )
+    order = _order(options, suite, out)
+    changed = order.settings
     told = Console(stderr=True, highlight=False)
     told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
     if options.sensitivity:
@@ -95,10 +95,26 @@ def run_suites(words: list[str]) -> int:
     result = _result(suite.file, suite.sha256, records, changed)
     write_json(out / "result.json", result)
     write_json(out / "episodes.json", {name: [record.to_json() for record in found] for name, found in records.items()})
+    write_json(out / ASKED, {"suite": options.suite, "preset": options.preset, "network": options.network})
     show_result(Console(), result, changed)
     if options.json is not None:
         write_json(options.json, result)
     return 0
+
+
+def _order(options: SuiteOptions, suite: Suite, out: Path) -> SuiteOrder:
+    from wcsim.agents.evaluation.suite.run import SuiteOrder
+    from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+
+    return SuiteOrder(
+        suite=suite,
+        out=out,
+        jobs=options.jobs,
+        preset=options.preset,
+        settings=(*(CLEAN if options.clean else ()), *options.set),
+        network=options.network,
+        forks=suite.file.forks if options.forks is None else options.forks,
+    )
 
 
 def _result(

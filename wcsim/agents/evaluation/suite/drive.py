@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
-from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.alarms import Alarms
 from wcsim.agents.evaluation.suite.forks import crash_alone_s, users_alone
@@ -54,8 +54,24 @@ class BlockOrder:
     world_seed: int | None = None  # another than the block's
 
 
-def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeRecord, ...]:
+class Watch(Protocol):
+    """Somebody who looks on while a block is driven, and changes nothing; it ends when `seats` have ended."""
+
+    @property
+    def seats(self) -> frozenset[int]:
+        """Those that are looked at."""
+
+    def see(self, seat: int, step: EpisodeStep, world: World) -> None:
+        """A step of one of them is done."""
+
+    def ended(self, seat: int, world: World) -> None:
+        """An episode has ended; its chair is about to leave the street."""
+
+
+def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None = None) -> tuple[EpisodeRecord, ...]:
     """Drive all episodes of a block, each to its end; records in the order of the block.
+
+    With somebody to watch, those alone that have ended when the last of the watched ones has.
 
     Raises:
         TownError: The town cannot be opened.
@@ -69,7 +85,8 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy) -> tuple[EpisodeReco
     seed = order.block.seed if order.world_seed is None else order.world_seed
     with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
-        while True:
+        watched = _looked_at(seats, watch)
+        while any(seat.record is None for seat in watched):
             given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
             left = [seat for seat in seats if seat.record is None]
             if not left:
@@ -94,6 +111,16 @@ def _seat_spec(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatS
     )
 
 
+def _looked_at(seats: Sequence[_Seat], watch: Watch | None) -> Sequence[_Seat]:
+    """The seats whose ends are waited for: those of the watch, which hear of it, or all."""
+    if watch is None:
+        return seats
+    chosen = [seat for seat in seats if seat.number in watch.seats]
+    for seat in chosen:
+        seat.watch = watch
+    return chosen
+
+
 class _Link:
     """What `Chair` sends to and receives from, instead of a world of another process."""
 
@@ -114,6 +141,7 @@ class _Seat:
     def __init__(self, order: BlockOrder, config: RunConfig, world: World, number: int, policy: Policy) -> None:
         self.number, self.record = number, None  # type: int, EpisodeRecord | None
         self.actions: ActionSet = action_set(config.env.actions)
+        self.watch: Watch | None = None
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
@@ -156,6 +184,8 @@ class _Seat:
             self._done_m += step.info["progress_m"]
             self._meter.add(step.info, self._free)
         self._seen, self._info = step.observation, step.info
+        if self.watch is not None:
+            self.watch.see(self.number, step, self._world)
         events = client.events
         if events.crashed:
             self._end(**self._meter.crash(step.info))
@@ -219,6 +249,8 @@ class _Seat:
             **sums,
             **more,
         )
+        if self.watch is not None:
+            self.watch.ended(self.number, self._world)
         self._world.dismiss(self.number)
 
     def _at(self) -> int:

@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-import numpy as np
-
-from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, refused
+from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
+from wcsim.agents.evaluation.suite.named_policy import identity_of, open_named, settings_of, windowed
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
-from wcsim.agents.policies.baseline_names import is_baseline
-from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
-from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.run_folder import config_of, policy_path
-from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
-from wcsim.core.plugins import find_class
 from wcsim.core.reading import FileKind, read_json
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.supervisor.actions import action_set
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 TOWNS: Final = "towns"  # made ones lie there, in a result's folder
@@ -89,34 +81,45 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     """
     file = order.suite.file
     require_towns(file)
-    towns = {name: town.address for name, town in towns_of(file, order.out / TOWNS).items()}
+    towns = town_addresses(order)
     judged = _judged(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
     asked = [NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
     for policy in asked:
-        for index, block in enumerate(file.blocks):
+        for index in range(len(file.blocks)):
             path = _kept_path(order, index, policy.digest)
             if path.is_file():
                 kept[policy.name, index] = _read_kept(path)
             else:
-                piece = Piece(
-                    index=index,
-                    block=block,
-                    town=str(towns.get(block.town, "")),
-                    settings=(*file.settings, *order.settings),
-                    policy=policy.name,
-                    network=order.network,
-                    preset=order.preset,
-                    judged=index in judged,
-                    late_s=order.late_s,
-                )
-                left.append((piece, path))
+                left.append((piece_of(order, index, policy.name, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
     return {
         policy.name: tuple(record for index in range(len(file.blocks)) for record in kept[policy.name, index])
         for policy in asked
     }
+
+
+def town_addresses(order: SuiteOrder) -> dict[str, str]:
+    """Where the list's towns are, by name. Raises TownError, see `towns_of`."""
+    return {name: str(town.address) for name, town in towns_of(order.suite.file, order.out / TOWNS).items()}
+
+
+def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool) -> Piece:
+    """One block with one policy; `towns` as in `town_addresses`."""
+    file = order.suite.file
+    block = file.blocks[index]
+    return Piece(
+        index=index,
+        block=block,
+        town=towns.get(block.town, ""),
+        settings=(*file.settings, *order.settings),
+        policy=policy,
+        network=order.network,
+        preset=order.preset,
+        judged=judged,
+        late_s=order.late_s,
+    )
 
 
 def _drive_all(
@@ -144,22 +147,22 @@ def _drive_all(
             raise
 
 
-def drive_piece(piece: Piece) -> list[dict[str, Any]]:
+def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]]:
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = _config(piece.policy, piece.preset, piece.settings)
+    config = settings_of(piece.policy, piece.preset, piece.settings)
     made = iter(range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
 
         def open_one(seed: int) -> Policy:
-            policy = _opened(piece, config, seed)
+            policy = open_named(piece.policy, config, seed, piece.network or None)
             if hasattr(policy, "close"):
                 opened.callback(policy.close)
             return policy
 
         try:
-            config = _windowed(config, open_one(0))
+            config = windowed(config, open_one(0))
         except WcsimError as error:
             return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
         order = BlockOrder(
@@ -172,73 +175,14 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
         )
         if piece.block.part == TIGHT:
             order = in_scene(order, Path(work))
-        records = drive_block(order, lambda: open_one(seeding.derive(piece.block.seed, "driver", next(made))))
+        records = drive_block(order, lambda: open_one(seeding.derive(piece.block.seed, "driver", next(made))), watch)
         return [record.to_json() for record in records]
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, wcsim's own code."""
-    said: list[Any] = [order.settings, order.forks, _code_digest()]
-    if is_baseline(name):
-        said += ["baseline", name, order.preset]
-    elif is_served(name):
-        with closing(ServedPolicy(name, np.zeros((0, 2)))) as served:
-            said += ["served", served.version, order.preset]
-    elif is_onnx(name):
-        said += ["onnx", [_file_digest(path) for path in sorted(Path(name).iterdir()) if path.is_file()]]
-    elif ":" in name and not Path(name.rpartition(":")[0]).exists():
-        said += ["class", name, order.preset, _file_digest(Path(str(_source_of(name))))]
-    else:
-        folder = policy_path(name)
-        said += ["folder", [[path.name, _file_digest(path)] for path in sorted(folder.iterdir()) if path.is_file()]]
+    said = [order.settings, order.forks, _code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
-
-
-def is_onnx(name: str) -> bool:
-    """Whether a policy's name is a folder with an ONNX model."""
-    return is_onnx_folder(Path(name))
-
-
-def _opened(piece: Piece, config: RunConfig, seed: int) -> Policy:
-    """The policy of a piece. Raises PolicyError when it does not fit."""
-    name, actions = piece.policy, action_set(config.env.actions)
-    if is_served(name):
-        return ServedPolicy(name, actions.points)
-    if is_onnx(name):
-        return OnnxPolicy(Path(name), name, len(actions))
-    if ":" in name and not is_baseline(name) and not Path(name.rpartition(":")[0]).exists():
-        policy: Policy = find_class(name, "policy")(config)
-        return policy
-    from wcsim.agents.evaluation.matrix import open_policy  # torch is loaded here
-
-    return open_policy(name, config, seed, piece.network or None)
-
-
-def _windowed(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with as many images in an observation as the policy was trained on."""
-    from wcsim.agents.evaluation.matrix import window_for
-
-    return with_overrides(config, (f"env.window={window_for([policy])}",))
-
-
-def _source_of(name: str) -> str:
-    import inspect
-
-    return inspect.getsourcefile(find_class(name, "policy")) or ""
-
-
-def _config(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
-    """A policy's own settings, or the preset, with those of the suite laid over them."""
-    from wcsim.config import load_run_config
-
-    if is_onnx(policy):
-        about = read_about(Path(policy))
-        return with_overrides(load_run_config(about.preset, about.settings), settings)
-    own_class = ":" in policy and not Path(policy.rpartition(":")[0]).exists()
-    base = load_run_config(preset) if is_baseline(policy) or own_class else config_of(policy, preset, ())
-    config = with_overrides(base, settings)
-    action_set(config.env.actions)
-    return config
 
 
 def _judged(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
@@ -257,10 +201,6 @@ def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     data = read_json(path, _KEPT)
     return tuple(record_of(record) for record in data["records"])
-
-
-def _file_digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _code_digest() -> str:

@@ -49,3 +49,27 @@ def test_what_cannot_be_is_refused(words, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(*words) == 2
     assert said in capsys.readouterr().err
+
+
+def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("--suite", small, "--only", "--out", out) == 0
+    words = ("follow", "--suite", small, "--out", out, "--play")
+    assert run(*words, "0.1") == 0
+    assert "the same as the kept one" in capsys.readouterr().out
+    assert (out / "play" / "follow-0.1.webm").stat().st_size > 0
+    episodes = json.loads((out / "episodes.json").read_text(encoding="utf-8"))
+    episodes["follow"][1]["m"] += 0.5
+    (out / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
+    assert run(*words, "0.1") == 2
+    assert "run the test again" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("follow", "--play", "7.0"), "from 0 to 0"), (("--play", "0.0"), "takes one policy"),
+     (("follow", "--play", "0.9"), "no seat 9")],
+)  # fmt: skip
+def test_what_cannot_be_played_is_refused(small, words, said, tmp_path, capsys):
+    assert run("--suite", small, "--out", tmp_path / "out", *words) == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,55 @@
+"""What a finished test left is read again, and nothing else."""
+
+import json
+
+import pytest
+
+from tests.view.report.results import SCRIPT, write_result
+from wcsim.agents.evaluation.suite.result_files import read_result
+from wcsim.errors import ConfigError
+
+
+def test_a_result_is_read_with_and_without_what_later_versions_record(tmp_path):
+    write_result(tmp_path / "new")
+    write_result(tmp_path / "old", ways=False)
+    new, old = read_result(tmp_path / "new"), read_result(tmp_path / "old")
+    assert list(new.episodes) == ["follow", "dwa", "net@0.25", "net@0.75", SCRIPT]
+    assert new.episodes["dwa"][0].path_m == ((0.0, 0.0), (1.0, 0.0), (2.5, 0.0))
+    assert (new.episodes["dwa"][0].accel_sq_sum, old.episodes["dwa"][0].accel_sq_sum) == (25.0, None)
+    assert old.episodes["dwa"][0].path_m is None and new.list_name == "try" and new.preset == "quick"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"steps": "many"}, {"steps": True}, {"status": "won"}, {"part": 3}, {"nothing": 1}, {"path_m": [[0.0]]},
+        {"path_m": 3}, {"end_m": ["a", "b"]}, {"accel_sq_sum": "x"}, {"interventions": [{"first": 1}]},
+        {"m": None},
+    ],
+)  # fmt: skip
+def test_a_damaged_episode_is_refused(tmp_path, change):
+    write_result(tmp_path)
+    path = tmp_path / "episodes.json"
+    episodes = json.loads(path.read_text("utf-8"))
+    episodes["dwa"][2].update(change)
+    path.write_text(json.dumps(episodes), encoding="utf-8")
+    with pytest.raises(ConfigError):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize("change", [{"rows": 3}, {"pooled": []}, {"suite": 7}, {"changed": "x"}, {"rows": [{}]}])
+def test_a_damaged_result_is_refused(tmp_path, change):
+    write_result(tmp_path, **change)
+    with pytest.raises(ConfigError):
+        read_result(tmp_path)
+
+
+def test_a_policy_without_episodes_or_fields_is_refused(tmp_path):
+    for damage in (lambda e: e.pop("dwa"), lambda e: e.update(dwa=[]), lambda e: e["dwa"][0].pop("status")):
+        write_result(tmp_path)
+        path = tmp_path / "episodes.json"
+        episodes = json.loads(path.read_text("utf-8"))
+        damage(episodes)
+        path.write_text(json.dumps(episodes), encoding="utf-8")
+        with pytest.raises(ConfigError):
+            read_result(tmp_path)

@@ -1,0 +1,103 @@
+"""`wcsim report`: pages of a test and of a training, and what is refused."""
+
+import contextlib
+import json
+import shutil
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.view.report.results import write_result
+from wcsim.agents.evaluation.suite.list_file import write_list
+from wcsim.cli.main import main
+
+OWN = """
+from pathlib import Path
+
+Path("ran").write_text("own code")
+
+
+class Still:
+    name = "own:Still"
+
+    def __init__(self, config):
+        pass
+
+    def begin(self):
+        pass
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        return 40
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(corner, tmp_path_factory):
+    """A finished test of a short list by the user alone and by code of one's own; no episode comes to its end."""
+    place = tmp_path_factory.mktemp("finished")
+    (place / "own.py").write_text(OWN, encoding="utf-8")
+    write_list(suite_in(corner, block_of(corner, max_steps=30)).file, place / "corner.json")
+    with contextlib.chdir(place):
+        assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "out"]) == 0
+    (place / "ran").unlink()
+    return place
+
+
+@pytest.fixture
+def tested(finished, folder):
+    shutil.copytree(finished, folder, dirs_exist_ok=True)
+    return folder / "out"
+
+
+def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
+    told = wcsim("report", "out", "--pictures", "1")
+    assert told.code == 0 and "report.html" in told.out
+    text = (tested / "report.html").read_text(encoding="utf-8")
+    driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
+    assert {record["status"] for record in driven} == {"timed_out"}
+    assert text.count("seen 0.0 s before") == 1 and text.count('class="street"') == 1
+    command = "wcsim test follow --suite corner.json --play 0.0 --out out"
+    assert command in text
+    assert wcsim(*command.split()[1:]).code == 0
+
+
+def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictures(wcsim, tested):
+    path = tested / "episodes.json"
+    episodes = json.loads(path.read_text("utf-8"))
+    episodes["follow"][0]["m"] += 1.0
+    path.write_text(json.dumps(episodes), encoding="utf-8")
+    assert wcsim("report", "out", "--pictures", "2").code == 0
+    text = (tested / "report.html").read_text(encoding="utf-8")
+    assert "No pictures: episode 0.0 went another way" in text and text.count('class="street"') == 1
+
+
+def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
+    write_result(folder / "out", set="dev")
+    told = wcsim("report", "out")
+    assert told.code == 0 and "list dev has the hash" in told.err
+    assert "list dev has the hash" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
+    (folder / "empty").mkdir()
+    for place in ("empty", "nowhere"):
+        told = wcsim("report", place)
+        assert told.code == 2 and "nothing to report" in told.err
+    write_result(folder / "out")
+    assert wcsim("report", "out", "--jobs", "0").code == 2
+    monkeypatch.setattr("wcsim.cli.evaluation.report.find_spec", lambda name: None)
+    told = wcsim("report", "out")
+    assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
+
+
+
+
+def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):
+    assert wcsim("report", "out", "--pictures", "1").code == 0
+    page = tested / "report.html"
+    assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
+    assert wcsim("report", "out", "--pictures", "1", "--own", "own:Still").code == 0
+    assert (folder / "ran").exists() and "runs when you name it" not in page.read_text(encoding="utf-8")

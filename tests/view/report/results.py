@@ -1,0 +1,66 @@
+"""A finished test of five policies over six episodes, made up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.rows import pooled_rows
+
+SCRIPT = "<script>alert(1)</script>"
+PATH_M = [[0.0, 0.0], [1.0, 0.0], [2.5, 0.0]]
+WAYS = {"path_m": PATH_M, "accel_sq_sum": 25.0, "stick_travel": 30.0, "asked_travel": 10.0}
+POLICIES = ("follow", "dwa", "net@0.25", "net@0.75", SCRIPT)
+
+
+def record(place: int, **changes: Any) -> EpisodeRecord:
+    plain: dict[str, Any] = {
+        "block": place // 2, "seat": place % 2, "part": "free" if place < 4 else "hazard", "town": "nowhere",
+        "profile": "ataxic", "status": "finished", "steps": 100, "time_s": 1.5, "m": 40.0, "route_m": 50.0,
+        "done_m": 50.0, "reference_s": 1.2, "distance_sum": 4.0, "free_steps": 90, "moving_steps": 80,
+        "moving_within": 76, "end_m": (2.5, 0.0),
+    }  # fmt: skip
+    return EpisodeRecord(**{**plain, **changes})
+
+
+def crashed(place: int, **changes: Any) -> EpisodeRecord:
+    plain = {"status": "chair_crashed", "reason": "collision", "fault": "own", "done_m": 20.0}
+    return record(place, **{**plain, **changes})
+
+
+def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
+    """`follow` falls and hits in four of six, `dwa` in none, the others in between."""
+    if policy == "follow":
+        bad = [crashed(0, reason="drop"), crashed(1, partner="car"), crashed(2, partner="static")]
+        return (*bad, record(3, red_entries=1), crashed(4, steps=0), record(5, status="timed_out"))
+    if policy == "dwa":
+        return (*(record(place) for place in range(5)), record(5, status="timed_out"))
+    worst = crashed(0, partner="pedestrian", end_m=(3.0, 4.0))
+    return (worst, record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"), *map(record, range(2, 6)))
+
+
+def write_result(folder: Path, ways: bool = True, **changes: Any) -> dict[str, Any]:
+    """Write the files of a test; `result.json` as it stands there."""
+    records = {name: records_of(name) for name in POLICIES}
+    rows, pooled = [], []
+    for name, found in records.items():
+        parts, whole = pooled_rows(name, found, records["follow"])
+        rows += parts
+        pooled.append(whole)
+    result = {
+        "suite": "made-up-v1", "set": "try", "list_sha256": "0" * 64, "rows": rows, "pooled": pooled,
+        "changed": ["world.tick_s=0.1"], **changes,
+    }  # fmt: skip
+    more = WAYS if ways else {}
+    episodes = {name: [{**_old(item), **more} for item in found] for name, found in records.items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    (folder / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
+    return result
+
+
+def _old(item: EpisodeRecord) -> dict[str, Any]:
+    """As a version before ways and comfort were recorded would write it."""
+    return {key: value for key, value in item.to_json().items() if key not in WAYS}

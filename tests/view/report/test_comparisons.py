@@ -1,0 +1,64 @@
+"""What a test decides."""
+
+import math
+
+import pytest
+
+from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
+from wcsim.agents.evaluation.suite.result_files import read_result
+from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, parts_of_score, verdicts, weighted
+
+
+@pytest.fixture
+def result(tmp_path):
+    write_result(tmp_path)
+    return read_result(tmp_path)
+
+
+def test_pairs_are_counted_over_the_same_episodes(result):
+    pair = paired(result, "dwa", "follow", "")
+    scores = [a.score - b.score for a, b in zip(records_of("dwa"), records_of("follow"), strict=True)]
+    assert (pair.episodes, pair.saved, pair.lost) == (6, 4, 0)
+    assert pair.difference == pytest.approx(math.fsum(scores) / 6)
+    assert pair.mcnemar_p == pytest.approx(2 / 2**4)
+    assert pair.low <= pair.difference <= pair.high and pair.separated == (pair.low > 0)
+    back = paired(result, "follow", "dwa", "")
+    assert (back.saved, back.lost) == (0, 4) and back.difference == pytest.approx(-pair.difference)
+
+
+def test_every_policy_meets_every_rival_once_in_each_part(result):
+    pairs = compared(result)
+    assert {pair.part for pair in pairs} == {"free", "hazard", ""}
+    assert [(pair.policy, pair.rival) for pair in pairs if not pair.part] == [
+        *((name, "follow") for name in POLICIES if name != "follow"),
+        *((name, "dwa") for name in POLICIES if name not in ("follow", "dwa")),
+    ]
+
+
+def test_a_verdict_says_what_is_separated_and_how_far_the_rest_is_from_it(result):
+    pairs = [pair for pair in compared(result) if not pair.part and pair.rival == "dwa"]
+    said = " ".join(verdicts(pairs))
+    for pair in pairs:
+        place = said.index("not separated") if "not separated" in said else len(said)
+        assert (said.index(pair.policy) < place) == pair.separated
+        assert pair.separated or f"needs about {pair.enough} episodes" in said
+    same = paired(result, "dwa", "dwa", "")
+    assert same.enough is None and verdicts([same]) == ["not separated from it: dwa (equal scores)"]
+
+
+def test_weights_change_what_they_should(result):
+    by_name = {way.name: way.of for way in WEIGHTINGS}
+    red = record(0, red_entries=1)
+    done, pace, obeyed = parts_of_score(record(0))
+    assert (done, obeyed) == (1.0, 76 / 80)
+    assert by_name["the score"](record(0)) == pytest.approx(record(0).score) == pytest.approx(done * pace * obeyed)
+    assert by_name["the score"](red) == 0.0 and by_name["red lights forgiven"](red) == pytest.approx(record(0).score)
+    assert by_name["obedience counts double"](record(0)) == pytest.approx(done * pace * obeyed**2)
+    assert by_name["geometric mean"](record(0)) == pytest.approx((done * pace * obeyed) ** (1 / 3))
+    for policy in POLICIES:
+        for item in records_of(policy):
+            assert by_name["the score"](item) == item.score
+            assert by_name["safety alone"](item) in (0.0, 1.0)
+    ranks = {name: [rank for _, rank in values] for name, values in weighted(result).items()}
+    assert ranks["dwa"][0] == 1 and ranks["follow"][0] == 5
+    assert ranks["net@0.25"] == ranks["net@0.75"] == ranks[SCRIPT] == [2, 2, 2, 2, 2, ranks["net@0.25"][5]]

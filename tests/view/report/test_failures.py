@@ -1,0 +1,79 @@
+"""Failures: which, in which order, and the command that drives one again."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.view.report.results import PATH_M, SCRIPT, crashed, record, write_result
+from wcsim.agents.evaluation.suite.result_files import KeptEpisode, read_result
+from wcsim.view.report.failures import failures_of, judged, last_speed_mps, worst_of
+from wcsim.view.report.illustrate import chosen
+
+
+def kept(path_m, time_s):
+    return KeptEpisode(
+        record=record(0, time_s=time_s), said={}, path_m=path_m, accel_sq_sum=None, stick_travel=None, asked_travel=None
+    )
+
+
+@pytest.mark.parametrize(
+    ("item", "said"),
+    [
+        (record(0), ("", "")),
+        (record(5, status="timed_out"), ("", "")),
+        (record(0, status="timed_out"), ("timed out", "")),
+        (record(0, status="gave_up"), ("gave up", "")),
+        (record(0, red_entries=2), ("red light", "own")),
+        (record(0, status="policy_failed", steps=3), ("policy failed", "policy")),
+        (crashed(0, reason="drop"), ("drop", "own")),
+        (crashed(0, fault="other"), ("collision", "other")),
+        (crashed(4, steps=0), ("collision", "before the policy")),
+    ],
+)
+def test_what_counts_as_a_failure(item, said):
+    assert judged(item)[:2] == said
+
+
+def test_the_worst_come_first(tmp_path):
+    write_result(tmp_path)
+    failures = failures_of(read_result(tmp_path), tmp_path)
+    order = [crashed(0, partner="car"), crashed(0, reason="drop"), crashed(0, fault="other"),
+             record(0, status="policy_failed"), record(0, red_entries=1), record(0, status="gave_up"),
+             crashed(0, steps=0)]  # fmt: skip
+    assert [judged(item)[2] for item in order] == sorted(judged(item)[2] for item in order)
+    assert [one.severity for one in failures] == sorted(one.severity for one in failures)
+    worst = worst_of(failures, "net@0.25")
+    assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own) after 2 s")
+    assert worst_of(failures, "dwa") is None
+    assert [one.key for one in chosen(failures, 1) if one.policy == "follow"] == [(0, 1)]  # with a car, not the fall
+    assert all(one.episode.record.steps for one in chosen(failures, 100))
+
+
+def test_of_two_like_failures_the_faster_is_worse(tmp_path):
+    write_result(tmp_path)
+    path = tmp_path / "episodes.json"
+    episodes = json.loads(path.read_text("utf-8"))
+    episodes["net@0.75"][0]["path_m"][-1] = [4.0, 0.0]
+    path.write_text(json.dumps(episodes), encoding="utf-8")
+    first = failures_of(read_result(tmp_path), tmp_path)[0]
+    assert (first.policy, first.key, first.speed_mps) == ("net@0.75", (0, 0), pytest.approx(3.0 / 0.5))
+
+
+def test_the_speed_of_the_last_second_comes_from_the_way():
+    assert last_speed_mps(kept(tuple(map(tuple, PATH_M)), 1.5)) == pytest.approx(1.5 / 0.5)
+    assert last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (1.1, 0.0)), 1.1)) == pytest.approx(1.1 / 1.1)
+    assert last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (3.0, 0.0), (3.0, 0.0)), 2.0)) == pytest.approx(2.0)
+    assert last_speed_mps(kept(None, 1.5)) is None
+
+
+def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tmp_path):
+    write_result(tmp_path)
+    (tmp_path / "asked.json").write_text('{"suite": "my list.json", "preset": "paper", "network": "a:B"}')
+    failures = failures_of(read_result(tmp_path), Path("out"))
+    command = worst_of(failures, SCRIPT).command
+    assert shlex.split(command) == [
+        "wcsim", "test", SCRIPT, "--suite", "my list.json", "--play", "0.0", "--out", "out", "--preset", "paper",
+        "--network", "a:B", "--set", "world.tick_s=0.1",
+    ]  # fmt: skip

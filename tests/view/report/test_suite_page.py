@@ -1,0 +1,143 @@
+"""The page of a test: it parses, asks for nothing from outside, and shows the numbers of result.json."""
+
+import base64
+import csv
+import io
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from tests.view.report.results import POLICIES, SCRIPT, write_result
+from wcsim.agents.evaluation.suite.result_files import read_result
+from wcsim.view.report.failures import failures_of
+from wcsim.view.report.illustrate import Illustration, SeenMoment
+from wcsim.view.report.suite_page import write_suite_page
+from wcsim.view.report.tables import SAFETY, SERVICE
+
+VOID = {"meta", "img", "br", "link", "input"}
+PNG = b"a picture"  # nobody looks at it here
+
+
+class Reader(HTMLParser):
+    """Every element with its attributes; refuses what is not closed in its order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.open, self.cells, self.rows = [], [], [], {}
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.found if name == tag]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("finished")
+
+
+@pytest.fixture(scope="module")
+def said(folder):
+    return write_result(folder)
+
+
+@pytest.fixture(scope="module")
+def text(folder, said):
+    result = read_result(folder)
+    failures = failures_of(result, folder)
+    moment = SeenMoment(before_s=0.5, speed_mps=1.0, asked="+0.00 +1.00", given="+0.00 +0.50", png=PNG)
+    pictures = {("follow", 0, 1): Illustration(seen=(moment,) * 8, street_png=PNG, near=("car 1.0 m",))}
+    pictures["follow", 0, 0] = Illustration(missing=f"it went {SCRIPT}")
+    path = write_suite_page(result, folder, failures, pictures, "")
+    assert path == folder / "report.html"
+    return path.read_text(encoding="utf-8")
+
+
+def test_it_parses_and_no_request_leaves_it(text):
+    page = Reader(text)
+    addresses = [value for _, found in page.found for key, value in found.items() if key in ("src", "href", "action")]
+    assert addresses and all(address.startswith(("#", "data:")) for address in addresses)
+    assert not re.search(r"https?://|url\(|@import|fetch\(|XMLHttpRequest|import\(", text)
+    allowed = next(found["content"] for found in page.all("meta") if "http-equiv" in found)
+    assert "default-src 'none'" in allowed and "http" not in allowed
+    for found in page.all("img"):
+        if found["src"].startswith("data:image/svg"):
+            svg = base64.b64decode(found["src"].partition(",")[2]).decode()
+            assert not re.search(r'href="(?!#|data:)', svg)
+
+
+def test_names_of_others_stay_text(text):
+    assert "<script>alert" not in text and text.count("&lt;script&gt;alert(1)") > 10
+    assert len(Reader(text).all("script")) == 1
+
+
+def test_every_link_inside_leads_somewhere_and_ids_are_used_once(text):
+    page = Reader(text)
+    ids = [found["id"] for _, found in page.found if "id" in found]
+    assert len(ids) == len(set(ids))
+    inside = {found["href"][1:] for found in page.all("a") if found["href"].startswith("#")}
+    assert inside <= set(ids)
+    assert {f"f-{place}-0-0" for place in (2, 3, 4)} | {"f-0-0-1"} <= inside  # the worst moment of each policy
+
+
+def test_the_figures_csv_are_there_and_on_the_page(text, folder):
+    page = Reader(text)
+    links = {found["download"]: found["href"] for found in page.all("a") if "download" in found}
+    files = {path.name for path in (folder / "report").glob("*.csv")}
+    parts = {"table-all.csv", "table-free.csv", "table-hazard.csv", "comparison.csv", "weights.csv", "episodes.csv"}
+    drawn = {"scores.csv", "obedience.csv", "town-nowhere.csv", "status.csv", "failures.csv"}
+    assert files == set(links) == parts | drawn | {"comfort-acceleration.csv", "comfort-stick.csv"}
+    for name, address in links.items():
+        assert base64.b64decode(address.partition(",")[2]) == (folder / "report" / name).read_bytes()
+    assert {path.stem for path in (folder / "report").glob("*.svg")} >= {"scores", "obedience", "town-nowhere"}
+
+
+def test_numbers_are_those_of_the_result(text, folder, said):
+    for name, columns in (("safety", SAFETY), ("service", SERVICE)):
+        begin = text.index(f'id="table-all-{name}"')
+        lines = text[begin : text.index("</table>", begin)].split("<tr>")[2:]
+        for row, line in zip(said["pooled"], lines, strict=True):
+            shown = re.findall(r'<td[^>]*data-key="([^"]*)"', line)
+            wanted = [row[column.key] for column in columns if row[column.key] is not None]
+            assert [float(value) for value in shown] == [pytest.approx(float(value)) for value in wanted]
+    rows = list(csv.DictReader(io.StringIO((folder / "report" / "table-all.csv").read_text(encoding="utf-8"))))
+    assert [row["policy"] for row in rows] == list(POLICIES)
+    for row, wanted in zip(rows, said["pooled"], strict=True):
+        assert float(row["score"]) == wanted["score"] and float(row["score_ci_low"]) == wanted["score_ci"][0]
+    comfort = list(csv.DictReader(io.StringIO((folder / "report" / "comfort-stick.csv").read_text(encoding="utf-8"))))
+    assert float(comfort[1]["accel_rms_mps2"]) == pytest.approx(0.5)  # 6 times 25 over 600 steps
+    assert float(comfort[1]["stick_travel_per_s"]) == pytest.approx(20.0)  # 30 in 1.5 s
+
+
+def test_a_failure_has_its_pictures_or_says_why_not(text):
+    shown = text[text.index('id="f-0-0-1"') : text.index("</details>", text.index('id="f-0-0-1"'))]
+    assert shown.count("<img") == 9 and "wcsim test follow" in shown
+    missing = text[text.index('id="f-0-0-0"') : text.index("</details>", text.index('id="f-0-0-0"'))]
+    assert "No pictures: it went &lt;script&gt;" in missing and "<img" not in missing
+
+
+def test_what_was_not_recorded_is_said(tmp_path):
+    write_result(tmp_path, ways=False)
+    result = read_result(tmp_path)
+    text = write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "No pictures: x").read_text("utf-8")
+    assert text.count("not recorded") >= 2 and "The ways were not recorded" in text and "No pictures: x" in text
+    assert json.loads((tmp_path / "episodes.json").read_text("utf-8"))["dwa"][0].keys().isdisjoint({"path_m"})
+    assert not list((tmp_path / "report").glob("comfort*.svg"))
+
+
+def test_the_same_result_gives_the_same_bytes(folder, text):
+    result = read_result(folder)
+    failures = failures_of(result, folder)
+    first = write_suite_page(result, folder, failures, {}, "").read_bytes()
+    assert write_suite_page(result, folder, failures, {}, "").read_bytes() == first

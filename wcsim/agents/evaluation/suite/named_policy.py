@@ -1,0 +1,94 @@
+"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy, is_served
+from wcsim.agents.policy_api import Policy
+from wcsim.agents.runs.run_folder import config_of, policy_path
+from wcsim.config import RunConfig, with_overrides
+from wcsim.core.plugins import find_class
+from wcsim.supervisor.actions import action_set
+
+
+def identity_of(name: str, preset: str) -> list[Any]:
+    """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
+    if is_baseline(name):
+        return ["baseline", name, preset]
+    if is_served(name):
+        with closing(ServedPolicy(name, np.zeros((0, 2)))) as served:
+            return ["served", served.version, preset]
+    if is_onnx(name):
+        return ["onnx", _files(Path(name))]
+    if is_own_class(name):
+        return ["class", name, preset, _file_digest(Path(str(_source_of(name))))]
+    return ["folder", _files(policy_path(name))]
+
+
+def _files(folder: Path) -> list[list[str]]:
+    return [[path.name, _file_digest(path)] for path in sorted(folder.iterdir()) if path.is_file()]
+
+
+def is_onnx(name: str) -> bool:
+    """Whether a policy's name is a folder with an ONNX model."""
+    return is_onnx_folder(Path(name))
+
+
+def is_own_class(policy: str) -> bool:
+    """Whether a policy is named as module:Class: opening it runs somebody's code."""
+    a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
+    return a_class and not Path(policy.rpartition(":")[0]).exists()
+
+
+def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
+    """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
+    actions = action_set(config.env.actions)
+    if is_served(name):
+        return ServedPolicy(name, actions.points)
+    if is_onnx(name):
+        return OnnxPolicy(Path(name), name, len(actions))
+    if is_own_class(name):
+        policy: Policy = find_class(name, "policy")(config)
+        return policy
+    from wcsim.agents.evaluation.matrix import open_policy  # torch is loaded here
+
+    return open_policy(name, config, seed, network)
+
+
+def windowed(config: RunConfig, policy: Policy) -> RunConfig:
+    """The configuration with as many images in an observation as the policy was trained on."""
+    from wcsim.agents.evaluation.matrix import window_for
+
+    return with_overrides(config, (f"env.window={window_for([policy])}",))
+
+
+def settings_of(policy: str, preset: str, settings: Sequence[str]) -> RunConfig:
+    """A policy's own settings, or the preset, with those of the suite laid over them."""
+    from wcsim.config import load_run_config
+
+    if is_onnx(policy):
+        about = read_about(Path(policy))
+        return with_overrides(load_run_config(about.preset, about.settings), settings)
+    plain = is_baseline(policy) or is_own_class(policy) or is_served(policy)
+    config = with_overrides(load_run_config(preset) if plain else config_of(policy, preset, ()), settings)
+    action_set(config.env.actions)
+    return config
+
+
+def _source_of(name: str) -> str:
+    import inspect
+
+    return inspect.getsourcefile(find_class(name, "policy")) or ""
+
+
+def _file_digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

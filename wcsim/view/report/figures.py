@@ -1,0 +1,201 @@
+"""The figures of a test, each with its numbers as CSV."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+from wcsim.agents.evaluation.suite.list_file import TIGHT
+from wcsim.agents.evaluation.suite.records import STATUSES
+from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult, Row
+from wcsim.view.report.charts import (
+    DrivenWay,
+    Estimate,
+    bar_chart,
+    obedience_chart,
+    score_chart,
+    share_chart,
+    town_chart,
+)
+from wcsim.view.report.ground import ground_around
+from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
+
+_LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
+
+
+def figure(name: str, title: str, says: str, csv: str, svg: bytes) -> Exhibit:
+    """A figure as an exhibit."""
+    body = el("img", src=data_uri("image/svg+xml", svg), alt=f"{title}. {says}", class_="chart")
+    return Exhibit(name=name, title=title, says=says, body=body, csv=csv, svg=svg)
+
+
+def figures_of(result: KeptResult) -> list[Exhibit]:
+    """All figures of a test, in the order of the page."""
+    places = {name: place for place, name in enumerate(result.episodes)}
+    return [
+        _scores(result, places),
+        _obedience(result),
+        *_towns(result, places),
+        *_comfort(result, places),
+        _statuses(result),
+    ]
+
+
+def _estimate(row: Row, key: str, interval: str) -> Estimate | None:
+    value, bounds = row.get(key), row.get(interval)
+    if not _number(value) or not isinstance(bounds, list) or len(bounds) != 2 or not all(map(_number, bounds)):
+        return None
+    return Estimate(value=float(value or 0.0), low=float(bounds[0]), high=float(bounds[1]))
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
+    groups: list[tuple[str, list[tuple[str, Estimate]]]] = []
+    plain: list[list[Cell]] = []
+    parts = dict.fromkeys(row["part"] for row in result.rows)
+    for part in ("", *parts):
+        group = []
+        for row in result.rows if part else result.pooled:
+            score = _estimate(row, "score", "score_ci") if row["part"] == part else None
+            if score is not None:
+                group.append((row["policy"], score))
+                plain.append([part or "all", row["policy"], score.value, score.low, score.high])
+        groups.append((part or "all", group))
+    return figure(
+        "scores",
+        "Scores",
+        "A point a policy, with its 95 % interval. The parts are driven by the same policies.",
+        csv_of(("part", "policy", "score", "low", "high"), plain),
+        score_chart(groups, places),
+    )
+
+
+def _obedience(result: KeptResult) -> Exhibit:
+    points, plain = {}, []
+    for row in result.pooled:
+        crashes = _estimate(row, "crashes_per_km", "crashes_per_km_ci")
+        obeyed = _estimate(row, "kpi1_free_within", "kpi1_free_within_ci")
+        if crashes is not None and obeyed is not None:
+            points[row["policy"]] = crashes, obeyed
+            figures = (crashes.value, crashes.low, crashes.high, obeyed.value, obeyed.low, obeyed.high)
+            plain.append([row["policy"], *figures])
+    columns = ("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high")
+    return figure(
+        "obedience",
+        "Obedience against crashes",
+        "Upper left is best. Bars are 95 % intervals, over all parts. A line joins the assistance levels of one policy "
+        "(NAME@LEVEL).",
+        csv_of(columns, plain),
+        obedience_chart(points, levels_of(points)),
+    )
+
+
+def levels_of(names: Sequence[str] | dict[str, Any]) -> list[list[str]]:
+    """Policies NAME@LEVEL of one NAME, sorted by level; a NAME with one level alone is left out.
+
+    >>> levels_of(["a@0.5", "b", "a@0.25"])
+    [['a@0.25', 'a@0.5']]
+    """
+    found: dict[str, list[tuple[float, str]]] = {}
+    for name in names:
+        match = _LEVEL.fullmatch(name)
+        if match is not None:
+            found.setdefault(match[1], []).append((float(match[2]), name))
+    return [[name for _, name in sorted(levels)] for levels in found.values() if len(levels) > 1]
+
+
+def _towns(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
+    """A map a town; tight places are scenes with coordinates of their own, and stand on none."""
+    towns = dict.fromkeys(
+        e.record.town for episodes in result.episodes.values() for e in episodes if e.record.part != TIGHT
+    )
+    found = []
+    for town in towns:
+        here = [
+            (name, e)
+            for name, episodes in result.episodes.items()
+            for e in episodes
+            if e.record.town == town and e.record.part != TIGHT and e.record.steps
+        ]
+        if here:
+            found.append(_town(town, here, places))
+    return found
+
+
+def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int]) -> Exhibit:
+    ways = [
+        DrivenWay(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None)
+        for name, e in here
+    ]
+    points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
+    ground = ground_around(town, points)
+    plain: list[list[Cell]] = []
+    for name, e in here:
+        who: list[Cell] = [name, e.record.block, e.record.seat]
+        plain += [[*who, "way", second, round(x, 1), round(y, 1)] for second, (x, y) in enumerate(e.path_m or ())]
+        plain.append([*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m])
+    missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
+    missing += "" if ground is not None or not points else " The town itself is not on this machine."
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", town)
+    return figure(
+        f"town-{stem}",
+        f"Ways in {town}",
+        f"Ways of all episodes, a colour a policy; crosses are own crashes.{missing}",
+        csv_of(("policy", "block", "seat", "what", "s", "x_m", "y_m"), plain),
+        town_chart(stem, ground, ways, places),
+    )
+
+
+def _comfort(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
+    """How a ride feels: accelerations, and how much the stick that was given moves beside the user's."""
+    found: dict[str, list[float | None]] = {}
+    for name, episodes in result.episodes.items():
+        steps, seconds = sum(e.record.steps for e in episodes), sum(e.record.time_s for e in episodes)
+        squares = _sum(episodes, "accel_sq_sum")
+        given, asked = _sum(episodes, "stick_travel"), _sum(episodes, "asked_travel")
+        found[name] = [
+            None if squares is None or not steps else (squares / steps) ** 0.5,
+            None if given is None or not seconds else given / seconds,
+            None if asked is None or not seconds else asked / seconds,
+        ]
+    columns = ("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s")
+    plain: list[list[Cell]] = [[name, *values] for name, values in found.items()]
+    csv = csv_of(("policy", *columns), plain)
+    kinds = (
+        ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", 0),
+        ("comfort-stick", "Comfort: movement of the stick", "way of the given stick, a second", 1),
+    )
+    exhibits = []
+    for name, title, label, place in kinds:
+        values = {policy: float(row[place] or 0.0) for policy, row in found.items() if row[place] is not None}
+        if values:
+            says = f"{label[0].upper()}{label[1:]}; less is smoother."
+            exhibits.append(figure(name, title, says, csv, bar_chart(name, label, values, places)))
+        else:
+            says = "Not recorded: this test was made by a version that did not keep it."
+            exhibits.append(Exhibit(name=name, title=title, says=says, body=el("p", "not recorded"), csv=csv))
+    return exhibits
+
+
+def _sum(episodes: Sequence[KeptEpisode], name: str) -> float | None:
+    values = [getattr(episode, name) for episode in episodes]
+    return None if any(value is None for value in values) else float(sum(values))
+
+
+def _statuses(result: KeptResult) -> Exhibit:
+    counts = {
+        name: {status: sum(e.record.status == status for e in episodes) for status in STATUSES}
+        for name, episodes in result.episodes.items()
+    }
+    plain: list[list[Cell]] = [[name, *(row[status] for status in STATUSES)] for name, row in counts.items()]
+    return figure(
+        "status",
+        "How episodes ended",
+        "In the parts hazard and tight it is enough to come through: timed_out is good there.",
+        csv_of(("policy", *STATUSES), plain),
+        share_chart("status", counts),
+    )
