@@ -14,7 +14,7 @@ from typing import Final
 
 from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
 from wcsim.agents.evaluation.suite.list_file import suite_of
-from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 from wcsim.agents.evaluation.suite.tight import tight_blocks
 from wcsim.config import RunConfig, load_run_config
@@ -24,6 +24,8 @@ from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.street import load_street
 
+BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
+LEFT_S: Final = 4.0  # the user alone crashes no sooner after the handover
 HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes over
 SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
 AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
@@ -64,6 +66,8 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
     told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")
+    free = settled(order, named, free, told, "free ways", _starts_well)
+    crossing = settled(order, named, crossing, told, "attempts", _starts_well)
     more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
     hazard = _hazards(order, named, [*free, *more], config, told) if order.hazards else []
     return SuiteFile(
@@ -110,8 +114,45 @@ def _hazards(
             episodes = taken.episodes[: left[block.town]]
             left[block.town] -= len(episodes)
             found.append(taken.model_copy(update={"episodes": episodes}))
-    told(f"{sum(len(block.episodes) for block in found)} hazards found")
-    return found
+    settled_ones = settled(order, towns, found, told, "hazards to the end", _ends_in_time)
+    told(f"{sum(len(block.episodes) for block in settled_ones)} hazards found")
+    return settled_ones
+
+
+def settled(
+    order: MakeOrder,
+    towns: tuple[TownOfSuite, ...],
+    blocks: Sequence[BlockFile],
+    told: Told,
+    what: str,
+    keeps: Callable[[EpisodeRecord], bool],
+) -> list[BlockFile]:
+    """The blocks with those episodes alone that `keeps` keeps when the user drives alone.
+
+    Who is left out is missing in the street of the others, so that what is left is driven again, until all of it stays.
+    """
+    done: dict[int, BlockFile] = {}
+    pending = list(enumerate(blocks))
+    while pending:
+        records = _alone(order, towns, [block for _, block in pending], told, what)
+        changed: list[tuple[int, BlockFile]] = []
+        for place, (number, block) in enumerate(pending):
+            own = {record.seat: record for record in records if record.block == place}
+            kept = tuple(episode for seat, episode in enumerate(block.episodes) if keeps(own[seat]))
+            if len(kept) == len(block.episodes):
+                done[number] = block
+            elif kept:
+                changed.append((number, block.model_copy(update={"episodes": kept})))
+        pending = changed
+    return [done[number] for number in sorted(done)]
+
+
+def _starts_well(record: EpisodeRecord) -> bool:
+    return record.status != CRASHED or record.time_s >= BAD_START_S
+
+
+def _ends_in_time(record: EpisodeRecord) -> bool:
+    return record.own and record.time_s >= LEFT_S
 
 
 def _alone(

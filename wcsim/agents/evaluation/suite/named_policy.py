@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -71,7 +70,7 @@ def windowed(config: RunConfig, policy: Policy) -> RunConfig:
     return with_overrides(config, (f"env.window={window_for([policy])}",))
 
 
-def settings_of(policy: str, preset: str, settings: Sequence[str]) -> RunConfig:
+def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
     """A policy's own settings, or the preset, with those of the suite laid over them."""
     from wcsim.config import load_run_config
 
