@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from wcsim.agents.evaluation.senses import senses_of, with_senses
 from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
@@ -149,7 +150,7 @@ def drive_piece(piece: Piece) -> list[dict[str, Any]]:
         return _opened(piece, config, seeding.derive(piece.block.seed, "driver", next(made)))
 
     try:
-        config = _windowed(config, _opened(piece, config, 0))
+        config = _sensing(config, _opened(piece, config, 0))
     except WcsimError as error:
         return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
     with TemporaryDirectory(prefix="wcsim-suite-") as work:
@@ -190,11 +191,11 @@ def _opened(piece: Piece, config: RunConfig, seed: int) -> Policy:
     return open_policy(name, config, seed, piece.network or None)
 
 
-def _windowed(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with as many images in an observation as the policy was trained on."""
+def _sensing(config: RunConfig, policy: Policy) -> RunConfig:
+    """The configuration with as many images in an observation as the policy was trained on, and the senses it wants."""
     from wcsim.agents.evaluation.matrix import window_for
 
-    return with_overrides(config, (f"env.window={window_for([policy])}",))
+    return with_senses(with_overrides(config, (f"env.window={window_for([policy])}",)), senses_of(policy))
 
 
 def _source_of(name: str) -> str:
