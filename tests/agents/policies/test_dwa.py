@@ -15,7 +15,7 @@ from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dwa import caution, up_in_body
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, rectangle_gap, touches_after
-from wcsim.agents.policies.dynamic_window.memory import KEEP_BRIEFLY_S
+from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
 from wcsim.core.joystick import limits_of

@@ -20,7 +20,7 @@ from wcsim.agents.policies.dynamic_window.backing import backs_blindly
 from wcsim.agents.policies.dynamic_window.clusters import beside_movers, find_clusters, kinds
 from wcsim.agents.policies.dynamic_window.edges import carry_on
 from wcsim.agents.policies.dynamic_window.ego_motion import EgoMotion, in_body, in_odometric
-from wcsim.agents.policies.dynamic_window.memory import StreetMemory
+from wcsim.agents.policies.dynamic_window.street_memory import StreetMemory
 from wcsim.agents.policies.dynamic_window.tracker import Tracker
 from wcsim.agents.policies.elevation_map import CELL_M, REACH_M, StepMap
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, GYRO, IMU_KEY, JOYSTICK_KEY, Observation

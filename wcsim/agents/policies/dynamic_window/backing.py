@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.policies.dynamic_window.arcs import LONGEST_S, STEP_S, advance
-from wcsim.agents.policies.dynamic_window.memory import is_known
+from wcsim.agents.policies.dynamic_window.street_memory import is_known
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
 

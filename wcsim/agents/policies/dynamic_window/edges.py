@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.policies.dynamic_window.memory import is_ground
+from wcsim.agents.policies.dynamic_window.street_memory import is_ground
 from wcsim.agents.policies.elevation_map import CELL_M
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64

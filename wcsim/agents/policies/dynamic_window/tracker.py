@@ -20,7 +20,7 @@ _ALPHA, _BETA = 0.4, 0.12  # of an old track; a young one learns faster
 
 
 @dataclass(slots=True, kw_only=True)
-class Track:
+class Mover:
     """One mover, in O."""
 
     p_O_m: F64  # (2,)
@@ -42,7 +42,7 @@ class Tracker:
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self.tracks: list[Track] = []
+        self.tracks: list[Mover] = []
 
     def forget(self) -> None:
         """Know nobody."""
@@ -63,7 +63,7 @@ class Tracker:
                 self.tracks.append(_new(one, cells))
         self.tracks = [track for track in self.tracks if track.unseen_s < _KEPT_S + 1e-9]
 
-    def _update(self, track: Track, one: F64, cells_O_m: F64) -> None:
+    def _update(self, track: Mover, one: F64, cells_O_m: F64) -> None:
         track.hits += 1
         track.unseen_s = 0.0
         n = track.hits
@@ -77,13 +77,13 @@ class Tracker:
         track.walks = bool(2.0 * one[WALKERS] > one[PIXELS])
 
 
-def _new(one: F64, cells_O_m: F64) -> Track:
+def _new(one: F64, cells_O_m: F64) -> Mover:
     extent = one[[LEAST_X, MOST_X, LEAST_Y, MOST_Y]].copy()
     walks = bool(2.0 * one[WALKERS] > one[PIXELS])
-    return Track(p_O_m=one[[X, Y]].copy(), v_O_mps=np.zeros(2), extent_O_m=extent, cells_O_m=cells_O_m, walks=walks)
+    return Mover(p_O_m=one[[X, Y]].copy(), v_O_mps=np.zeros(2), extent_O_m=extent, cells_O_m=cells_O_m, walks=walks)
 
 
-def _go_on(track: Track, dt_s: float) -> None:
+def _go_on(track: Mover, dt_s: float) -> None:
     """Move a track on with its speed; one that hardly moves stays."""
     track.unseen_s += dt_s
     move_m = track.v_O_mps * dt_s
@@ -96,7 +96,7 @@ def _is_small(one: F64) -> bool:
     return bool(max(one[MOST_X] - one[LEAST_X], one[MOST_Y] - one[LEAST_Y]) < _SMALL_M)
 
 
-def _innovation(track: Track, one: F64) -> F64:
+def _innovation(track: Mover, one: F64) -> F64:
     """How far a cluster is from where its track should be, (2,): its middle, or the edge that is less off.
 
     Of a large thing more or less may be in view than before; an edge of the view does not move with it.

@@ -7,7 +7,7 @@ import pytest
 
 from wcsim.agents.policies.dynamic_window.backing import backs_blindly
 from wcsim.agents.policies.dynamic_window.edges import carry_on
-from wcsim.agents.policies.dynamic_window.memory import (
+from wcsim.agents.policies.dynamic_window.street_memory import (
     FORGET_M,
     KEEP_BRIEFLY_S,
     KEEP_WAY_M,
