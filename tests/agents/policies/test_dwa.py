@@ -163,42 +163,48 @@ def from_rest(speed_mps=0.0):
     return np.array([0.0, 0.0, 0.0, speed_mps, 0.0, 0.0])
 
 
+def free_of(commands, *points, speed_mps=0.0, later_s=0.0):
+    """Which commands are free of points (x, y, vx, vy, distance to keep), and how near they come to them."""
+    gap_m = np.empty(len(commands))
+    rows = np.array(points).reshape(-1, 5)
+    free = arcs(from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m)
+    return free.tolist(), gap_m
+
+
 def test_arcs_touch_what_they_sweep_over():
-    commands = np.array([[0.0, 1.0], [0.0, 0.0], [0.0, -1.0]])
-    gap_m, post = np.empty(3), np.array([[2.0, 0.0, 0.0, 0.0]])
-    arcs(from_rest(1.5), 0.0, 0.5, commands, LIMITS, CHAIR, post, gap_m)
-    assert gap_m[0] < 0.0 < gap_m[1]
-    assert gap_m[2] >= gap_m[1]
-    arcs(from_rest(), 0.0, 0.5, commands, LIMITS, CHAIR, np.zeros((0, 4)), gap_m)
-    assert np.isinf(gap_m).all()
+    commands, post = [(0.0, 1.0), (0.0, 0.0), (0.0, -1.0)], (2.0, 0.0, 0.0, 0.0, 0.07)
+    free, gap_m = free_of(commands, post, speed_mps=1.2)
+    assert free == [False, True, True] and 0.07 < gap_m[1] <= gap_m[2]
+    free, gap_m = free_of(commands)
+    assert free == [True] * 3 and np.isinf(gap_m).all()
+    assert not free_of(commands, (2.0, 0.0, 0.0, 0.0, 0.59), speed_mps=1.2)[0][1]  # nearer than should be kept
 
 
 def test_arcs_meet_those_who_move_where_they_will_be():
-    commands, gap_m = np.array([[0.0, 1.0], [0.0, 0.0]]), np.empty(2)
+    ahead = [(0.0, 1.0)]
 
-    def gaps(*who, later_s=0.0):
-        arcs(from_rest(1.2), later_s, 0.5, commands, LIMITS, CHAIR, np.array([who]), gap_m)
-        return gap_m.tolist()
+    def is_free(*who, later_s=0.0):
+        return free_of(ahead, (*who, 0.07), speed_mps=1.2, later_s=later_s)[0][0]
 
-    assert min(gaps(3.2, 0.0, 0.0, 0.0)) > 0.0  # who stands there is far enough
-    assert gaps(3.2, 0.0, -1.4, 0.0)[0] < 0.0  # who comes is not
-    assert gaps(1.6, 1.3, 0.0, -1.2)[0] < 0.0 and gaps(1.6, 1.3, 0.0, 1.2)[0] > 0.5  # who crosses, who leaves
-    assert gaps(3.2, 0.0, -1.0, 0.0, later_s=1.0)[0] < 0.0  # who comes is nearer by the time the command is obeyed
+    assert is_free(3.2, 0.0, 0.0, 0.0)  # who stands there is far enough
+    assert not is_free(3.2, 0.0, -1.4, 0.0)  # who comes is not
+    assert not is_free(1.6, 1.3, 0.0, -1.2) and is_free(1.6, 1.3, 0.0, 1.2)  # who crosses, who leaves
+    assert is_free(3.9, 0.0, -0.4, 0.0) and not is_free(3.9, 0.0, -0.4, 0.0, later_s=1.0)  # nearer by then
 
 
 def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
-    inside = np.array([[0.7, 0.0, 0.0, 0.0]])
-    assert rectangle_gap(0.0, 0.0, 0.0, 0.0, CHAIR, inside) == pytest.approx(-0.1)
-    commands, gap_m = np.array([[0.0, 0.5], [0.0, 0.0], [0.0, -0.5]]), np.empty(3)
-    arcs(from_rest(), 0.0, 0.5, commands, LIMITS, CHAIR, inside, gap_m)
-    assert gap_m[0] < -0.12 and gap_m[1:] == pytest.approx(-0.1)
+    inside, post = (0.7, 0.0, 0.0, 0.0, 0.07), (1.05, 0.0, 0.0, 0.0, 0.07)
+    assert rectangle_gap(0.0, 0.0, 0.0, 0.0, CHAIR, np.array([inside])) == pytest.approx(-0.1)
+    commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
+    assert free_of(commands, inside)[0] == [False, True, True]
+    assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
     driver = baseline("dwa", CONFIG)
     drive(ground, 20, driver=driver)
     assert max(y for _, y in drive(box(0.71, 3.0, -3, 3, 0, 3), 2, driver=driver)) <= 0.0
 
 
 def test_a_held_stick_meets_a_wall_when_the_chair_gets_there():
-    wall, ahead = np.array([[3.0, 0.0, 0.0, 0.0]]), np.array([0.0, 1.0])
+    wall, ahead = np.array([[3.0, 0.0, 0.0, 0.0, 0.07]]), np.array([0.0, 1.0])
 
     def meets_s(within_s, later_s=0.0):
         return touches_after(from_rest(1.67), later_s, ahead, LIMITS, CHAIR, wall, 0.0, within_s)

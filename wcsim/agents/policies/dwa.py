@@ -15,13 +15,13 @@ import numpy as np
 
 from wcsim.agents.policies.baseline_names import USUAL_LEVEL
 from wcsim.agents.policies.depth_check import depth_metres, viewing_rays
-from wcsim.agents.policies.dynamic_window.arcs import after, arcs, rectangle_gap, touches_after
+from wcsim.agents.policies.dynamic_window.arcs import after, arcs, touches_after
 from wcsim.agents.policies.dynamic_window.backing import backs_blindly
 from wcsim.agents.policies.dynamic_window.clusters import beside_movers, find_clusters, kinds
 from wcsim.agents.policies.dynamic_window.edges import carry_on
 from wcsim.agents.policies.dynamic_window.ego_motion import EgoMotion, in_body, in_odometric
 from wcsim.agents.policies.dynamic_window.street_memory import StreetMemory
-from wcsim.agents.policies.dynamic_window.tracker import Tracker
+from wcsim.agents.policies.dynamic_window.tracker import Mover, Tracker
 from wcsim.agents.policies.elevation_map import CELL_M, REACH_M, StepMap
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, GYRO, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.config import RunConfig
@@ -29,7 +29,7 @@ from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, Outline
 
-_CLOSER_M = 0.02  # who is nearer than the margin already may get no nearer than this
+_SHY_M = 0.13  # more than from a wall: who moves is wider than what is seen, and may do otherwise
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
@@ -126,13 +126,12 @@ class DynamicWindow:
         return math.isfinite(touches_after(start, later_s, shaped, self._limits, box, points, _WARN_MARGIN_M, WARN_S))
 
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
-        """The action that begins at `start` (6,), with `points` (n, 4) in the way, see `arcs`."""
+        """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
         care, box, pose = self._caution, self._box_B_m, self._ego.pose_O
         gap_m, blind = np.empty(len(self._actions)), np.empty(len(self._actions), np.bool_)
-        arcs(start, later_s, care.hold_s, self._commands, self._limits, box, points, gap_m)
+        free = arcs(start, later_s, care.hold_s, self._commands, self._limits, box, points, gap_m)
         backs_blindly(start, care.hold_s, self._commands, self._limits, box, self._memory.cells, pose, blind)
-        now_m = rectangle_gap(0.0, 0.0, 0.0, 0.0, box, points)
-        free = (gap_m > min(care.margin_m, now_m - _CLOSER_M)) & ~blind
+        free &= ~blind
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
         cost = self._actions.distances(stick[None])[0]
@@ -140,23 +139,32 @@ class DynamicWindow:
         return int(np.argmin(np.where(free, cost, np.inf)))
 
     def _in_the_way(self) -> F64:
-        """What is known to be in the way, (n, 4): place in B and speed over the ground."""
-        pose = self._ego.pose_O
+        """What is known to be in the way, (n, 5): place in B, speed over the ground, distance to keep."""
+        pose, margin_m = self._ego.pose_O, self._caution.margin_m
         seen = self._memory.points_B_m(pose, self._ego.way_m)
         more = self._carried_B_m[: carry_on(seen, self._memory.cells, pose, self._carried_B_m)]
-        still = np.concatenate([seen, more])
-        return np.concatenate([np.concatenate([still, np.zeros_like(still)], axis=1), self._moving(pose)])
+        others = np.concatenate([np.zeros((0, 2)), *(in_body(who.cells_O_m, pose) for who in self._others())])
+        still = np.zeros((len(seen) + len(more), 5))
+        still[:, :2] = np.concatenate([seen, more])
+        still[:, 4] = margin_m
+        still[: len(seen), 4] += _SHY_M * beside_movers(seen, others)
+        return np.concatenate([still, *(self._moving(who) for who in self._tracker.movers if who.moves)])
 
-    def _moving(self, pose_O: F64) -> F64:
-        """Those who move, (n, 4)."""
-        rows = [np.zeros((0, 4))]
-        cos, sin = np.cos(pose_O[2]), np.sin(pose_O[2])
-        for track in self._tracker.tracks:
-            if track.moves:
-                cells = in_body(track.cells_O_m, pose_O)
-                speed = track.v_O_mps @ np.array([[cos, -sin], [sin, cos]])
-                rows.append(np.concatenate([cells, np.broadcast_to(speed, cells.shape)], axis=1))
-        return np.concatenate(rows)
+    def _others(self) -> list[Mover]:
+        """Whoever is no vehicle that stands."""
+        return [who for who in self._tracker.movers if who.walks or who.moves]
+
+    def _moving(self, who: Mover) -> F64:
+        """Somebody who moves, (n, 5); whoever should be inside the chair by now went another way."""
+        yaw, (rear, front, half) = self._ego.pose_O[2], self._box_B_m
+        cells = in_body(who.cells_O_m, self._ego.pose_O)
+        outside = (cells[:, 0] < rear) | (cells[:, 0] > front) | (np.abs(cells[:, 1]) > half)
+        rows = np.empty((len(cells), 5))
+        rows[:, :2] = cells
+        rows[:, 2:4] = in_body(who.v_O_mps[None], np.array([0.0, 0.0, yaw]))
+        rows[:, 4] = self._caution.margin_m + _SHY_M
+        still_there: F64 = rows[outside]
+        return still_there
 
     def _look(self, observation: Observation) -> None:
         """Take in what is seen now: who could move, and what is in the way."""
@@ -182,8 +190,8 @@ class DynamicWindow:
         cells, owner = self._cells_B_m[:count], self._owner[:count]
         each = [cells[owner == number] for number in range(len(clusters))]
         self._tracker.see(clusters, [in_odometric(own, pose) for own in each])
-        gone = [in_body(t.cells_O_m, pose) for t in self._tracker.tracks if t.unseen_s == 0.0 and (t.walks or t.moves)]
-        return np.concatenate([np.zeros((0, 2)), *gone])
+        seen = [in_body(who.cells_O_m, pose) for who in self._others() if who.unseen_s == 0.0]
+        return np.concatenate([np.zeros((0, 2)), *seen])
 
 
 def up_in_body(imu: F32) -> F64:

@@ -98,32 +98,32 @@ def watched(ticks, *movers, noise_m=0.0, tracker=None):
 
 
 def test_a_walkers_speed_is_known_after_a_few_ticks_and_lasts_through_noise():
-    (track,) = watched(4, (4.0, 0.5, -1.2, 0.3)).tracks
+    (track,) = watched(4, (4.0, 0.5, -1.2, 0.3)).movers
     assert track.v_O_mps == pytest.approx([-1.2, 0.3], abs=0.05) and track.moves
-    (noisy,) = watched(30, (4.0, 0.5, -1.2, 0.3), noise_m=0.04).tracks
+    (noisy,) = watched(30, (4.0, 0.5, -1.2, 0.3), noise_m=0.04).movers
     assert noisy.v_O_mps == pytest.approx([-1.2, 0.3], abs=0.2)
-    (stands,) = watched(30, (4.0, 0.5, 0.0, 0.0), noise_m=0.04).tracks
+    (stands,) = watched(30, (4.0, 0.5, 0.0, 0.0), noise_m=0.04).movers
     assert not stands.moves
-    (young,) = watched(2, (4.0, 0.5, -1.2, 0.3)).tracks
+    (young,) = watched(2, (4.0, 0.5, -1.2, 0.3)).movers
     assert not young.moves
 
 
 def test_two_who_cross_each_others_way_keep_their_speeds():
-    tracks = watched(10, (3.0, -1.0, 0.0, 1.2), (4.0, 1.0, 0.0, -1.2)).tracks
+    tracks = watched(10, (3.0, -1.0, 0.0, 1.2), (4.0, 1.0, 0.0, -1.2)).movers
     assert sorted(round(float(track.v_O_mps[1]), 1) for track in tracks) == [-1.2, 1.2]
 
 
 def test_who_is_not_seen_any_more_goes_on_for_a_while():
     tracker = watched(10, (3.0, 1.0, 0.0, -1.0))
-    x, y = tracker.tracks[0].p_O_m
+    x, y = tracker.movers[0].p_O_m
     for _ in range(10):
         tracker.see(np.zeros((0, 11)), [])
-    (track,) = tracker.tracks
+    (track,) = tracker.movers
     assert track.p_O_m == pytest.approx([x, y - 1.0], abs=0.05) and track.moves
     assert track.cells_O_m[0] == pytest.approx(track.p_O_m, abs=0.1)
     for _ in range(10):
         tracker.see(np.zeros((0, 11)), [])
-    assert tracker.tracks == []
+    assert tracker.movers == []
 
 
 def test_a_long_thing_moves_when_both_its_ends_do():
@@ -132,9 +132,9 @@ def test_a_long_thing_moves_when_both_its_ends_do():
         front = 2.0 + 0.1 * tick * 2.0  # its rear is cut off by the border of the view
         one = cluster(0.5 * front, 2.0, size=1.5, walks=False, length=front)
         tracker.see(one[None], [one[None, [AT_X, AT_Y]]])
-    assert np.hypot(*tracker.tracks[0].v_O_mps) < 0.1  # one edge alone may be more of it
+    assert np.hypot(*tracker.movers[0].v_O_mps) < 0.1  # one edge alone may be more of it
     for tick in range(15):
         one = cluster(6.0 + 0.2 * tick, 2.0, size=1.5, walks=False, length=4.0)
         tracker.see(one[None], [one[None, [AT_X, AT_Y]]])
-    moving = [track for track in tracker.tracks if track.moves]
+    moving = [track for track in tracker.movers if track.moves]
     assert len(moving) == 1 and moving[0].v_O_mps == pytest.approx([2.0, 0.0], abs=0.2) and not moving[0].walks

@@ -11,9 +11,11 @@ import numpy as np
 
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import driven
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 STEP_S, LONGEST_S = 0.1, 3.0
+CLOSER_M = 0.02  # who is nearer than should be kept may get no nearer than this
+NEAR_M = 0.6  # farther away nothing matters
 
 
 @exact_kernel
@@ -47,8 +49,8 @@ def after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
 @exact_kernel
 def arcs(
     start: F64, later_s: float, hold_s: float, commands: F64, limits: F64, box: F64, points: F64, gap_m: F64
-) -> None:
-    """Hold each command, then brake to a stop; `gap_m` (K,) becomes the least distance to what is in the way.
+) -> Bool:
+    """Hold each command, then brake to a stop, and see how near that is to what is in the way.
 
     Args:
         start: (6,) x, y, yaw in B of now, speed, turn rate, acceleration, when the command reaches the chair.
@@ -57,21 +59,46 @@ def arcs(
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (7,) of the drive.
         box: (3,) rear, front, half the width of the chair in B.
-        points: (n, 4) what is in the way, in B of now, and how fast it moves over the ground.
-        gap_m: Written; below 0 how deep something gets into the chair, infinity that there is nothing.
+        points: (n, 5) what is in the way, in B of now, how fast it moves over the ground, and the distance to keep.
+        gap_m: (K,) written for those that keep it: the least distance, infinity where nothing is within NEAR_M.
+
+    Returns:
+        (K,) which commands keep the distance of every point. One that is nearer already may hardly get nearer. What
+        happens before a command reaches the chair is no command's fault.
     """
-    now = np.empty(6)
-    rest = np.zeros(2)
+    kept_m = np.empty(len(points))
+    for i in range(len(points)):
+        now_m = _gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
+        kept_m[i] = min(points[i, 4], now_m - CLOSER_M)
+    free = np.empty(len(commands), np.bool_)
     for k in range(len(commands)):
-        now[:] = start
-        gap = np.inf
-        for i in range(int(LONGEST_S / STEP_S) + 1):
-            gap = min(gap, rectangle_gap(now[0], now[1], now[2], later_s + i * STEP_S, box, points))
-            held = i * STEP_S < hold_s - 1e-9
-            if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
-                break
-            advance(now, commands[k] if held else rest, limits, STEP_S)
-        gap_m[k] = gap
+        gap_m[k], free[k] = _arc(start, later_s, hold_s, commands[k], limits, box, points, kept_m)
+    return free
+
+
+@exact_kernel
+def _arc(
+    start: F64, later_s: float, hold_s: float, command: F64, limits: F64, box: F64, points: F64, kept_m: F64
+) -> tuple[float, bool]:
+    """The least distance on one arc, and whether that of every point was kept; where not, it ends."""
+    now, rest = start.copy(), np.zeros(2)
+    least = np.inf
+    for i in range(int(LONGEST_S / STEP_S) + 1):
+        cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + i * STEP_S
+        for n in range(len(points)):
+            dx, dy = points[n, 0] + at_s * points[n, 2] - now[0], points[n, 1] + at_s * points[n, 3] - now[1]
+            if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
+                continue
+            gap = _gap(dx, dy, cos, sin, box)
+            if gap < NEAR_M:
+                least = min(least, gap)
+                if i > 0 and gap <= kept_m[n]:
+                    return least, False
+        held = i * STEP_S < hold_s - 1e-9
+        if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
+            break
+        advance(now, command if held else rest, limits, STEP_S)
+    return least, True
 
 
 @exact_kernel
@@ -94,19 +121,20 @@ def touches_after(
 
 @exact_kernel
 def rectangle_gap(x: float, y: float, yaw: float, at_s: float, box: F64, points: F64) -> float:
-    """Distance from the chair at a pose to the nearest of `points` (n, 4) at a time; see `arcs`.
-
-    Below 0 inside the chair: how deep. So who touches what it sees, or believes it does, can still get away from it.
-    """
+    """Distance from the chair at a pose to the nearest of `points` (n, 5) at a time, below 0 inside it; see `arcs`."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    middle, half = 0.5 * (box[0] + box[1]), 0.5 * (box[1] - box[0])
-    least, deepest = np.inf, 0.0
-    for i in range(len(points)):
-        dx, dy = points[i, 0] + at_s * points[i, 2] - x, points[i, 1] + at_s * points[i, 3] - y
-        ahead = abs(dx * cos + dy * sin - middle) - half
-        aside = abs(dy * cos - dx * sin) - box[2]
-        if ahead < 0.0 and aside < 0.0:
-            deepest = min(deepest, max(ahead, aside))
-        ahead, aside = max(ahead, 0.0), max(aside, 0.0)
-        least = min(least, ahead * ahead + aside * aside)
-    return deepest if deepest < 0.0 else math.sqrt(least)
+    least = np.inf
+    for n in range(len(points)):
+        dx, dy = points[n, 0] + at_s * points[n, 2] - x, points[n, 1] + at_s * points[n, 3] - y
+        least = min(least, _gap(dx, dy, cos, sin, box))
+    return least
+
+
+@exact_kernel
+def _gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
+    """Distance from the chair to a place that far from its axle; below 0 inside it: how deep."""
+    ahead = abs(dx * cos + dy * sin - 0.5 * (box[0] + box[1])) - 0.5 * (box[1] - box[0])
+    aside = abs(dy * cos - dx * sin) - box[2]
+    if ahead < 0.0 and aside < 0.0:
+        return float(max(ahead, aside))
+    return math.hypot(max(ahead, 0.0), max(aside, 0.0))

@@ -42,17 +42,17 @@ class Tracker:
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self.tracks: list[Mover] = []
+        self.movers: list[Mover] = []
 
     def forget(self) -> None:
         """Know nobody."""
-        self.tracks = []
+        self.movers = []
 
     def see(self, clusters: F64, cells_O_m: list[F64]) -> None:
         """Take in the clusters (m, 11) of a tick, see `clusters`, and the places of each one's cells (k, 2)."""
-        for track in self.tracks:
+        for track in self.movers:
             _go_on(track, self._tick_s)
-        left = list(self.tracks)
+        left = list(self.movers)
         for index in np.argsort(-clusters[:, PIXELS], kind="stable").tolist():
             one, cells = clusters[index], cells_O_m[index]
             near = [(math.dist(track.p_O_m, one[[X, Y]]), number) for number, track in enumerate(left)]
@@ -60,8 +60,8 @@ class Tracker:
             if away_m < GATE_M:
                 self._update(left.pop(number), one, cells)
             else:
-                self.tracks.append(_new(one, cells))
-        self.tracks = [track for track in self.tracks if track.unseen_s < _KEPT_S + 1e-9]
+                self.movers.append(_new(one, cells))
+        self.movers = [track for track in self.movers if track.unseen_s < _KEPT_S + 1e-9]
 
     def _update(self, track: Mover, one: F64, cells_O_m: F64) -> None:
         track.hits += 1
