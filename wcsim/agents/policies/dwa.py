@@ -29,7 +29,7 @@ from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, Outline
 
-_SHY_M = 0.13  # more than from a wall: who moves is wider than what is seen, and may do otherwise
+_SHY_M = 0.06  # more than from a wall: who moves is wider than what is seen, and may do otherwise
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
@@ -41,13 +41,13 @@ _MOST_CARRIED, _MOST_CELLS = 96, 1024  # places of edges that go on, cells of th
 class Caution:
     """How early, and how widely, a driver is kept from what is in the way."""
 
-    hold_s: float = 0.5  # each joystick position is held for so long before it is braked
+    hold_s: float = 0.3  # each joystick position is held for so long before it is braked
     margin_m: float = 0.07  # kept all around: half a cell, and what the reckoning is off
     comfort_m: float = 0.25  # passing closer than this costs up to _COMFORT_COST
 
 
 LAST_MOMENT = Caution(hold_s=0.1, margin_m=0.03, comfort_m=0.1)
-EARLY = Caution(hold_s=1.2, margin_m=0.2, comfort_m=0.5)
+EARLY = Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
 
 
 def caution(level: float) -> Caution:
@@ -148,7 +148,7 @@ class DynamicWindow:
         still[:, :2] = np.concatenate([seen, more])
         still[:, 4] = margin_m
         still[: len(seen), 4] += _SHY_M * beside_movers(seen, others)
-        return np.concatenate([still, *(self._moving(who) for who in self._tracker.movers if who.moves)])
+        return np.concatenate([still, *(self._moving(who) for who in self._tracker.movers if who.rushes)])
 
     def _others(self) -> list[Mover]:
         """Whoever is no vehicle that stands."""

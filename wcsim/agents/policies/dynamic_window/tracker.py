@@ -12,6 +12,7 @@ from wcsim.types import F64
 
 GATE_M = 0.8  # a cluster this far from where a track should be is another one
 MOVES_MPS = 0.3  # slower is taken for standing
+RUSHES_MPS = 1.6  # people on foot are slower, and step aside: where they are now is enough to know
 _FASTEST_MPS = 8.0
 _KEPT_S = 1.5  # a track that is not seen any more goes on for so long
 _SURE_HITS = 3  # before that its speed is not known
@@ -35,6 +36,11 @@ class Mover:
     def moves(self) -> bool:
         """Whether it surely moves."""
         return self.hits >= _SURE_HITS and MOVES_MPS < math.hypot(*self.v_O_mps) < _FASTEST_MPS
+
+    @property
+    def rushes(self) -> bool:
+        """Whether it moves faster than those who make room for a chair."""
+        return self.moves and math.hypot(*self.v_O_mps) > RUSHES_MPS
 
 
 class Tracker:
