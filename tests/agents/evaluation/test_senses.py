@@ -59,6 +59,14 @@ def test_the_world_is_the_same_with_further_senses_in_it(corner):
     assert alone == beside and alone[0].m > 1.0
 
 
+def test_dwa_drives_the_same_way_again(corner):
+    order = order_of(corner, block_of(corner, max_steps=80))
+    harder = with_overrides(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
+    order = replace(order, config=with_senses(harder, BOTH))
+    first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
+    assert first == again and all(record.status != "policy_failed" and record.m > 1.0 for record in first)
+
+
 def test_a_suite_turns_on_what_a_policy_asks_for(corner, tmp_path):
     names = [f"{__name__}:{name}" for name in ("Feels", "Numb")]
     suite = suite_in(corner, block_of(corner, max_steps=20))
