@@ -1,7 +1,7 @@
 """The baseline `dwa`: a dynamic-window shared controller that sees what a chair senses, and the user's joystick.
 
-Every joystick position of the action set is an arc within the reach of the drive. One that could not be held for half
-a second and then braked before it meets something seen (a wall, a person, a kerb, a drop) is out; of the others the
+Every joystick position of the action set is an arc within the reach of the drive. One that could not be held for 0.3 s
+and then braked before it meets something that it knows of (a wall, a person, a kerb, a drop) is out; of the others the
 one nearest to the user's stick wins, pushed away from what it would pass closely. Arcs begin where the commands that
 are on their way will have brought the chair.
 """
