@@ -93,12 +93,21 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
 
     def _info(self, distance, reward, crashed, truncated):
         events = Events(
-            episode=self.episode, step=self.step_count, crashed=crashed, crash_reason="collision" if crashed else "",
-            truncated=truncated, arrived=False, gave_up=False,
+            episode=self.episode,
+            step=self.step_count,
+            crashed=crashed,
+            crash_reason="collision" if crashed else "",
+            truncated=truncated,
+            arrived=False,
+            gave_up=False,
         )
         return {
-            "joystick_distance": distance, "reward_terms": reward, "truth": self._truth(), "events": events,
-            "progress_m": self.v * math.cos(self.yaw) * DT_S, "speed_mps": abs(self.v),
+            "joystick_distance": distance,
+            "reward_terms": reward,
+            "truth": self._truth(),
+            "events": events,
+            "progress_m": self.v * math.cos(self.yaw) * DT_S,
+            "speed_mps": abs(self.v),
             "user_action": self.actions.nearest(self.joystick()),
         }
 
@@ -116,8 +125,11 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
     def _truth(self) -> Truth:
         stick = self.joystick()
         return Truth(
-            intent=Joystick(float(stick[0]), float(stick[1])), danger=self.clearance() < 1.0, progress_m=0.0,
-            first_s=np.full(len(self.actions), np.inf), clearance_m=self.clearance(),
+            intent=Joystick(float(stick[0]), float(stick[1])),
+            danger=self.clearance() < 1.0,
+            progress_m=0.0,
+            first_s=np.full(len(self.actions), np.inf),
+            clearance_m=self.clearance(),
         )
 
     def _new_goal(self) -> None:
@@ -145,8 +157,10 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         value = 255.0 * np.log(np.clip(depth_m, 0.1, range_m) / 0.1) / math.log(range_m / 0.1)
         imu = np.array([self.accel / 20.0, self.v * self.w / 20.0, 9.81 / 20.0, 0.0, 0.0], dtype=np.float32)
         return {
-            "seg": ids.reshape(shape).astype(np.uint8), "depth": np.rint(value).reshape(shape).astype(np.uint8),
-            "imu": np.clip(imu, -1, 1), "joystick": self.joystick(),
+            "seg": ids.reshape(shape).astype(np.uint8),
+            "depth": np.rint(value).reshape(shape).astype(np.uint8),
+            "imu": np.clip(imu, -1, 1),
+            "joystick": self.joystick(),
         }
 
     def _cast(self):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
@@ -11,7 +11,8 @@ from wcsim.types import Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
-DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY = "depth", "seg", "imu", "joystick"
+DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
+GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 
 
 class Policy(Protocol):
@@ -46,3 +47,12 @@ class Warns(Protocol):
     @property
     def warning(self) -> bool:
         """Whether it warns, as of its last `act`."""
+
+
+@runtime_checkable
+class NeedsSenses(Protocol):
+    """A policy that reads senses which a chair does not have unless asked for; tests turn them on for it."""
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """Names of sensors of the section `[sensors]`, and `GYRO`."""

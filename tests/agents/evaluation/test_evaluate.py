@@ -183,9 +183,9 @@ PLAN = TestPlan(towns=("a", "b"), profiles=("blind",), episodes=2, max_steps=30,
 def test_a_test_of_several_policies_towns_and_profiles():
     made = []
 
-    def make_env(town, profile):
-        made.append((town, profile, ToyStreet(CAMERA, max_steps=40)))
-        return made[-1][2]
+    def make_env(town, profile, senses):
+        made.append((town, profile, senses))
+        return ToyStreet(CAMERA, max_steps=40)
 
     policies = [open_policy(name, CONFIG, seed=1) for name in ("follow", "zero")]
     results = run_test(policies, make_env, PLAN)
@@ -196,6 +196,12 @@ def test_a_test_of_several_policies_towns_and_profiles():
     assert [row["policy"] for row in data["rows"]] == ["follow", "zero"]
     assert results[0].rows == results[1].rows  # the same seed gives the same drive
     assert [table.row_count for table in results[0].tables()] == [2, 2]
+    assert made == [("a", "blind", ()), ("b", "blind", ())]  # one for all who sense the same
+    made.clear()
+    mixed = [open_policy(name, CONFIG, seed=1) for name in ("follow", "dwa", "zero")]
+    (result,) = run_test(mixed, make_env, replace(PLAN, towns=("a",), episodes=1, max_steps=3))
+    assert made == [("a", "blind", ()), ("a", "blind", ("odometry", "gyro"))]
+    assert [row.policy for row in result.rows] == ["follow", "dwa", "zero"]
 
 
 def test_the_environment_is_closed_when_a_policy_fails():

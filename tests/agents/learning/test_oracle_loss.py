@@ -188,9 +188,7 @@ def random_batch(count=5):
     g = torch.Generator().manual_seed(0)
 
     def seen():
-        images = {
-            k: torch.randint(0, 34, (count, 1, 24, 32), generator=g, dtype=torch.uint8) for k in ("seg", "depth")
-        }
+        images = {k: torch.randint(0, 34, (count, 1, 24, 32), generator=g, dtype=torch.uint8) for k in ("seg", "depth")}
         vectors = {k: torch.rand(count, n, generator=g) - 0.5 for k, n in (("imu", 5), ("joystick", 2))}
         return {**images, **vectors}
 

@@ -10,12 +10,16 @@ from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.evaluation.evaluate import evaluate
+from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dwa import KEEP_S, arcs, follow, up_in_body
+from wcsim.agents.policies.dwa import caution, up_in_body
+from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, rectangle_gap, touches_after
+from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
 from wcsim.core.joystick import limits_of
+from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
@@ -109,7 +113,7 @@ def test_it_stops_before_a_wall_and_keeps_turning():
 def test_it_slows_down_the_later_the_farther_the_wall():
     driver = baseline("dwa", CONFIG)
     drive(ground, 25, driver=driver)  # at full speed
-    near, far = box(2.2, 3.0, -3, 3, 0, 3), box(3.9, 4.5, -3, 3, 0, 3)
+    near, far = box(2.0, 3.0, -3, 3, 0, 3), box(3.9, 4.5, -3, 3, 0, 3)
     assert drive(far, 1, driver=driver) == [(0.0, 1.0)]
     ((_, y),) = drive(near, 1, driver=driver)
     assert y <= 0.5
@@ -123,31 +127,27 @@ def test_it_steers_past_a_post():
     assert x > 0.0 and y > 0.4  # to the right of it, and on
 
 
-def test_it_remembers_what_it_sees_no_more_and_forgets_it_later():
+def test_what_it_saw_once_is_forgotten_in_seconds_and_what_it_saw_for_longer_is_not():
     beside = box(0.9, 1.6, 0.45, 1.2, 0, 0.5)
-    driver = baseline("dwa", CONFIG)
-    drive(beside, 1, (0.0, 0.0), driver)
-    left = (-0.75, 0.5)
-    assert drive(ground, 1, left, driver) != [left], "it is too near to be seen, but it was seen"
-    drive(ground, round(KEEP_S / 0.1) + 1, (0.0, 0.0), driver)
-    assert drive(ground, 1, left, driver) == [left]
-    drive(beside, 1, (0.0, 0.0), driver)
-    driver.reset()
-    assert drive(ground, 1, left, driver) == [left]
+    left, seconds = (-0.75, 0.5), round(KEEP_BRIEFLY_S / 0.1) + 1
+    for looks, forgotten in ((1, True), (3, False)):
+        driver = baseline("dwa", CONFIG)
+        drive(beside, looks, (0.0, 0.0), driver)
+        assert drive(ground, 1, left, driver) != [left], "it is too near to be seen, but it was seen"
+        drive(ground, seconds, (0.0, 0.0), driver)
+        assert (drive(ground, 1, left, driver) == [left]) is forgotten
+        driver.reset()
+        assert drive(ground, 1, left, driver) == [left]
 
 
 def test_what_it_remembers_moves_as_the_chair_does():
     driver = baseline("dwa", CONFIG)
     drive(box(2.2, 2.4, -0.1, 0.1, 0, 1.0), 1, (0.0, 0.0), driver)
-    driver._motion[:2] = 0.5, 1.0
-    before = driver._seen_B_m.copy()
-    driver._reckon(action_set("square81").nearest((-0.75, 0.25)))
-    turn, way_m = 0.05 * (driver._motion[1] + 1.0), 0.05 * (driver._motion[0] + 0.5)
-    cos, sin = math.cos(turn), math.sin(turn)
-    moved = before - way_m * np.array([math.cos(turn / 2), math.sin(turn / 2)])
-    expected = moved @ np.array([[cos, -sin], [sin, cos]])
-    assert np.allclose(driver._seen_B_m, expected)
-    assert np.arctan2(*driver._seen_B_m.mean(axis=0)[::-1]) < 0.0  # turned to the left, it lies to the right
+    before = driver._memory.points_B_m(np.zeros(3), 0.0).copy()
+    after = driver._memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    assert np.allclose(after, (before - [0.5, 0.0]) @ np.array([[cos, -sin], [sin, cos]]))
+    assert np.arctan2(*after.mean(axis=0)[::-1]) < 0.0  # turned to the left, it lies to the right
 
 
 def test_reckoned_braking_takes_the_way_that_the_drive_takes():
@@ -159,14 +159,114 @@ def test_reckoned_braking_takes_the_way_that_the_drive_takes():
     assert way_m == pytest.approx(stopping_distance_m(1.67, 1.5, 4.0), abs=0.12)
 
 
+def from_rest(speed_mps=0.0):
+    return np.array([0.0, 0.0, 0.0, speed_mps, 0.0, 0.0])
+
+
+def free_of(commands, *points, speed_mps=0.0, later_s=0.0):
+    """Which commands are free of points (x, y, vx, vy, distance to keep), and how near they come to them."""
+    gap_m = np.empty(len(commands))
+    rows = np.array(points).reshape(-1, 5)
+    free = arcs(from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m)
+    return free.tolist(), gap_m
+
+
 def test_arcs_touch_what_they_sweep_over():
-    commands = np.array([[0.0, 1.0], [0.0, 0.0], [0.0, -1.0]])
-    gap_m = np.empty(3)
-    arcs(np.array([1.5, 0.0, 0.0]), commands, LIMITS, CHAIR, np.array([[2.0, 0.0]]), gap_m)
-    assert gap_m[0] == 0.0 and gap_m[1] > 0.0
-    assert gap_m[2] >= gap_m[1]
-    arcs(np.zeros(3), commands, LIMITS, CHAIR, np.zeros((0, 2)), gap_m)
-    assert np.isinf(gap_m).all()
+    commands, post = [(0.0, 1.0), (0.0, 0.0), (0.0, -1.0)], (2.0, 0.0, 0.0, 0.0, 0.07)
+    free, gap_m = free_of(commands, post, speed_mps=1.2)
+    assert free == [False, True, True] and 0.07 < gap_m[1] <= gap_m[2]
+    free, gap_m = free_of(commands)
+    assert free == [True] * 3 and np.isinf(gap_m).all()
+    assert not free_of(commands, (2.0, 0.0, 0.0, 0.0, 0.59), speed_mps=1.2)[0][1]  # nearer than should be kept
+
+
+def test_arcs_meet_those_who_move_where_they_will_be():
+    ahead = [(0.0, 1.0)]
+
+    def is_free(*who, later_s=0.0):
+        return free_of(ahead, (*who, 0.07), speed_mps=1.2, later_s=later_s)[0][0]
+
+    assert is_free(3.2, 0.0, 0.0, 0.0)  # who stands there is far enough
+    assert not is_free(3.2, 0.0, -1.4, 0.0)  # who comes is not
+    assert not is_free(1.6, 1.3, 0.0, -1.2) and is_free(1.6, 1.3, 0.0, 1.2)  # who crosses, who leaves
+    assert is_free(3.9, 0.0, -0.4, 0.0) and not is_free(3.9, 0.0, -0.4, 0.0, later_s=1.0)  # nearer by then
+
+
+def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
+    inside, post = (0.7, 0.0, 0.0, 0.0, 0.07), (1.05, 0.0, 0.0, 0.0, 0.07)
+    assert rectangle_gap(0.0, 0.0, 0.0, 0.0, CHAIR, np.array([inside])) == pytest.approx(-0.1)
+    commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
+    assert free_of(commands, inside)[0] == [False, True, True]
+    assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
+    driver = baseline("dwa", CONFIG)
+    drive(ground, 20, driver=driver)
+    assert max(y for _, y in drive(box(0.71, 3.0, -3, 3, 0, 3), 2, driver=driver)) <= 0.0
+
+
+def test_a_held_stick_meets_a_wall_when_the_chair_gets_there():
+    wall, ahead = np.array([[3.0, 0.0, 0.0, 0.0, 0.07]]), np.array([0.0, 1.0])
+
+    def meets_s(within_s, later_s=0.0):
+        return touches_after(from_rest(1.67), later_s, ahead, LIMITS, CHAIR, wall, 0.0, within_s)
+
+    assert meets_s(3.0) == pytest.approx((3.0 - CHAIR[1]) / 1.67, abs=0.1)
+    assert math.isinf(meets_s(1.0))
+    assert meets_s(3.0, later_s=0.4) == pytest.approx(meets_s(3.0) + 0.4)
+
+
+def test_it_warns_of_what_the_users_stick_would_meet():
+    wall = box(2.5, 3.0, -3, 3, 0, 3)
+    driver = baseline("dwa", CONFIG)
+    drive(ground, 20, driver=driver)
+    assert not driver.warning
+    drive(wall, 1, driver=driver)
+    assert driver.warning
+    drive(wall, 1, (0.0, -0.5), driver)
+    driver.reset()
+    assert not driver.warning
+
+
+def test_backwards_it_goes_where_it_has_been_and_hardly_farther():
+    back = (0.0, -0.75)
+    driver = baseline("dwa", CONFIG)
+    assert drive(ground, 5, back, driver)[-1][1] > -0.75, "it has never looked behind itself"
+    driver.reset()
+    drive(ground, 30, driver=driver)
+    drive(ground, 20, (0.0, 0.0), driver)
+    assert drive(ground, 1, back, driver) == [back]
+
+
+def test_a_wall_goes_on_beside_the_chair_where_it_does_not_look():
+    along = box(-2.0, 6.0, -1.2, -0.5, 0, 1.5)
+    ahead_only = box(1.0, 1.4, -1.2, -0.5, 0, 1.5)
+    turn = (0.75, 0.0)
+    assert drive(along, 4, turn) != [turn] * 4, "the footplate swings into it"
+    assert drive(ahead_only, 4, turn) == [turn] * 4
+
+
+def test_levels_keep_wider_and_earlier_from_what_is_in_the_way():
+    cautions = [caution(level) for level in (0.0, 0.5, 1.0, 1.5, 2.0)]
+    for key in ("hold_s", "margin_m", "comfort_m"):
+        values = [getattr(one, key) for one in cautions]
+        assert values == sorted(values) and len(set(values)) == len(values)
+    wall = box(2.6, 3.5, -3, 3, 0, 3)
+    chosen = []
+    for name in ("dwa@0", "dwa", "dwa@2"):
+        driver = baseline(name, CONFIG)
+        assert driver.name == name
+        drive(ground, 20, driver=driver)
+        chosen.append(drive(wall, 1, driver=driver)[0][1])
+    assert chosen[0] > chosen[2] and chosen == sorted(chosen, reverse=True)
+    assert drive(wall, 5, driver=baseline("dwa@1", CONFIG)) == drive(wall, 5)
+
+
+@pytest.mark.parametrize("name", ["dwa@", "dwa@-0.1", "dwa@2.01", "dwa@nan", "dwa@much"])
+def test_a_level_that_there_is_not_is_refused(name):
+    with pytest.raises(PolicyError, match="from 0 to 2"):
+        is_baseline(name)
+    with pytest.raises(PolicyError, match="from 0 to 2"):
+        baseline(name, CONFIG)
+    assert not is_baseline("follow@1")
 
 
 def test_both_forms_of_observation_give_the_same_choice():

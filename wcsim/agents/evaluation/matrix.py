@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
+from wcsim.agents.evaluation.senses import senses_of
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
@@ -24,7 +25,7 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
 
-MakeEnv = Callable[[str, str], gymnasium.Env[Any, Any]]  # (town, profile) -> environment
+MakeEnv = Callable[[str, str, tuple[str, ...]], gymnasium.Env[Any, Any]]  # (town, profile, senses) -> environment
 Progress = Callable[[str], None]
 
 _CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
@@ -127,19 +128,26 @@ class TestResult:
 def run_test(
     policies: Sequence[Policy], make_env: MakeEnv, plan: TestPlan, progress: Progress | None = None
 ) -> list[TestResult]:
-    """Every policy in every town with every profile, each from the same seed; one environment a town and profile."""
+    """Every policy in every town with every profile, each from the same seed.
+
+    Policies with the same senses share the environment of a town and profile.
+    """
     results: list[TestResult] = []
+    alike = {senses_of(policy): [p for p in policies if senses_of(p) == senses_of(policy)] for policy in policies}
     for town, profile in product(plan.towns, plan.profiles):
-        env = make_env(town, profile)
-        try:
-            rows: list[EvalRow] = []
-            for policy in policies:
-                rows.append(evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward))
-                if progress is not None:
-                    progress(f"{town}, {profile}: {policy.name}")
-        finally:
-            env.close()
-        results.append(TestResult(town=town, seed=plan.seed, profile=profile, rows=tuple(rows)))
+        rows: dict[int, EvalRow] = {}
+        for senses, group in alike.items():
+            env = make_env(town, profile, senses)
+            try:
+                for policy in group:
+                    row = evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward)
+                    rows[id(policy)] = row
+                    if progress is not None:
+                        progress(f"{town}, {profile}: {policy.name}")
+            finally:
+                env.close()
+        in_order = tuple(rows[id(policy)] for policy in policies)
+        results.append(TestResult(town=town, seed=plan.seed, profile=profile, rows=in_order))
     return results
 
 

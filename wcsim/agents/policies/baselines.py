@@ -6,7 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND
+from wcsim.agents.policies.baseline_names import (
+    LEVELLED,
+    NAMES,
+    UPPER_BOUND,
+    UPPER_BOUNDS,
+    VISIBLE_BOUND,
+    level_of,
+)
 from wcsim.agents.policies.depth_check import CorridorWatch
 from wcsim.agents.policies.dwa import DynamicWindow
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
@@ -16,6 +23,8 @@ from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Truth, Verdict
+
+WARNS_AHEAD_S = 1.0  # `stop`, of what it would stop for so much later
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,27 +89,30 @@ class Random:
         return int(self.rng.integers(0, len(self.actions)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class StopBeforeObstacles:
     """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
-    backwards it follows blindly.
+    backwards it follows blindly. It warns of what it would stop for in a second.
     """
 
     actions: ActionSet
     watch: CorridorWatch
     name: str = "stop"
+    warning: bool = field(init=False, default=False)
 
     def begin(self) -> None:
         """Nothing is remembered."""
 
     def reset(self) -> None:
         """Nothing is remembered."""
+        self.warning = False
 
     def act(self, observation: Observation) -> int:
         """The user's wish, without its forward part when the way is blocked."""
         x, y = (float(value) for value in observation[JOYSTICK_KEY])
+        self.warning = y > 0.0 and self.watch.blocked(observation, x, y, WARNS_AHEAD_S)
         if y > 0.0 and self.watch.blocked(observation, x, y):
             return self.actions.nearest((x, 0.0))
         return self.actions.nearest((x, y))
@@ -156,9 +168,8 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "stop":
         outline = plant_spec(config.chair).outline
         return StopBeforeObstacles(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair, outline))
-    if name == "dwa":
-        outline = plant_spec(config.chair).outline
-        return DynamicWindow(actions, config.cameras[0], config.chair, outline, config.world.tick_s)
+    if name.partition("@")[0] == LEVELLED:
+        return DynamicWindow(name, config, actions, plant_spec(config.chair).outline, level_of(name))
     if name in UPPER_BOUNDS:
         return OracleDriver(actions=actions, name=name)
     raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, *UPPER_BOUNDS))}")

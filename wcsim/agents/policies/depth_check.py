@@ -32,13 +32,16 @@ class CorridorWatch:
         self._range_m, self._chair, self._outline = camera.range_m, chair, outline
         self._few = max(_MIN_PIXELS, round(_PIXEL_SHARE * len(self._rays)))
 
-    def blocked(self, observation: Observation, x: float, y: float) -> bool:
-        """Whether a joystick at (x right, y > 0 forward) would run into something before the chair could stand."""
+    def blocked(self, observation: Observation, x: float, y: float, ahead_s: float = 0.0) -> bool:
+        """Whether a joystick at (x right, y > 0 forward) would run into something before the chair could stand.
+
+        With `ahead_s` before it could when it begins to brake so much later.
+        """
         depth_m = depth_metres(observation[DEPTH_KEY], self._range_m).reshape(-1).astype(np.float64)
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
         roll, pitch = math.pi * float(observation[IMU_KEY][3]), 0.5 * math.pi * float(observation[IMU_KEY][4])
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
-        stop_m = speed * _REACTION_S + speed * speed / (2.0 * self._chair.decel_mps2)
+        stop_m = speed * (_REACTION_S + ahead_s) + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
         seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
         return self._obstacle(points, seen, speed, turn, reach_m, roll, pitch) or self._drop(

@@ -112,16 +112,18 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
     )
     from wcsim.agents.evaluation.matrix import TestPlan, open_policy, run_test, window_for
+    from wcsim.agents.evaluation.senses import with_senses
 
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
     console = Console(stderr=True)
 
-    def make_env(town: str, profile: str) -> WheelchairEnv:
+    def make_env(town: str, profile: str, senses: tuple[str, ...]) -> WheelchairEnv:
         asked = {"profile": profile, "max_steps": options.max_steps, "truth": True, "truth_visible": True}
-        env = config.env.model_copy(update=asked)
-        return WheelchairEnv(towns[town].address, config=config.model_copy(update={"env": env}), hook=options.hook)
+        sensing = with_senses(config, senses)
+        env = sensing.env.model_copy(update=asked)
+        return WheelchairEnv(towns[town].address, config=sensing.model_copy(update={"env": env}), hook=options.hook)
 
     for town in towns.values():
         told = overrides_of(town, config, options.seed)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from wcsim.agents.evaluation.senses import senses_of, with_senses
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
@@ -63,11 +64,11 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     return open_policy(name, config, seed, network)
 
 
-def windowed(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with as many images in an observation as the policy was trained on."""
+def sensing(config: RunConfig, policy: Policy) -> RunConfig:
+    """The configuration with as many images in an observation as the policy was trained on, and the senses it wants."""
     from wcsim.agents.evaluation.matrix import window_for
 
-    return with_overrides(config, (f"env.window={window_for([policy])}",))
+    return with_senses(with_overrides(config, (f"env.window={window_for([policy])}",)), senses_of(policy))
 
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
-from wcsim.agents.evaluation.suite.named_policy import identity_of, open_named, settings_of, windowed
+from wcsim.agents.evaluation.suite.named_policy import identity_of, open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policy_api import Policy
@@ -162,7 +162,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
             return policy
 
         try:
-            config = windowed(config, open_one(0))
+            config = sensing(config, open_one(0))
         except WcsimError as error:
             return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
         order = BlockOrder(

@@ -1,0 +1,78 @@
+"""A policy gets the senses that it asks for, and nobody else's world is another for it."""
+
+from dataclasses import replace
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of, suite_in
+from wcsim.agents.evaluation.senses import senses_of, with_senses
+from wcsim.agents.evaluation.suite.drive import drive_block
+from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.policies.baselines import baseline
+from wcsim.config import with_overrides
+from wcsim.errors import ConfigError
+
+BOTH = ("odometry", "gyro")
+
+
+class Feels(Held):
+    """Does not go without wheel odometry and turn rates."""
+
+    name, senses = "feels", BOTH
+
+    def __init__(self, config: object) -> None:
+        super().__init__(0.0, 0.5)
+
+    def act(self, observation: object) -> int:
+        if observation["odometry"].shape != (2,) or observation["imu"].shape != (8,):
+            raise RuntimeError("no senses")
+        return self.action
+
+
+class Numb(Feels):
+    """The same without asking."""
+
+    senses = ()
+
+
+def test_senses_are_added_and_a_sensor_that_is_there_stays():
+    plain = config()
+    sensing = with_senses(plain, BOTH)
+    assert plain.sensors.odometry is None and not plain.env.observe_gyro
+    assert sensing.sensors.odometry is not None and sensing.env.observe_gyro
+    assert with_senses(plain, ()) == plain
+    worse = with_overrides(plain, ("sensors.odometry.radius_error=0.1",))
+    assert with_senses(worse, BOTH).sensors == worse.sensors
+    with pytest.raises(ConfigError, match="sonar"):
+        with_senses(plain, ("sonar",))
+
+
+def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
+    assert senses_of(baseline("dwa", config())) == BOTH
+    assert senses_of(baseline("follow", config())) == ()
+
+
+def test_the_world_is_the_same_with_further_senses_in_it(corner):
+    order = order_of(corner, block_of(corner, max_steps=80))
+    sensing = replace(order, config=with_senses(order.config, BOTH))
+    alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, sensing))
+    assert alone == beside and alone[0].m > 1.0
+
+
+def test_dwa_drives_the_same_way_again(corner):
+    order = order_of(corner, block_of(corner, max_steps=80))
+    harder = with_overrides(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
+    order = replace(order, config=with_senses(harder, BOTH))
+    first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
+    assert first == again and all(record.status != "policy_failed" and record.m > 1.0 for record in first)
+
+
+def test_a_suite_turns_on_what_a_policy_asks_for(corner, tmp_path):
+    names = [f"{__name__}:{name}" for name in ("Feels", "Numb")]
+    suite = suite_in(corner, block_of(corner, max_steps=20))
+    feels, numb = (
+        run_suite(SuiteOrder(suite=suite, out=tmp_path, preset="quick"), [name], lambda *_: None)[name]
+        for name in names
+    )
+    assert {record.status for record in feels} == {"timed_out"} and feels[0].steps == 20
+    assert {record.status for record in numb} == {"policy_failed"} and "odometry" in numb[0].reason

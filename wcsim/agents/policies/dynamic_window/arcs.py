@@ -1,0 +1,140 @@
+"""Where the joystick positions of an action set bring a chair, and how near that is to what is in the way.
+
+Kernels: plain arrays in and out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wcsim.core.jit import exact_kernel
+from wcsim.core.joystick import driven
+from wcsim.types import F64, Bool
+
+STEP_S, LONGEST_S = 0.1, 3.0
+CLOSER_M = 0.02  # who is nearer than should be kept may get no nearer than this
+NEAR_M = 0.6  # farther away nothing matters
+
+
+@exact_kernel
+def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
+    """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (7,)."""
+    motion[0], motion[1], motion[2] = driven(motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s)
+
+
+@exact_kernel
+def advance(state: F64, command: F64, limits: F64, dt_s: float) -> None:
+    """Move `state` (6,) x, y, yaw, v, w, acceleration on by `dt_s` towards a command (2,)."""
+    v, w = state[3], state[4]
+    follow(state[3:], command, limits, dt_s)
+    turn = 0.5 * (w + state[4]) * dt_s
+    way = 0.5 * (v + state[3]) * dt_s
+    state[0] += way * math.cos(state[2] + 0.5 * turn)
+    state[1] += way * math.sin(state[2] + 0.5 * turn)
+    state[2] += turn
+
+
+@exact_kernel
+def after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
+    """The state (6,) x, y, yaw, v, w, acceleration in B of now, once `waiting` (M, 2) has been obeyed, one a tick."""
+    state = np.zeros(6)
+    state[3:] = motion
+    for command in waiting:
+        advance(state, command, limits, tick_s)
+    return state
+
+
+@exact_kernel
+def arcs(
+    start: F64, later_s: float, hold_s: float, commands: F64, limits: F64, box: F64, points: F64, gap_m: F64
+) -> Bool:
+    """Hold each command, then brake to a stop, and see how near that is to what is in the way.
+
+    Args:
+        start: (6,) x, y, yaw in B of now, speed, turn rate, acceleration, when the command reaches the chair.
+        later_s: When that is, from now on.
+        hold_s: For how long each command is held.
+        commands: (K, 2) joystick positions as the drive takes them.
+        limits: (7,) of the drive.
+        box: (3,) rear, front, half the width of the chair in B.
+        points: (n, 5) what is in the way, in B of now, how fast it moves over the ground, and the distance to keep.
+        gap_m: (K,) written for those that keep it: the least distance, infinity where nothing is within NEAR_M.
+
+    Returns:
+        (K,) which commands keep the distance of every point. One that is nearer already may hardly get nearer. What
+        happens before a command reaches the chair is no command's fault.
+    """
+    kept_m = np.empty(len(points))
+    for i in range(len(points)):
+        now_m = _gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
+        kept_m[i] = min(points[i, 4], now_m - CLOSER_M)
+    free = np.empty(len(commands), np.bool_)
+    for k in range(len(commands)):
+        gap_m[k], free[k] = _arc(start, later_s, hold_s, commands[k], limits, box, points, kept_m)
+    return free
+
+
+@exact_kernel
+def _arc(
+    start: F64, later_s: float, hold_s: float, command: F64, limits: F64, box: F64, points: F64, kept_m: F64
+) -> tuple[float, bool]:
+    """The least distance on one arc, and whether that of every point was kept; where not, it ends."""
+    now, rest = start.copy(), np.zeros(2)
+    least = np.inf
+    for i in range(int(LONGEST_S / STEP_S) + 1):
+        cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + i * STEP_S
+        for n in range(len(points)):
+            dx, dy = points[n, 0] + at_s * points[n, 2] - now[0], points[n, 1] + at_s * points[n, 3] - now[1]
+            if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
+                continue
+            gap = _gap(dx, dy, cos, sin, box)
+            if gap < NEAR_M:
+                least = min(least, gap)
+                if i > 0 and gap <= kept_m[n]:
+                    return least, False
+        held = i * STEP_S < hold_s - 1e-9
+        if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
+            break
+        advance(now, command if held else rest, limits, STEP_S)
+    return least, True
+
+
+@exact_kernel
+def touches_after(
+    start: F64, later_s: float, command: F64, limits: F64, box: F64, points: F64, margin_m: float, within_s: float
+) -> float:
+    """Seconds from now on until the chair comes so near to what is in the way when a command (2,) is held; see `arcs`.
+
+    Infinite when it does not within `within_s`.
+    """
+    now = start.copy()
+    at_s = later_s
+    while at_s < within_s + 1e-9:
+        if rectangle_gap(now[0], now[1], now[2], at_s, box, points) <= margin_m:
+            return at_s
+        advance(now, command, limits, STEP_S)
+        at_s += STEP_S
+    return np.inf
+
+
+@exact_kernel
+def rectangle_gap(x: float, y: float, yaw: float, at_s: float, box: F64, points: F64) -> float:
+    """Distance from the chair at a pose to the nearest of `points` (n, 5) at a time, below 0 inside it; see `arcs`."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    least = np.inf
+    for n in range(len(points)):
+        dx, dy = points[n, 0] + at_s * points[n, 2] - x, points[n, 1] + at_s * points[n, 3] - y
+        least = min(least, _gap(dx, dy, cos, sin, box))
+    return least
+
+
+@exact_kernel
+def _gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
+    """Distance from the chair to a place that far from its axle; below 0 inside it: how deep."""
+    ahead = abs(dx * cos + dy * sin - 0.5 * (box[0] + box[1])) - 0.5 * (box[1] - box[0])
+    aside = abs(dy * cos - dx * sin) - box[2]
+    if ahead < 0.0 and aside < 0.0:
+        return float(max(ahead, aside))
+    return math.hypot(max(ahead, 0.0), max(aside, 0.0))
