@@ -57,8 +57,8 @@ def make_list(words: list[str]) -> int:
     check_output("--suite-file", options.suite_file)
     import tempfile
 
+    from wcsim.agents.evaluation.making.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
-    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.run import TOWNS
 
     told = Console(stderr=True, highlight=False)

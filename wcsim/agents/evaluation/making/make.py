@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.making.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite

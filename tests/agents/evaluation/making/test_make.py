@@ -1,0 +1,73 @@
+"""Lists hold only what is an episode: nobody who is hit at once, and what is left is driven again without them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import episode
+from wcsim.agents.evaluation.making import make
+from wcsim.agents.evaluation.suite.list_file import asked_towns
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.config.suite import BlockFile
+from wcsim.errors import ConfigError, TownError
+
+
+def record(block: int, seat: int, time_s: float, status: str = "chair_crashed", fault: str = "own") -> EpisodeRecord:
+    return EpisodeRecord(
+        block=block, seat=seat, part="free", town="a", profile="b", status=status, fault=fault, time_s=time_s
+    )
+
+
+def block_with(*lengths_m: float) -> BlockFile:
+    episodes = tuple(episode(route_m=length_m) for length_m in lengths_m)
+    return BlockFile(part="free", town="a", seed=1, episodes=episodes)
+
+
+def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ways of 1 m end at once; without them a way of 2 m does, and then one of 3 m."""
+    driven: list[list[list[float]]] = []
+
+    def alone(_order: object, _towns: object, blocks: list[BlockFile], *_: object) -> tuple[EpisodeRecord, ...]:
+        lengths = [[item.route_m for item in block.episodes] for block in blocks]
+        driven.append(lengths)
+        return tuple(
+            record(number, seat, 1.0 if length_m == min(row) and length_m < 4.0 else 50.0)
+            for number, row in enumerate(lengths)
+            for seat, length_m in enumerate(row)
+        )
+
+    monkeypatch.setattr(make, "_alone", alone)
+    order = make.MakeOrder(
+        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
+    )
+    blocks = [block_with(9.0, 8.0), block_with(1.0, 7.0, 2.0, 3.0), block_with(1.0)]
+    left = make.settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
+    assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
+    assert driven == [[[9.0, 8.0], [1.0, 7.0, 2.0, 3.0], [1.0]], [[7.0, 2.0, 3.0]], [[7.0, 3.0]], [[7.0]]]
+
+
+def test_towns_are_named_or_made_of_a_seed(corner: Path, tmp_path: Path) -> None:
+    ((town, seed),) = asked_towns(str(corner), tmp_path)
+    assert (town.folder, seed) == (corner, None)
+    for wrong in ("made:", "made:x", "made:-1", f"made:{1 << 31}"):
+        with pytest.raises(ConfigError, match="made:SEED"):
+            asked_towns(wrong, tmp_path)
+    with pytest.raises(TownError):
+        asked_towns("atlantis", tmp_path)
+
+
+@pytest.mark.proof
+def test_a_made_town_is_the_same_wherever_it_is_made_and_kept_where_it_is(tmp_path: Path) -> None:
+    from wcsim.towns.scenario.town import content_hash
+
+    ((first, seed),) = asked_towns("made:9002", tmp_path / "a")
+    ((second, _),) = asked_towns("made:9002", tmp_path / "b")
+    assert (first.name, seed) == ("made-9002", 9002)
+    assert content_hash(first) == content_hash(second)
+    before = first.net.stat().st_mtime_ns
+    asked_towns("made:9002", tmp_path / "a")
+    assert first.net.stat().st_mtime_ns == before
