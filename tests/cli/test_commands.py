@@ -123,7 +123,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     told = wcsim("test", "follow", "--town", corner, *words, *QUICK)
     assert told.code == 0
     assert fits(told.out)
-    words_shown = ("KPI 1", "KPI 2", "m/s", "moving", "getting there", "given")
+    words_shown = ("KPI 1", "KPI 2", "m/s", "mov.", "getting there", "own", "95 %")
     for text in ("slow user, seed 4", "tremor user, seed 4", "SIMULATION ONLY", *words_shown):
         assert text in told.out
     result = read("t.json")

@@ -5,7 +5,14 @@ import json
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
-from wcsim.agents.evaluation.suite.list_file import open_suite, suite_of, towns_of, write_list
+from wcsim.agents.evaluation.suite.list_file import (
+    open_suite,
+    require_towns,
+    shipped,
+    suite_of,
+    towns_of,
+    write_list,
+)
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.errors import ConfigError, TownError
@@ -56,3 +63,16 @@ def test_a_list_that_is_none_is_refused(tmp_path):
     (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}', encoding="utf-8")
     with pytest.raises(ConfigError, match="blocks"):
         open_suite(str(tmp_path / "bad.json"))
+
+
+def test_the_lists_that_come_with_wcsim_are_whole():
+    for name in shipped():
+        suite = open_suite(name)
+        assert suite.file.set == name and suite.file.suite == "street-assist-v1"
+        require_towns(suite.file)
+        assert {block.part for block in suite.file.blocks} == {"free", "crossing", "hazard", "tight"}
+        tight = [block.seed for block in suite.file.blocks if block.part == "tight"]
+        assert len(set(tight)) * 10 == len(tight)  # each seed in each of ten families
+    seeds = [{b.seed for b in open_suite(name).file.blocks if b.part == "tight"} for name in shipped()]
+    assert sum(map(len, seeds)) == len(set().union(*seeds))  # no scene is in two of them
+    assert {"dev", "validation", "v1"} == set(shipped())
