@@ -15,7 +15,7 @@ GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
 _SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
-_KERB_GAP_M = 0.3  # left between footplate and road while waiting
+KERB_GAP_M = 0.3  # left between footplate and road while waiting
 _LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 _ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
 _NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
@@ -55,7 +55,7 @@ class Kerbs:
         """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
         starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
         self._half_length_m = half_length_m
-        self._waits_m = half_length_m + _KERB_GAP_M  # from the middle of who waits to the kerb
+        self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
         self._law_share = law_share
@@ -89,14 +89,14 @@ class Kerbs:
             island = line_m > behind_m + self._half_length_m  # too short a refuge is no place to wait
             stop_m, behind_m = max(stop_m, behind_m + self._half_length_m), item.end_m
             to_go_m = line_m - arc_m
-            back_m = _KERB_GAP_M + min(_HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
+            back_m = KERB_GAP_M + min(_HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
             if not -back_m < to_go_m < _LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
                 continue
             if self._closed(item, to_go_m, time_s, signals, vehicles):
                 return stop_m
             if self._may_end(item, self._kerb_m[item] - self._half_length_m - arc_m, time_s):
                 return self._kerb_m[item] - self._waits_m  # the next green is met nearer to the kerb than this one
-            if to_go_m < -_KERB_GAP_M:
+            if to_go_m < -KERB_GAP_M:
                 self._begun.add(item)
         return None
 
@@ -106,14 +106,14 @@ class Kerbs:
         return any(
             item.tls_id
             and item not in self._begun
-            and -_KERB_GAP_M < self._kerb_m[item] - before_m < _LOOK_M
+            and -KERB_GAP_M < self._kerb_m[item] - before_m < _LOOK_M
             and self._keeps_law(item)
             for item, _ in self._items
         )
 
     def _may_end(self, item: Crossing, to_kerb_m: float, time_s: float) -> bool:
         """Whether a green that came after a red one may be over before the footplate is at the kerb."""
-        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else _KERB_GAP_M):
+        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else KERB_GAP_M):
             return False
         longest_s, shortest_s = time_s - self._red_last_s[item], time_s - self._green_since_s[item]
         if longest_s + to_kerb_m / _ONWARD_MPS > _SHORT_GREEN_S - _SPARE_S:

@@ -92,9 +92,21 @@ class NoNumber(Held):
 
 
 class Sleeps(Held):
+    """Its first answer takes longer than it may think later, its second one too long."""
+
+    steps = 0
+
     def act(self, observation: object) -> int:
-        time.sleep(5.0)
+        self.steps += 1
+        time.sleep(0.4 if self.steps == 1 else 5.0)
         return self.action
+
+
+class Starts(Held):
+    """Is never ready."""
+
+    def begin(self) -> None:
+        time.sleep(5.0)
 
 
 class WarnsAlways(Held):

@@ -9,6 +9,7 @@ from tests.agents.evaluation.suite.lists import (
     NoNumber,
     OutOfTheGrid,
     Sleeps,
+    Starts,
     WarnsAlways,
     block_of,
     config,
@@ -41,13 +42,19 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
 
 @pytest.mark.parametrize(
     ("policy", "late_s", "said"),
-    [(Dies, 10.0, "no more"), (OutOfTheGrid, 10.0, "0 to 80"), (NoNumber, 10.0, "nan"), (Sleeps, 0.2, "0.2 s")],
+    [
+        (Dies, 10.0, "no more"),
+        (OutOfTheGrid, 10.0, "0 to 80"),
+        (NoNumber, 10.0, "nan"),
+        (Sleeps, 0.2, "0.2 s"),
+        (Starts, 0.2, "1.2 s"),
+    ],
 )
 def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, policy, late_s, said):
     made = iter([policy(), follow()])
     failed, other = drive_block(order_of(corner, block_of(corner), late_s=late_s), lambda: next(made))
     assert failed.status == "policy_failed" and said in failed.reason
-    assert failed.steps == (5 if policy is Dies else 0) and failed.score == 0.0
+    assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and failed.score == 0.0
     assert other.status != "policy_failed" and other.steps > 5
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from wcsim.agents.evaluation.making.sound_ways import is_sound
 from wcsim.bridge.ego.start_place import is_clear
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile, EpisodeFile, Part
@@ -74,21 +76,23 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
 def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
     """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
 
+    Left out are those that no sound way leads over, see `is_sound`.
     Raises TownError when the town has no crossing that somebody can get to.
     """
     edges = place.street.walk.edges
     crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
     rng = seeding.generator(seed, "suite", place.name, wanted.part)
     found: list[tuple[EpisodeFile, F64]] = []
+    order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
+    ways = deque((crossing, back) for back in (False, True) for crossing in order)
     turn = 0
-    order = rng.permutation(len(crossings)).tolist() if crossings else []
-    while len(found) < attempts and turn < 8 * max(1, len(order)) and order:
-        crossing, back = crossings[order[turn % len(order)]], (turn // len(order)) % 2 == 1
-        who = wanted.profiles[turn % len(wanted.profiles)]
-        attempt = _attempt(place, crossing, back, who, rng)
-        if attempt is not None:
-            found.append(attempt)
+    while len(found) < attempts and ways:
+        crossing, back = ways.popleft()
+        attempt = _attempt(place, crossing, back, wanted.profiles[turn % len(wanted.profiles)], rng)
         turn += 1
+        if attempt is not None:  # a crossing that nobody could be sent over is not tried again
+            found.append(attempt)
+            ways.append((crossing, back))
     if not found:
         raise TownError(f"{place.name}: no crossing with pavements at both ends; expected one: see `wcsim town check`")
     made: list[BlockFile] = []
@@ -129,14 +133,19 @@ def _distance_m(one_m: F64, other_m: F64) -> float:
 
 
 def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, F64]]:
-    for _ in range(_TRIES // 10):
+    """Sound ways; whether one leads over a crossing is drawn before it is, so that the share stays as wanted."""
+    over = float(rng.random() < wanted.crossing_share)
+    for _ in range(_TRIES):
         start, yaw_rad = place.router.random_start(rng)
         if not _clear(place, start, yaw_rad):
             continue
-        goal = place.router.random_goal(rng, start, *wanted.way_m, wanted.crossing_share)
-        way = _episode(place, start, yaw_rad, goal, who)
-        if 0.5 * wanted.way_m[0] <= way[0].route_m <= 2.0 * wanted.way_m[1]:  # some ways go round another corner
-            yield way
+        goal = place.router.random_goal(rng, start, *wanted.way_m, over)
+        episode, points_m = _episode(place, start, yaw_rad, goal, who)
+        long_enough = 0.5 * wanted.way_m[0] <= episode.route_m <= 2.0 * wanted.way_m[1]  # some go round another corner
+        route = place.router.route(episode.start_m, episode.goal_m)
+        if long_enough and is_sound(place.street, route, place.outline):
+            yield episode, points_m
+            over = float(rng.random() < wanted.crossing_share)
 
 
 def _attempt(
@@ -153,7 +162,8 @@ def _attempt(
         over = [int(i) for i in np.unique(route.edge_index) if place.street.walk.edges[int(i)].kind is WayKind.CROSSING]
         ahead = route.points_W_m[min(1, len(route.points_W_m) - 1)] - route.points_W_m[0]
         yaw_rad = math.atan2(ahead[1], ahead[0])
-        if over == [crossing] and route.arc_m[-1] < 60.0 and _clear(place, start, yaw_rad):
+        sound = over == [crossing] and route.arc_m[-1] < 60.0 and is_sound(place.street, route, place.outline)
+        if sound and _clear(place, start, yaw_rad):
             return _episode(place, start, yaw_rad, goal, who)
     return None
 

@@ -36,6 +36,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of wall clock: a policy that needs longer for an answer has failed
+FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
 
 MakePolicy = Callable[[], Policy]
 
@@ -161,7 +162,7 @@ class _Seat:
             yield self._sent(self.actions.nearest(stick))
             return
         try:
-            with _at_most(self._order.late_s):
+            with _at_most(self._order.late_s * (1.0 if self._begun else FIRST_SHARE)):
                 action = self._chair.checked(self._answer())
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
             self._end(

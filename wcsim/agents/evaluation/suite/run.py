@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -144,6 +144,8 @@ def _drive_all(
                     done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for driver in active_children():  # a block may have minutes to go, and is driven again by --resume
+                driver.terminate()
             raise
 
 
