@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.list_file import (
     write_list,
 )
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, code_digest, run_suite
 from wcsim.errors import ConfigError, TownError
 
 
@@ -37,6 +37,21 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
         path.write_text("{", encoding="utf-8")
     with pytest.raises(ConfigError, match="remove it"):
         run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: None)
+
+
+def test_what_is_kept_is_of_the_code_that_drives(tmp_path):
+    for name in ("agents/drive.py", "config/presets/quick.toml", "view/page.py", "cli/main.py", "README.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1")
+    before = code_digest(tmp_path)
+    for name in ("view/page.py", "cli/main.py", "README.md"):
+        (tmp_path / name).write_text("2")
+        assert code_digest(tmp_path) == before
+    seen = {before}
+    for name in ("agents/drive.py", "config/presets/quick.toml"):
+        (tmp_path / name).write_text("2")
+        seen.add(code_digest(tmp_path))
+    assert len(seen) == 3
 
 
 def test_a_list_that_was_changed_is_another_list(corner, tmp_path):

@@ -27,6 +27,7 @@ from wcsim.errors import ConfigError, WcsimError
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 TOWNS: Final = "towns"  # made ones lie there, in a result's folder
+_ABOVE: Final = ("bench", "cli", "scenes", "view")  # layers that agents may not import: `make lint` sees to it
 _KEPT: Final = FileKind(what="a kept result of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 Done = Callable[[str, int, int], object]  # policy, blocks done, blocks in all
@@ -183,7 +184,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, wcsim's own code."""
-    said = [order.settings, order.forks, _code_digest(), *identity_of(name, order.preset)]
+    said = [order.settings, order.forks, code_digest(Path(__file__).parents[3]), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
@@ -205,10 +206,11 @@ def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     return tuple(record_of(record) for record in data["records"])
 
 
-def _code_digest() -> str:
-    """Of every file of the package that a drive may run."""
-    root = Path(__file__).parents[3]
+def code_digest(root: Path) -> str:
+    """Of every file of the package in `root` that a drive may run or read: those above the agents are none."""
     text = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        text.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted(path for kind in ("*.py", "*.toml") for path in root.rglob(kind)):
+        place = path.relative_to(root)
+        if place.parts[0] not in _ABOVE:
+            text.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return text.hexdigest()
