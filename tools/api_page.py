@@ -26,6 +26,7 @@ from wcsim.agents.networks import registry
 from wcsim.bridge.sumo.step_hook import StepHook
 from wcsim.server.specs import Patience, SeatRequest
 from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.towns.making.maker import Wishes, make_town
 
 LONGEST_VALUE = 60
 HEAD = """# Names that you may rely on
@@ -46,6 +47,7 @@ def page() -> str:
         ("A network", "`examples/own_network.py`; the contract is the text of its module.", _named(registry.register)),
         ("A reward term", "`examples/own_reward.py`.", _with_methods(RewardTerm)),
         ("A step hook", "`examples/own_signals.py`; either method may be missing.", _with_methods(StepHook)),
+        ("Towns without a map", "`docs/authoring.md`.", _named(make_town, Wishes)),
         ("A seat in a running world", "`docs/clients.md`.", _named(SeatRequest, Patience)),
         ("`wcsim.errors`: what is raised", "Their tree is at the top of `wcsim/errors.py`.", _errors()),
     )
