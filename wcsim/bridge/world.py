@@ -67,6 +67,7 @@ class World(Closing):
         self._epoch: Epoch | None = None
         self._tick = 0
         self._bodied: tuple[ActorState, ...] = ()  # who has a body in the engine in this tick
+        self._blind = False
         self._held = ExitStack()
         try:
             seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
@@ -192,6 +193,10 @@ class World(Closing):
             self._open.bodies.place(mirror.moves(traffic.before, self._bodied, self.config.world.tick_s))
         self._load_tiles(places_W_m)
 
+    def go_blind(self) -> None:
+        """Take no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
+        self._blind = True
+
     def _drive(self, commands: Sequence[Command]) -> None:
         """The chairs are driven, substep by substep."""
         engine = self._open.engine
@@ -306,14 +311,17 @@ class World(Closing):
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
                 scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            self._rig.shoot_all(scenes, meanwhile)
+            if not self._blind:
+                self._rig.shoot_all(scenes, meanwhile)
+            elif meanwhile is not None:
+                meanwhile()
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
             sensors = seat.observe(scene)
         with self.stopwatch.measure("truth"):
-            truth = seat.truth(self._others(seat))
+            truth = None if self._blind else seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
 
     def _look_around(self, seat: Ego) -> None:
