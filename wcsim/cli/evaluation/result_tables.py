@@ -19,7 +19,6 @@ _SAFE: tuple[Column, ...] = (
     ("crashes_other", "other\ncrash", "{:d}"),
     ("drops", "\ndrops", "{:d}"),
     ("red_entries", "at\nred", "{:d}"),
-    ("missed", "\nmissed", "{:d}"),
     ("saved", "\nsaved", "{:d}"),
     ("lost", "\nlost", "{:d}"),
 )
@@ -27,23 +26,31 @@ _THERE: tuple[Column, ...] = (
     ("kpi1_free_within", "\nwithin", "{:.1%}"),
     ("blocked_share", "\nblocked", "{:.1%}"),
     ("freezes", "\nfroze", "{:d}"),
-    ("needed", "\nneeded", "{:d}"),
-    ("needless", "need-\nless", "{:d}"),
     ("speed_mps", "\nm/s", "{:.2f}"),
     ("arrivals", "arri-\nvals", "{:d}"),
     ("road_s", "s on\nroad", "{:.0f}"),
     ("score", "\nscore", "{:.3f}"),
     ("score_ci", "\n95 %", "{0:.2f}-{1:.2f}"),
 )
+_JUDGED: tuple[Column, ...] = (
+    ("interventions", "inter-\nventions", "{:d}"),
+    ("missed", "\nmissed", "{:d}"),
+    ("judged_episodes", "episodes\njudged", "{:d}"),
+    ("needed", "\nneeded", "{:d}"),
+    ("needless", "\nneedless", "{:d}"),
+    ("warned_share", "\nwarned", "{:.0%}"),
+    ("false_warnings_per_km", "false\n/km", "{:.0f}"),
+)
 
 
 def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[str]) -> None:
-    """Print a result of `wcsim test --suite`, two tables for each part and two for all."""
+    """Print a result of `wcsim test --suite`, three tables for each part and three for all."""
     version = f"{result['suite']} {result['set']}{' CHANGED by ' + ' '.join(changed) if changed else ''}"
     for part in [*dict.fromkeys(row["part"] for row in result["rows"]), ""]:
         rows = [row for row in (result["rows"] if part else result["pooled"]) if row["part"] == part]
         title = f"{version}: {part or 'all parts'}"
-        console.print(_table(f"{title}, safety", _SAFE, rows), _table(f"{title}, service", _THERE, rows))
+        for what, columns in (("safety", _SAFE), ("service", _THERE), ("interventions and warnings", _JUDGED)):
+            console.print(_table(f"{title}, {what}", columns, rows))
     console.print("saved, lost: own crashes that the user alone has and the policy has not, and the other way round")
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
 

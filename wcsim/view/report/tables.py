@@ -71,11 +71,22 @@ SERVICE: Final = (
     Column(heading="s on road", key="road_s", says="seconds that the chair stood on a carriageway", form="{:.0f}"),
     Column(heading="blocked", key="blocked_share", says="share of free steps that go nowhere", form="{:.1%}"),
     Column(heading="froze", key="freezes", says="times that it stood for long without danger"),
+)
+JUDGED: Final = (
+    Column(heading="interventions", key="interventions", says="runs of steps in which it did not do as asked"),
+    Column(heading="missed", key="missed", says="own crashes without an intervention in the 5 s before"),
+    Column(heading="judged", key="judged_episodes", says="episodes in which forks tell what came of the user's wish"),
     Column(heading="needed", key="needed", says="interventions without which the user alone would have crashed in 5 s"),
     Column(heading="needless", key="needless", says="interventions without which nothing would have happened in 5 s"),
-    Column(heading="missed", key="missed", says="own crashes without an intervention in the 5 s before"),
+    Column(heading="warned", key="warned_share", says="share of dangers warned of at least 1 s ahead", form="{:.0%}"),
+    Column(
+        heading="false warnings/km",
+        key="false_warnings_per_km",
+        says="warnings a km that no danger followed",
+        form="{:.0f}",
+    ),
 )
-COLUMNS: Final = (*SAFETY, *SERVICE)
+COLUMNS: Final = (*SAFETY, *SERVICE, *JUDGED)
 
 
 def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> Exhibit:
@@ -84,13 +95,14 @@ def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> E
     name = f"table-{part or 'all'}"
     safety = _table(rows, SAFETY, f"{name}-safety", worst)
     service = _table(rows, SERVICE, f"{name}-service", None)
+    judged = _table(rows, JUDGED, f"{name}-judged", None)
     keys = [key for column in COLUMNS for key in _keys(column)]
     plain = [[row["policy"], *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
     return Exhibit(
         name=name,
         title=f"Part {part}" if part else "All parts",
         says="Below a figure: its 95 % interval.",
-        body=joined((safety, service)),
+        body=joined((safety, service, judged)),
         csv=csv_of(["policy", *keys], plain),
     )
 

@@ -59,3 +59,11 @@ def test_twins_say_who_was_saved_and_who_was_lost():
 )
 def test_a_fool_is_caught(fool, column, worse):
     assert worse(row([replace(item, **fool) for item in MANY])[column], row(MANY)[column])
+
+
+def test_what_forks_say_stands_on_the_episodes_that_they_judged():
+    told = replace(GOOD, m=500.0, to_warn=4, warned=1, false_warnings=3, judged=True)
+    unjudged = replace(told, to_warn=1, warned=1, false_warnings=0, judged=False)
+    both = row([told, unjudged])
+    assert (both["judged_episodes"], both["episodes"], both["judged_km"], both["km"]) == (1, 2, 0.5, 1.0)
+    assert both["false_warnings_per_km"] == 6.0 and both["warned_share"] == 0.25

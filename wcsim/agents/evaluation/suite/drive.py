@@ -246,6 +246,7 @@ class _Seat:
             to_warn=to_warn,
             false_warnings=false,
             interventions=self._alarms.interventions(),
+            judged=self._order.judged,
             end_m=(round(x_m, 3), round(y_m, 3)),
             **sums,
             **more,

@@ -64,6 +64,7 @@ class EpisodeRecord:
     to_warn: int = 0  # all of those
     false_warnings: int = 0
     interventions: tuple[Intervention, ...] = ()
+    judged: bool = True  # whether forks said what its interventions and warnings were worth
     end_m: tuple[float, float] = (0.0, 0.0)  # where it ended, W
     accel_sq_sum: float = 0.0  # of the squared change of speed from step to step, (m/s2)^2
     stick_travel: float = 0.0  # way of the stick's tip that the chair was given, in stick's lengths

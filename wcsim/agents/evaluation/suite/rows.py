@@ -105,15 +105,18 @@ def _service(records: Sequence[EpisodeRecord]) -> Row:
 
 
 def _interventions(records: Sequence[EpisodeRecord]) -> Row:
-    found = [item for record in records for item in record.interventions]
-    km = _km(records)
+    judged = [record for record in records if record.judged]
+    found = [item for record in judged for item in record.interventions]
+    km = _km(judged)
     return {
-        "interventions": len(found),
+        "interventions": sum(len(record.interventions) for record in records),
+        "judged_episodes": len(judged),
+        "judged_km": km,
         "needed": sum(item.verdict == NEEDED for item in found),
         "needless": sum(item.verdict == NEEDLESS for item in found),
         "missed": sum(record.missed for record in records),
-        "warned_share": _ratio(sum(record.warned for record in records), sum(record.to_warn for record in records)),
-        "false_warnings_per_km": sum(r.false_warnings for r in records) / km if km >= _FAR_ENOUGH_KM else None,
+        "warned_share": _ratio(sum(record.warned for record in judged), sum(record.to_warn for record in judged)),
+        "false_warnings_per_km": sum(r.false_warnings for r in judged) / km if km >= _FAR_ENOUGH_KM else None,
     }
 
 
