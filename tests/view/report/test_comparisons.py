@@ -6,7 +6,7 @@ import pytest
 
 from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, parts_of_score, verdicts, weighted
+from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, verdicts, weighted
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_a_verdict_says_what_is_separated_and_how_far_the_rest_is_from_it(result
 def test_weights_change_what_they_should(result):
     by_name = {way.name: way.of for way in WEIGHTINGS}
     red = record(0, red_entries=1)
-    done, pace, obeyed = parts_of_score(record(0))
+    done, pace, obeyed = record(0).score_parts
     assert (done, obeyed) == (1.0, 76 / 80)
     assert by_name["the score"](record(0)) == pytest.approx(record(0).score) == pytest.approx(done * pace * obeyed)
     assert by_name["the score"](red) == 0.0 and by_name["red lights forgiven"](red) == pytest.approx(record(0).score)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from wcsim.agents.evaluation.intervals import bootstrapped, mcnemar
-from wcsim.agents.evaluation.suite.records import POLICY_FAILED, REFUSED, EpisodeRecord
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
@@ -128,24 +128,13 @@ class Weighting:
     of: Callable[[EpisodeRecord], float]
 
 
-def parts_of_score(record: EpisodeRecord) -> tuple[float, float, float]:
-    """Way done, pace and obedience of an episode, each from 0 to 1."""
-    done = min(1.0, record.done_m / record.route_m) if record.route_m > 0.0 else 1.0
-    pace = min(1.0, record.reference_s / record.time_s) if record.time_s > 0.0 else 1.0
-    return done, pace, record.moving_within / record.moving_steps if record.moving_steps else 1.0
-
-
-def _driven(record: EpisodeRecord) -> bool:
-    return not record.own and record.status not in (POLICY_FAILED, REFUSED) and record.steps > 0
-
-
 def _product(record: EpisodeRecord, obedience: float = 1.0) -> float:
-    done, pace, obeyed = parts_of_score(record)
+    done, pace, obeyed = record.score_parts
     return done * pace * math.pow(obeyed, obedience)
 
 
 def _lawful(record: EpisodeRecord) -> bool:
-    return _driven(record) and not record.red_entries
+    return record.driven and not record.red_entries
 
 
 WEIGHTINGS: Final = (
@@ -168,12 +157,12 @@ WEIGHTINGS: Final = (
     Weighting(
         name="red lights forgiven",
         says="as the score, but a red entry does not make it 0",
-        of=lambda record: _product(record) if _driven(record) else 0.0,
+        of=lambda record: _product(record) if record.driven else 0.0,
     ),
     Weighting(
         name="way alone",
         says="share of the way that was done, whatever ended it",
-        of=lambda record: parts_of_score(record)[0] if record.steps else 0.0,
+        of=lambda record: record.score_parts[0] if record.steps else 0.0,
     ),
 )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, parts_of_score, verdicts
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode
 from wcsim.view.report.figures import figures_of
@@ -112,7 +112,7 @@ def _episodes(result: KeptResult) -> Exhibit:
     columns = ("policy", *plain, "x_m", "y_m", "interventions", "way_share", "pace", "obeyed", "score")
     rows = [
         [name, *(getattr(e.record, key) for key in plain), *e.record.end_m, len(e.record.interventions),
-         *(round(value, 6) for value in (*parts_of_score(e.record), e.record.score))]
+         *(round(value, 6) for value in (*e.record.score_parts, e.record.score))]
         for name, episodes in result.episodes.items()
         for e in episodes
     ]  # fmt: skip

@@ -82,7 +82,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
     edges = place.street.walk.edges
     crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
     rng = seeding.generator(seed, "suite", place.name, wanted.part)
-    found: list[tuple[EpisodeFile, F64]] = []
+    found: list[tuple[EpisodeFile, Route]] = []
     order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
     ways = deque((crossing, back) for back in (False, True) for crossing in order)
     turn = 0
@@ -114,11 +114,12 @@ def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: S
     )
 
 
-def _apart(ways: Iterator[tuple[EpisodeFile, F64]]) -> list[EpisodeFile]:
+def _apart(ways: Iterator[tuple[EpisodeFile, Route]]) -> list[EpisodeFile]:
     """The first ways, up to SEATS, that keep APART_M from one another."""
     taken: list[EpisodeFile] = []
     lines: list[F64] = []
-    for episode, points_m in ways:
+    for episode, route in ways:
+        points_m = route.points_W_m
         if all(_distance_m(points_m, other) > APART_M for other in lines):
             taken.append(episode)
             lines.append(points_m)
@@ -132,7 +133,7 @@ def _distance_m(one_m: F64, other_m: F64) -> float:
     return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
 
 
-def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, F64]]:
+def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, Route]]:
     """Sound ways; whether one leads over a crossing is drawn before it is, so that the share stays as wanted."""
     over = float(rng.random() < wanted.crossing_share)
     for _ in range(_TRIES):
@@ -140,17 +141,16 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
         if not _clear(place, start, yaw_rad):
             continue
         goal = place.router.random_goal(rng, start, *wanted.way_m, over)
-        episode, points_m = _episode(place, start, yaw_rad, goal, who)
+        episode, route = _episode(place, start, yaw_rad, goal, who)
         long_enough = 0.5 * wanted.way_m[0] <= episode.route_m <= 2.0 * wanted.way_m[1]  # some go round another corner
-        route = place.router.route(episode.start_m, episode.goal_m)
         if long_enough and is_sound(place.street, route, place.outline):
-            yield episode, points_m
+            yield episode, route
             over = float(rng.random() < wanted.crossing_share)
 
 
 def _attempt(
     place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator
-) -> tuple[EpisodeFile, F64] | None:
+) -> tuple[EpisodeFile, Route] | None:
     """A way over one crossing, from a pavement near its one end to one near its other."""
     points_m = place.street.walk.edges[crossing].points_W_m
     ends = (points_m[-1], points_m[0]) if back else (points_m[0], points_m[-1])
@@ -186,7 +186,7 @@ def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, nobody)
 
 
-def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, F64]:
+def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, Route]:
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)
@@ -201,7 +201,7 @@ def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) ->
         route_m=round(float(route.arc_m[-1]), 3),
         reference_s=round(reference_s, 2),
     )
-    return episode, route.points_W_m
+    return episode, route
 
 
 def reference_time_s(route: Route, who: str, config: RunConfig) -> float:

@@ -79,12 +79,22 @@ class EpisodeRecord:
     @property
     def score(self) -> float:
         """0 after an own crash, a drop or a red entry; else way done x pace x obedience, each at most 1."""
-        if self.own or self.red_entries or self.status in (POLICY_FAILED, REFUSED) or not self.steps:
+        if not self.driven or self.red_entries:
             return 0.0
+        done, pace, obeyed = self.score_parts
+        return done * pace * obeyed
+
+    @property
+    def score_parts(self) -> tuple[float, float, float]:
+        """Way done, pace and obedience, each from 0 to 1."""
         done = min(1.0, self.done_m / self.route_m) if self.route_m > 0.0 else 1.0
         pace = min(1.0, self.reference_s / self.time_s) if self.time_s > 0.0 else 1.0
-        obeyed = self.moving_within / self.moving_steps if self.moving_steps else 1.0
-        return done * pace * obeyed
+        return done, pace, self.moving_within / self.moving_steps if self.moving_steps else 1.0
+
+    @property
+    def driven(self) -> bool:
+        """Whether the policy drove, and crashed by no fault of its own."""
+        return not self.own and self.status not in (POLICY_FAILED, REFUSED) and self.steps > 0
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
