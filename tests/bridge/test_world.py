@@ -185,3 +185,18 @@ def test_a_slow_camera_repeats_its_image_with_its_old_tick(corner):
     with open_world(corner, "cameras.0.every_ticks=3") as world:
         taken = [follow(world).clients[0].sensors.cameras[0].taken_tick for _ in range(7)]
         assert taken == [0, 0, 3, 3, 3, 6, 6]
+
+
+def test_a_blind_world_draws_nothing_and_goes_on_as_it_would(corner):
+    with open_world(corner) as world:
+        follow(world)
+        seen = [follow(world).clients[0] for _ in range(20)]
+    with open_world(corner) as world:
+        (before,) = follow(world).clients
+        world.go_blind()
+        blind = [follow(world).clients[0] for _ in range(20)]
+    assert {client.sensors.cameras[0].taken_tick for client in blind} == {before.sensors.cameras[0].taken_tick}
+    assert [client.sensors.cameras[0].taken_tick for client in seen] == [client.tick for client in seen]
+    assert all(client.truth is None for client in blind)
+    for one, other in zip(seen, blind, strict=True):
+        assert (one.plant, one.user, one.events) == (other.plant, other.user, other.events)

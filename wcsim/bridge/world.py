@@ -194,8 +194,9 @@ class World(Closing):
         self._load_tiles(places_W_m)
 
     def go_blind(self) -> None:
-        """Take no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
+        """Draw no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
         self._blind = True
+        self._rig.shut_eyes()
 
     def _drive(self, commands: Sequence[Command]) -> None:
         """The chairs are driven, substep by substep."""
@@ -311,10 +312,7 @@ class World(Closing):
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
                 scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            if not self._blind:
-                self._rig.shoot_all(scenes, meanwhile)
-            elif meanwhile is not None:
-                meanwhile()
+            self._rig.shoot_all(scenes, meanwhile)
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:

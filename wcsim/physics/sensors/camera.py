@@ -118,6 +118,7 @@ class CameraRig:
         self._range_m = max(camera.range_m for camera in cameras)
         self._threads = DrawingThreads(threads or cores())
         self._taken: dict[int, tuple[Surroundings, tuple[CameraFrame, ...]]] = {}
+        self._shut = False
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
         self._light = [1.0] * seats
@@ -222,6 +223,10 @@ class CameraRig:
             pairs = enumerate(self._shutters[seat])
             self._taken[seat] = (scene, tuple([_last(shutter, scene.buffers, index) for index, shutter in pairs]))
 
+    def shut_eyes(self) -> None:
+        """Repeat the last picture of every camera from now on."""
+        self._shut = True
+
     def shown_px(self, seat: int) -> dict[str, float]:
         """Pixels of each actor in the pictures of the seat's last shot, all cameras together, without their noise.
 
@@ -236,6 +241,8 @@ class CameraRig:
     def _repeats(self, index: int, shutter: _Shutter, tick: int) -> bool:
         if shutter.last is None or tick < shutter.last.taken_tick:
             return False
+        if self._shut:
+            return True
         camera, lost = self.cameras[index], child(child(shutter.key, _LOST), tick) / 2.0**64
         return tick - shutter.last.taken_tick < camera.every_ticks or lost < camera.lost_share
 
