@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of, suite_in
-from wcsim.agents.evaluation.senses import senses_of, with_senses
+from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.policies.baselines import baseline

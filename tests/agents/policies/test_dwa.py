@@ -13,9 +13,10 @@ from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dwa import caution, up_in_body
+from wcsim.agents.policies.dwa import caution
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, rectangle_gap, touches_after
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
+from wcsim.agents.policies.dynamic_window.surroundings import up_in_body
 from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
 from wcsim.core.joystick import limits_of
@@ -143,8 +144,8 @@ def test_what_it_saw_once_is_forgotten_in_seconds_and_what_it_saw_for_longer_is_
 def test_what_it_remembers_moves_as_the_chair_does():
     driver = baseline("dwa", CONFIG)
     drive(box(2.2, 2.4, -0.1, 0.1, 0, 1.0), 1, (0.0, 0.0), driver)
-    before = driver._memory.points_B_m(np.zeros(3), 0.0).copy()
-    after = driver._memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
+    before = driver._around.memory.points_B_m(np.zeros(3), 0.0).copy()
+    after = driver._around.memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
     cos, sin = math.cos(0.3), math.sin(0.3)
     assert np.allclose(after, (before - [0.5, 0.0]) @ np.array([[cos, -sin], [sin, cos]]))
     assert np.arctan2(*after.mean(axis=0)[::-1]) < 0.0  # turned to the left, it lies to the right
@@ -280,8 +281,8 @@ def test_a_decision_is_quick():
     config = RunConfig(cameras=(CameraConfig(),), chair=ChairConfig())
     driver = baseline("dwa", config)
     coarse = view_of(box(1.5, 3.0, -3, 0.2, 0, 3))
-    depth = np.repeat(np.repeat(coarse["depth"], 4, axis=1), 4, axis=2)[:, :240, :320]
-    view = {**coarse, "depth": depth, "joystick": AHEAD}
+    large = {key: np.kron(coarse[key], np.ones((4, 4), np.uint8))[:, :240, :320] for key in ("depth", "seg")}
+    view = {**coarse, **large, "joystick": AHEAD}
     assert multiple(lambda: driver.act(view)) < 25  # about 5
 
 

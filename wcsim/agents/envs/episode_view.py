@@ -53,6 +53,20 @@ class ChairLink(Protocol):
         """See `WorldLink.receive`."""
 
 
+class HeldLink:
+    """A chair's link where the world is in this process: `now` is set to what `receive` gives."""
+
+    def __init__(self) -> None:
+        self.now: ClientSnapshot
+
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """The command goes with those of the other seats."""
+
+    def receive(self) -> ClientSnapshot:
+        """The seat's frame of now."""
+        return self.now
+
+
 class Chair:
     """A seat of a world, driven by actions of the set; `now` is its frame, None before its first one."""
 

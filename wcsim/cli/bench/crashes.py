@@ -122,7 +122,7 @@ def _config(options: CrashesOptions) -> RunConfig:
 
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
-    from wcsim.agents.evaluation.senses import senses_of, with_senses
+    from wcsim.agents.envs.senses import senses_of, with_senses
     from wcsim.agents.policies.baselines import baseline
     from wcsim.bench.crashes.drives import CrashOrder, drive_crashes
     from wcsim.core.seeding import derive

@@ -108,11 +108,11 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     _require_policies(options)
     config = _config(options)
 
+    from wcsim.agents.envs.senses import with_senses
     from wcsim.agents.envs.wheelchair_env import (
         WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
     )
     from wcsim.agents.evaluation.matrix import TestPlan, open_policy, run_test, window_for
-    from wcsim.agents.evaluation.senses import with_senses
 
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.alarms import Alarms
 from wcsim.agents.evaluation.suite.forks import crash_alone_s, users_alone
@@ -33,7 +33,7 @@ from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
-from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
+from wcsim.types import ClientSnapshot, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of wall clock: a policy that needs longer for an answer has failed
 FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
@@ -122,20 +122,6 @@ def _looked_at(seats: Sequence[_Seat], watch: Watch | None) -> Sequence[_Seat]:
     return chosen
 
 
-class _Link:
-    """What `Chair` sends to and receives from, instead of a world of another process."""
-
-    def __init__(self) -> None:
-        self.now: ClientSnapshot
-
-    def send(self, tick: int, joystick: Joystick) -> None:
-        """The command goes with those of the other seats."""
-
-    def receive(self) -> ClientSnapshot:
-        """The seat's frame of now."""
-        return self.now
-
-
 class _Seat:
     """One episode while it lasts; `record` is there once it has ended, and the chair has left the street."""
 
@@ -146,7 +132,7 @@ class _Seat:
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
-        self._chair, self._link = Chair(config), _Link()
+        self._chair, self._link = Chair(config), HeldLink()
         self._meter = EpisodeMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.agents.evaluation.senses import senses_of, with_senses
+from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served

@@ -68,7 +68,7 @@ def arcs(
     """
     kept_m = np.empty(len(points))
     for i in range(len(points)):
-        now_m = _gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
+        now_m = box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
         kept_m[i] = min(points[i, 4], now_m - CLOSER_M)
     free = np.empty(len(commands), np.bool_)
     for k in range(len(commands)):
@@ -89,7 +89,7 @@ def _arc(
             dx, dy = points[n, 0] + at_s * points[n, 2] - now[0], points[n, 1] + at_s * points[n, 3] - now[1]
             if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
                 continue
-            gap = _gap(dx, dy, cos, sin, box)
+            gap = box_gap(dx, dy, cos, sin, box)
             if gap < NEAR_M:
                 least = min(least, gap)
                 if i > 0 and gap <= kept_m[n]:
@@ -126,12 +126,12 @@ def rectangle_gap(x: float, y: float, yaw: float, at_s: float, box: F64, points:
     least = np.inf
     for n in range(len(points)):
         dx, dy = points[n, 0] + at_s * points[n, 2] - x, points[n, 1] + at_s * points[n, 3] - y
-        least = min(least, _gap(dx, dy, cos, sin, box))
+        least = min(least, box_gap(dx, dy, cos, sin, box))
     return least
 
 
 @exact_kernel
-def _gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
+def box_gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
     """Distance from the chair to a place that far from its axle; below 0 inside it: how deep."""
     ahead = abs(dx * cos + dy * sin - 0.5 * (box[0] + box[1])) - 0.5 * (box[1] - box[0])
     aside = abs(dy * cos - dx * sin) - box[2]
