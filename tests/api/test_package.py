@@ -233,6 +233,7 @@ SAME_FILE_NAME = {
     "build": "a scene's folder, and a learner of its settings",
     "camera": "the sensor, and the command of its bench",
     "chair": "its section of a run file, what crosses borders of it, and the command of its bench",
+    "collect": "its section of a run file, and its command",
     "command": "the commands of a group",
     "compare": "plants, and pictures with an oracle's",
     "drives": "of the users' bench, and of the crashes'",

@@ -31,17 +31,20 @@ SUBCOMMANDS = (
         "demo", "wcsim.cli.training.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"
     ),
     Subcommand("train", "wcsim.cli.training.train", "train a network in a town"),
+    Subcommand("collect", "wcsim.cli.training.collect", "record driving that a network can learn from"),
     Subcommand("serve", "wcsim.cli.serve", "run a world that clients join and leave"),
     Subcommand("join", "wcsim.cli.training.join", "train a network in a world that somebody serves"),
     Subcommand(
         "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns they have never seen"
     ),
     Subcommand("report", "wcsim.cli.evaluation.report", "the page of a finished test or training, with its failures"),
+    Subcommand("export", "wcsim.cli.training.export", "write a trained policy as an ONNX model, for other machines"),
     Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),
     Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
+    Subcommand("networks", "wcsim.cli.networks", "what each network costs: parameters, memory, time of a decision"),
     Subcommand("bench", "wcsim.cli.bench.command", "measure chair, users, street, cameras and speed"),
     Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),

@@ -17,7 +17,9 @@ from wcsim.config.env import EnvConfig as EnvConfig
 from wcsim.config.env import JoystickDistance as JoystickDistance
 from wcsim.config.env import RewardConfig as RewardConfig
 from wcsim.config.env import Window as Window
-from wcsim.config.learn import LearnConfig as LearnConfig
+from wcsim.config.learning.collect import CollectConfig as CollectConfig
+from wcsim.config.learning.danger import DangerConfig as DangerConfig
+from wcsim.config.learning.learn import LearnConfig as LearnConfig
 from wcsim.config.load import CONFIG_FILE as CONFIG_FILE
 from wcsim.config.load import load_run_config as load_run_config
 from wcsim.config.load import parse as parse

@@ -10,7 +10,9 @@ from pydantic import Field, model_validator
 from wcsim.config.base import Model
 from wcsim.config.chair import ChairConfig
 from wcsim.config.env import EnvConfig, RewardConfig
-from wcsim.config.learn import LearnConfig
+from wcsim.config.learning.collect import CollectConfig
+from wcsim.config.learning.danger import DangerConfig
+from wcsim.config.learning.learn import LearnConfig
 from wcsim.config.randomization import VaryConfig
 from wcsim.config.sensors import (
     CameraConfig,
@@ -40,6 +42,8 @@ class RunConfig(Model):
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
     vary: VaryConfig = VaryConfig()
+    collect: Annotated[CollectConfig, Field(exclude_if=lambda part: part == CollectConfig())] = CollectConfig()
+    danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = DangerConfig()
 
     @model_validator(mode="after")
     def _parts_fit(self) -> RunConfig:

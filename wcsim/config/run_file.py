@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, JoystickDistance, Window
-from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, Word
+from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -83,6 +83,42 @@ class PolicyFile(Model):
         return self
 
 
+class DangerNetFile(Model):
+    """The shape of a danger network."""
+
+    roll_out: bool
+    gaps: bool
+    rival: bool
+    context: bool
+    width: Annotated[int, Field(ge=4, le=256)]
+    actions: Literal["square81", "disc69"]
+
+
+class RuleFile(Model):
+    """How dangers become an action."""
+
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)]
+    keep: NotNegative
+    lenient: Positive
+    shy: NotNegative
+    warn: Share
+
+
+class DangerFile(Model):
+    """`policy.json` of a danger network."""
+
+    schema_version: Literal[1]
+    algorithm: Literal["danger"]
+    net: DangerNetFile
+    rule: RuleFile
+    camera: CameraConfig
+    classes: Literal["cityscapes", "wcsim"]
+    chair: ChairConfig  # whose drive its roll-outs obey
+    manifest_sha256: Sha256 | Literal[""]
+    weights_sha256: Sha256
+    versions: Versions = Field(default_factory=dict)
+
+
 ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
 
 
@@ -120,6 +156,17 @@ class ManifestFile(Model):
         if len(set(self.clients)) != len(self.clients):
             raise ValueError(f"clients are named {list(self.clients)}; expected each to have a name of its own")
         return self
+
+
+class DataFile(Model):
+    """`data.json` of a folder of recorded driving."""
+
+    schema_version: Literal[1]
+    settings_sha256: Sha256  # what it has in common with whoever learns from it
+    config: dict[str, Any]  # all settings of the driving; of another version, perhaps
+    towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
+    segments: Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # by file
+    data_sha256: Sha256
 
 
 class OnnxPolicyFile(Model):

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
 from wcsim.towns.cache.folder import shown_cache
+from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.cache.street_cache import cached_street
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, content_hash
@@ -50,6 +51,10 @@ def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Stree
         say(f"building the street of {town.name}, up to a minute; it is done once, and kept in {shown_cache()}")
         return build_street(town)
 
+    if town.passing:
+        from wcsim.towns.build_street import build_street
+
+        return street_of(build_street(town))
     return cached_street(street_key(town), built)
 
 

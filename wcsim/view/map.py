@@ -12,7 +12,8 @@ from wcsim.bridge.world import World
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_pose, instances_of
-from wcsim.physics.sensors.camera import FreeCamera, look_along
+from wcsim.physics.sensors.camera import FreeCamera
+from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, Route, StreetMesh
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.

@@ -177,4 +177,5 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
 
 def test_nothing_in_agents_unpickles():
     for path in Path(wcsim.agents.__file__).parent.rglob("*.py"):
-        assert not re.search(r"pickle|torch\.load\(|\beval\(|\bexec\(", path.read_text()), path
+        text = path.read_text()
+        assert not re.search(r"(?<!allow_)pickle|allow_pickle=True|torch\.load\(|\beval\(|\bexec\(", text), path

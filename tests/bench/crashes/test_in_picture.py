@@ -11,7 +11,8 @@ from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.bench.crashes.in_picture import BODY_M, Sight, actor_points, clipped, in_picture, street_points
 from wcsim.config import CameraConfig
-from wcsim.physics.sensors.camera import CameraRig, camera_matrix, mount, pinhole, pose_matrix
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.types import ActorKind, Outline
 
 STREET = strip_street()

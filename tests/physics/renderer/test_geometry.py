@@ -25,7 +25,8 @@ from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templ
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
 from wcsim.physics.renderer.street_paint import connected_parts
-from wcsim.physics.sensors.camera import FreeCamera, look_along
+from wcsim.physics.sensors.camera import FreeCamera
+from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ClassId, StreetMesh
 
 ANGLE = st.floats(-math.pi, math.pi)

@@ -16,7 +16,8 @@ from wcsim.config import CameraConfig
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import figures, instances_of
 from wcsim.physics.renderer.models.catalog import LOOKS, Template, template_of
-from wcsim.physics.sensors.camera import CameraRig, FreeCamera, camera_matrix, look_at, mount, pinhole, pose_matrix
+from wcsim.physics.sensors.camera import CameraRig, FreeCamera
+from wcsim.physics.sensors.camera_geometry import camera_matrix, look_at, mount, pinhole, pose_matrix
 from wcsim.types import ActorKind, ActorLook, ClassId
 
 CAMERA = CameraConfig(width_px=320, height_px=240)

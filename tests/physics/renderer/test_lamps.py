@@ -21,7 +21,8 @@ from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.signal_lamps import SignalLamps
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer
-from wcsim.physics.sensors.camera import CameraRig, look_at
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.camera_geometry import look_at
 from wcsim.types import ActorKind, ClassId, SignalHead, SignalState
 
 CAMERA = Pinhole(width_px=120, height_px=160, focal_px=500.0, near_m=0.1, range_m=40.0)

@@ -17,7 +17,7 @@ from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer
-from wcsim.physics.sensors.camera import look_along, look_at
+from wcsim.physics.sensors.camera_geometry import look_along, look_at
 from wcsim.types import ActorKind, ClassId
 
 NOBODY = instances_of(())

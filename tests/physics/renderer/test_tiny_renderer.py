@@ -17,7 +17,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
-from wcsim.physics.sensors.camera import look_along
+from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ClassId
 
 

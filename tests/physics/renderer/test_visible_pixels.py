@@ -16,7 +16,8 @@ from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.instances import ChairPose, instances_of
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
 from wcsim.physics.renderer.visible_pixels import shown_px
-from wcsim.physics.sensors.camera import CameraRig, look_along
+from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ActorLook, ClassId
 
 MOBILE = (

@@ -17,16 +17,8 @@ from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.physics.renderer.instances import ChairPose, chair_pose, instances_of, rotation_quaternion
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.base import Surroundings
-from wcsim.physics.sensors.camera import (
-    CameraRig,
-    FreeCamera,
-    camera_matrix,
-    focal_px,
-    look_at,
-    mount,
-    pinhole,
-    pose_matrix,
-)
+from wcsim.physics.sensors.camera import CameraRig, FreeCamera
+from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
 from wcsim.types import ActorKind, ClassId
 
 SMALL = CameraConfig(name="front", width_px=80, height_px=60)

@@ -9,17 +9,20 @@ from itertools import product
 from typing import Any
 
 import gymnasium
+import torch
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.run_folder import policy_path
+from wcsim.agents.runs.policy_file import is_danger
+from wcsim.agents.runs.run_folder import policy_path, split_level
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
@@ -154,11 +157,18 @@ def run_test(
 def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None = None) -> Policy:
     """A policy by what a user calls it: a baseline's name, a run folder, `RUN:phase1`, or a policy folder.
 
+    From a network on torch works on one thread in this process: one picture is too little for two, and where others use
+    the cores they wait for one another, fifty times as long as the work takes.
+
     Raises PolicyError when there is none; `network` as in `load_policy`.
     """
     if is_baseline(name):
         return baselines.baseline(name, config, seed)
-    policy = load_policy(policy_path(name), network)
+    torch.set_num_threads(1)
+    path = policy_path(name)
+    if is_danger(path):
+        return load_danger(path, name, config, split_level(name)[1])
+    policy = load_policy(path, network)
     camera, file = config.cameras[0], policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
         raise PolicyError(

@@ -13,7 +13,7 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.config import LearnConfig, RunConfig, with_overrides
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, PolicyError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +54,8 @@ def net_spec(config: RunConfig) -> NetSpec:
         penalty=reward.penalty,
         reward_scale=learn.reward_scale,
     )
+    if learn.head == "danger":
+        raise PolicyError("learn.head='danger' learns in rounds, not by Q-learning; expected residual or plain here")
     return NetSpec(
         network=learn.network, head=learn.head, actions=config.env.actions, classes=config.env.classes, prior=prior
     )

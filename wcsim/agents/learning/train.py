@@ -23,17 +23,9 @@ from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.runs.run_folder import (
-    METRICS,
-    ResolvedRun,
-    RunFolder,
-    create_run,
-    make_manifest,
-    open_run,
-    with_kept_plant,
-)
+from wcsim.agents.runs.resumed_folder import folder_of
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder
 from wcsim.config import RunConfig
-from wcsim.config.plant import plant_text
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 
@@ -74,7 +66,7 @@ def train(
         PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
     """
     checked_device(run.config.learn.device)
-    folder = _open(run)
+    folder = folder_of(run, with_window)
     with files.locked(folder.path), _torch_settings(run.config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
@@ -226,19 +218,6 @@ def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Load
         say(f"{loaded.path}: of an older version; its counters and random states have no hash, and are taken as sound")
         run.event("unsealed", checkpoint=loaded.path.name)
     return loaded
-
-
-def _open(run: ResolvedRun) -> RunFolder:
-    """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards."""
-    if not run.resume:
-        return create_run(run.out, run.config, make_manifest(run.config, run.info))
-    folder, kept = open_run(run.out), ("seed", "town_sha256", "rewards")
-    other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
-    if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
-        other.append("plant")
-    if with_window(folder.config) != with_window(with_kept_plant(run.config, run.out)) or other:
-        raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
-    return folder
 
 
 @contextmanager

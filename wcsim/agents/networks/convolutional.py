@@ -10,6 +10,17 @@ FEATURES = 128
 PATCH_PX, PATCH_CHANNELS = 4, 24
 
 
+def strided(stem: nn.Module, image_shape: tuple[int, ...]) -> tuple[list[nn.Module], int]:
+    """A stem and stride-2 convolutions behind it, down to a map of about 8x10; also how many channels that has."""
+    layers: list[nn.Module] = [stem, nn.ReLU()]
+    with torch.no_grad():
+        _, width, height, _ = stem(torch.zeros(1, *image_shape)).shape
+    while height > _MAP_HEIGHT:
+        layers += [nn.Conv2d(width, 32, 3, stride=2, padding=1), nn.ReLU()]
+        height, width = (height + 1) // 2, 32
+    return layers, width
+
+
 class StridedNet(nn.Module):
     """A stem, stride-2 convolutions down to a map of about 8x10, 16 channels of it, one linear layer.
 
@@ -18,12 +29,7 @@ class StridedNet(nn.Module):
 
     def __init__(self, stem: nn.Module, image_shape: tuple[int, ...], vector_size: int) -> None:
         super().__init__()
-        layers: list[nn.Module] = [stem, nn.ReLU()]
-        with torch.no_grad():
-            _, width, height, _ = stem(torch.zeros(1, *image_shape)).shape
-        while height > _MAP_HEIGHT:
-            layers += [nn.Conv2d(width, 32, 3, stride=2, padding=1), nn.ReLU()]
-            height, width = (height + 1) // 2, 32
+        layers, width = strided(stem, image_shape)
         layers += [nn.Conv2d(width, 16, 1), nn.ReLU(), nn.Flatten()]
         self.cnn = nn.Sequential(*layers)
         with torch.no_grad():

@@ -78,7 +78,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         ids = observations[CLASS_KEY].to(torch.int32)
         planes = nn.functional.embedding(ids, torch.as_tensor(self._planes))  # (B, T, H, W, G + 1)
         planes[..., -1] = observations[DEPTH_KEY] / 255.0
-        planes = planes.movedim(-1, 2)
+        planes = planes.permute(0, 1, 4, 2, 3)  # a movedim with -1 cannot be exported
         return planes if self.windowed else planes[:, 0]
 
     def vector(self, observations: Tensors) -> torch.Tensor:

@@ -27,6 +27,7 @@ from wcsim.agents.networks.convolutional import PatchNet, SmallNet
 from wcsim.agents.networks.names import NETWORK_NAMES, unknown_network
 from wcsim.agents.networks.recurrent import Figure6Net, GruNet, StackNet
 from wcsim.agents.networks.residual import ImpalaNet
+from wcsim.agents.networks.spatiotemporal import Conv3dNet, ConvLstmNet
 from wcsim.core.plugins import find_class
 from wcsim.errors import PolicyError
 
@@ -39,6 +40,8 @@ NETWORKS: dict[str, NetworkClass] = {
     "fig6": Figure6Net,
     "gru": GruNet,
     "stack": StackNet,
+    "convlstm": ConvLstmNet,
+    "conv3d": Conv3dNet,
 }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from wcsim.agents.policies.baseline_names import USUAL_LEVEL
 from wcsim.agents.policies.dynamic_window.arcs import arcs, touches_after
 from wcsim.agents.policies.dynamic_window.backing import backs_blindly
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES, Surroundings
+from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet
@@ -65,7 +65,7 @@ class DynamicWindow:
     ) -> None:
         self.name, self.warning = name, False
         self._caution, self._actions = caution(level), actions
-        self._around = Surroundings(config, actions, outline)
+        self._around = StreetSense(config, actions, outline)
 
     def begin(self) -> None:
         """Nothing outlives an episode."""

@@ -84,3 +84,17 @@ def unpack(blobs: list[bytes], size: int) -> U8:
     limit = _CHUNK_FRAMES * size
     parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
     return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)
+
+
+def pack_each(frames: U8) -> list[bytes]:
+    """Frames (K, size) as a compressed blob each."""
+    packer = zstandard.ZstdCompressor(level=LEVEL)
+    return [packer.compress(frame.tobytes()) for frame in frames]
+
+
+def unpack_each(blobs: list[bytes], size: int) -> U8:
+    """What `pack_each` packed, (K, size)."""
+    unpacker, out = zstandard.ZstdDecompressor(), np.empty((len(blobs), size), np.uint8)
+    for row, blob in zip(out, blobs, strict=True):
+        row[:] = np.frombuffer(unpacker.decompress(blob, max_output_size=size), np.uint8)
+    return out

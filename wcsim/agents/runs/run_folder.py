@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
+import re
 import subprocess
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields, replace
@@ -23,7 +24,7 @@ from typing import Any, Literal
 
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND
 from wcsim.agents.runs.own_code import mark_of, own_classes
-from wcsim.agents.runs.policy_file import POLICY_JSON, read_policy_file
+from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
@@ -38,6 +39,7 @@ MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv
 _PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
+_LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
@@ -179,8 +181,9 @@ def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
 def policy_path(name: str) -> Path:
     """The policy folder that `name` means: a policy folder itself, a run (its final policy), or `RUN:phase1`.
 
-    Raises PolicyError when there is no such policy.
+    A level of assistance behind it (`RUN@0.2`) is left out. Raises PolicyError when there is no such policy.
     """
+    name, _ = split_level(name)
     path = Path(name)
     if is_file(path / POLICY_JSON):
         return path
@@ -206,6 +209,27 @@ def policy_path(name: str) -> Path:
     return found
 
 
+def split_level(name: str) -> tuple[str, float | None]:
+    """A policy's name without the level of assistance that it may end with, and that level.
+
+    >>> split_level("runs/a@0.2"), split_level("runs/a"), split_level("b@home")
+    (('runs/a', 0.2), ('runs/a', None), ('b@home', None))
+
+    Raises:
+        PolicyError: The level is none.
+    """
+    head, at, text = name.rpartition("@")
+    if not at or not _LEVEL.fullmatch(text):
+        return name, None
+    level = float(text)
+    if not 0.0 < level <= 1.0:
+        raise PolicyError(
+            f"policy {shown(name)!r} has no such level of assistance; expected RUN@L with L above 0, to 1: danger that "
+            "is allowed"
+        )
+    return head, level
+
+
 def run_of(name: str) -> Manifest | None:
     """Manifest of the run that a policy comes from; None for a policy folder that was copied out of its run.
 
@@ -224,7 +248,13 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
     run = _enclosing_run(path)
     if run is not None:
         return with_overrides(run.config, overrides)
-    file, config = read_policy_file(path), load_run_config(preset)
+    config = load_run_config(preset)
+    if is_danger(path):
+        told = read_danger_file(path)
+        env = config.env.model_copy(update={"actions": told.net.actions, "classes": told.classes, "window": 1})
+        own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
+        return with_overrides(config.model_copy(update=own), overrides)
+    file = read_policy_file(path)
     env = config.env.model_copy(
         update={"actions": file.net.actions, "classes": file.net.classes, "window": file.window}
     )

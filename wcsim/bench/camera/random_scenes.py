@@ -10,7 +10,7 @@ import numpy as np
 from wcsim.config import CameraConfig
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.physics.sensors.camera import camera_matrix, mount, pose_of
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pose_of
 from wcsim.types import F64, ActorKind, ActorState, ClassId, Ground, Street, WalkGraph, WayKind
 
 RADIUS_M = 45.0

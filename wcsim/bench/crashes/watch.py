@@ -18,7 +18,7 @@ from wcsim.bridge.ego.ego import AT_REST, Ego
 from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.config import RunConfig
 from wcsim.core.frames import deg
-from wcsim.physics.sensors.camera import camera_matrix, mount, pinhole, pose_matrix
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.fault import fault, hardest
 from wcsim.supervisor.rewards import GROUND_KINDS

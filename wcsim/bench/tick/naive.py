@@ -16,7 +16,7 @@ from wcsim.config import CameraConfig, ChairConfig
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
-from wcsim.physics.sensors.camera import camera_matrix, mount, pinhole, pose_of
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_of
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.types import F32, F64, I32, ActorState, StreetMesh

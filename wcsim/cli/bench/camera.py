@@ -80,7 +80,7 @@ def _measure(
     from wcsim.bench.camera.side_by_side import side_by_side
     from wcsim.physics.renderer.geometry import GeometryStore
     from wcsim.physics.renderer.instances import instances_of
-    from wcsim.physics.sensors.camera import pinhole
+    from wcsim.physics.sensors.camera_geometry import pinhole
     from wcsim.towns.street import load_street
 
     street = load_street(town)

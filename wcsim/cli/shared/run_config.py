@@ -47,7 +47,7 @@ def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunC
     named = (f'learn.network="{network}"',) if network else ()
     config = load_run_config(asked.preset, (*asked.set, *named), asked.config)
     config = with_steps(config if file is None else with_file(config, file), asked.steps)
-    _require_trained_user(config)
+    require_trained_users(config)
     return learning(config)
 
 
@@ -121,13 +121,15 @@ def learning(config: RunConfig) -> RunConfig:
     return config.model_copy(update={"env": config.env.model_copy(update=env)})
 
 
-def _require_trained_user(config: RunConfig) -> None:
-    """Raise ConfigError for a simulated user that is kept for tests."""
-    if config.env.profile in HELD_OUT:
-        raise ConfigError(
-            f"profile {config.env.profile} is held out of training, so that tests can ask how a network does with a "
-            "user it has never met; expected another env.profile"
-        )
+def require_trained_users(config: RunConfig) -> None:
+    """Raise ConfigError for simulated users that are kept for tests."""
+    for key, names in (("env.profile", (config.env.profile,)), ("collect.profiles", config.collect.profiles)):
+        for name in names:
+            if name in HELD_OUT:
+                raise ConfigError(
+                    f"profile {name} is held out of training, so that tests can ask how a network does with a user it "
+                    f"has never met; expected another {key}"
+                )
 
 
 def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:

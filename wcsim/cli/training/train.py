@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import how_to_test, in_town, resolve_config, resolve_run, steps_note
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
+from wcsim.config import with_overrides
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
@@ -30,7 +32,7 @@ class Options:
     town: str = "helsinki"
     """Town to train in; its split must be train."""
     preset: str = "quick"
-    """Settings to begin with: quick or paper."""
+    """Settings to begin with: quick, laptop or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()
@@ -47,6 +49,12 @@ class Options:
     """Networks that learn in one world at once, each in a process of its own; by name or as module:Class."""
     config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
     """TOML file laid over all for one of the clients; may be given several times."""
+    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """Worlds that drive beside a danger network that learns, each in a process of its own: data and weights are the
+    same for any number."""
+    data: Repeated = ()
+    """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
+    times."""
     lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
     """Seconds without a sign of progress after which a client is given up and started again."""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
@@ -75,9 +83,12 @@ def run(words: list[str]) -> int:
     if options.resume:
         return _resume(options, words)
     config = resolve_config(options, options.network)
+    if options.data:
+        config = with_overrides(config, (f"collect.data={json.dumps(options.data)}",))
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
-    train_in(resolved, town, note=steps_note(config, options.steps), verbose=options.verbose)
+    note = steps_note(config, options.steps)
+    train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds)
     return _told(options, resolved)
 
 
@@ -88,7 +99,7 @@ def _resume(options: Options, words: list[str]) -> int:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
     resolved, town = resumed(out, typed(options, words))
-    train_in(resolved, town, verbose=options.verbose)
+    train_in(resolved, town, verbose=options.verbose, worlds=options.worlds)
     return _told(options, resolved)
 
 
@@ -152,8 +163,12 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
-def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False) -> Path:
+def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1) -> Path:
     """Train with a progress bar; returns the run folder."""
+    if run.config.learn.head == "danger":
+        from wcsim.cli.training.rounds import train_rounds_in
+
+        return train_rounds_in(run, town, worlds)
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train

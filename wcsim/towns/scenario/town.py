@@ -37,6 +37,7 @@ class Town:
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
     border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
+    passing: bool = False  # it is driven once: what is built of it is not kept
 
     @property
     def address(self) -> str:

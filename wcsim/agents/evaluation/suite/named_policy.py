@@ -14,7 +14,7 @@ from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.run_folder import config_of, policy_path
+from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.plugins import find_class
 from wcsim.supervisor.actions import action_set
@@ -31,7 +31,8 @@ def identity_of(name: str, preset: str) -> list[Any]:
         return ["onnx", _files(Path(name))]
     if is_own_class(name):
         return ["class", name, preset, _file_digest(Path(str(_source_of(name))))]
-    return ["folder", _files(policy_path(name))]
+    level = split_level(name)[1]
+    return ["folder", _files(policy_path(name)), *([] if level is None else [level])]
 
 
 def _files(folder: Path) -> list[list[str]]:

@@ -15,11 +15,11 @@ from wcsim.agents.policies.dynamic_window.arcs import follow
 from wcsim.agents.policy_api import IMU_KEY, ODOMETRY_KEY, Observation
 from wcsim.types import F64
 
-_SPEED_FULL_SCALE, _TURN_FULL_SCALE = 4.0, 4.0  # of odometry and turn rates in an observation
+SPEED_FULL_SCALE, TURN_FULL_SCALE = 4.0, 4.0  # of odometry and turn rates in an observation
 _GYRO_Z = 7  # in the IMU vector with turn rates, behind acceleration and tilt
 _GYRO_SIZES = (8, 10)  # of an IMU vector that has turn rates, without and with the heading
-_TRUST = 0.8  # in what is measured, of a tick's mean, against what the drive's law says
-_MOVES_MPS = 0.05
+TRUST = 0.8  # in what is measured, of a tick's mean, against what the drive's law says
+MOVES_MPS = 0.05
 
 
 class EgoMotion:
@@ -64,7 +64,7 @@ class EgoMotion:
         mean = 0.5 * (before[:2] + self.motion[:2])
         for index, measured in enumerate((speed_mps, turn_radps)):
             if measured is not None:
-                self.motion[index] += _TRUST * (measured - mean[index])
+                self.motion[index] += TRUST * (measured - mean[index])
                 mean[index] = measured
         self._move(*mean.tolist())
 
@@ -75,7 +75,7 @@ class EgoMotion:
     def _begin(self, speed_mps: float | None, turn_radps: float | None, asked: F64) -> None:
         self._begun = True
         self.motion[:2] = speed_mps or 0.0, turn_radps or 0.0
-        moves = speed_mps is not None and abs(speed_mps) > _MOVES_MPS
+        moves = speed_mps is not None and abs(speed_mps) > MOVES_MPS
         self._waiting.extend([asked if moves else np.zeros(2)] * self._delay)
 
     def _move(self, speed_mps: float, turn_radps: float) -> None:
@@ -91,11 +91,11 @@ def _measured(observation: Observation) -> tuple[float | None, float | None]:
     if ODOMETRY_KEY in observation:
         speed_mps, turn_radps = (
             float(value) * full
-            for value, full in zip(observation[ODOMETRY_KEY], (_SPEED_FULL_SCALE, _TURN_FULL_SCALE), strict=True)
+            for value, full in zip(observation[ODOMETRY_KEY], (SPEED_FULL_SCALE, TURN_FULL_SCALE), strict=True)
         )
     imu = observation[IMU_KEY]
     if len(imu) in _GYRO_SIZES:
-        turn_radps = float(imu[_GYRO_Z]) * _TURN_FULL_SCALE
+        turn_radps = float(imu[_GYRO_Z]) * TURN_FULL_SCALE
     return speed_mps, turn_radps
 
 

@@ -29,7 +29,7 @@ _AHEAD_MPS = 0.05  # slower is no driving ahead
 _MOST_CARRIED, _MOST_CELLS = 96, 1024  # places of edges that go on, cells of those who could move
 
 
-class Surroundings:
+class StreetSense:
     """The street around one chair, from tick to tick: `observe`, then whatever is asked, then `command`.
 
     Args:

@@ -19,7 +19,7 @@ class LearnConfig(Model):
     total_steps: Steps = 20_000
     phase1_steps: StepsOrNone = 5_000
     network: Word = "small"
-    head: Literal["residual", "plain"] = "residual"
+    head: Literal["residual", "plain", "danger"] = "residual"
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
     learning_rate: Positive = 3e-4
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import quick_config
+from wcsim.agents.collecting.data_drivers import DataDriver
+from wcsim.agents.collecting.labels import SAFE
+from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
+from wcsim.agents.collecting.segment_places import SegmentOrder, is_of_scenes, places_of, settings_in_turn
+from wcsim.agents.collecting.work import collect
+from wcsim.config import CollectConfig, RunConfig, with_overrides
+from wcsim.supervisor.actions import action_set
+from wcsim.types import Verdict
+
+KEY = SegmentKey(run=5, round=0, index=0)
+ACTIONS = action_set("square81")
+
+
+def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
+    config = quick_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", *overrides)
+    return SegmentOrder(key=key, towns=(str(corner),), config=config, settings=("vary.action_delay_ticks=[0,2]",))
+
+
+@pytest.fixture(scope="module")
+def segment(corner: Path) -> Segment:
+    return collect(order_in(corner, "collect.episode_steps=15"), None)
+
+
+def test_every_chair_has_a_row_for_every_tick(segment: Segment):
+    assert len(segment) == 80
+    assert segment.ended.sum() >= 6 and segment.ended[39] and segment.ended[79]
+    assert segment.depth.shape == (80, 24, 32) and segment.visible.shape == (80, 81)
+    assert set(segment.delay.tolist()) <= {0, 1, 2}
+    assert set(segment.driver.tolist()) <= {FOLLOW, ORACLE, RECKLESS}
+
+
+def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, segment: Segment):
+    again = collect(order_in(corner, "collect.episode_steps=15"), None)
+    assert all((column == again.arrays()[name]).all() for name, column in segment.arrays().items())
+    other = collect(order_in(corner, "collect.episode_steps=15", key=SegmentKey(run=5, round=0, index=1)), None)
+    assert not np.array_equal(other.stick, segment.stick)
+
+
+def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
+    config = with_overrides(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
+    keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
+    assert [is_of_scenes(config, key) for key in keys].count(True) == 2
+    place = next(places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
+    assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
+
+
+def test_variants_are_drawn_by_key():
+    config = with_overrides(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
+    drawn = {settings_in_turn(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    assert drawn == {("a=1", "b=2"), ("c=3",)}
+    assert settings_in_turn(RunConfig(), KEY) == ()
+
+
+class Recorder:
+    """A network that always answers the same, and writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def reset(self) -> None:
+        self.calls.append("reset")
+
+    def choose(self, observation: object) -> int:
+        self.calls.append("choose")
+        return 3
+
+    def watch(self, observation: object) -> None:
+        self.calls.append("watch")
+
+    def sent(self, action: int) -> None:
+        self.calls.append(f"sent {action}")
+
+
+def test_a_network_is_told_what_is_sent_in_its_place():
+    learned = Recorder()
+    settings = CollectConfig(network_share=1.0, astray_share=0.5, reckless_share=1.0)
+    driver = DataDriver(settings, ACTIONS, np.random.default_rng(0), learned)
+    stick = np.array([0.0, 1.0], np.float32)
+    said = Verdict(danger=False, first_s=np.full(81, np.inf))
+    chosen = [driver.choose({"joystick": stick}, said) for _ in range(60)]
+    reckless = [choice for choice in chosen if choice.driver == RECKLESS]
+    assert 10 < len(reckless) < 50
+    assert all(choice.action == ACTIONS.nearest(choice.wish) for choice in reckless)
+    assert all(choice.action == 3 for choice in chosen if choice.driver != RECKLESS)
+    assert learned.calls[1:3] in (["choose", "sent 3"], ["watch", f"sent {chosen[0].action}"])
+    assert learned.calls.count("watch") == len(reckless)
+    assert sum(call.startswith("sent") for call in learned.calls) == 60
+
+
+def test_the_oracle_takes_the_nearest_action_that_ends_well():
+    settings = CollectConfig(follow_share=0.0, astray_share=0.0)
+    driver = DataDriver(settings, ACTIONS, np.random.default_rng(0), None)
+    first_s = np.where(ACTIONS.points[:, 1] > 0.3, 0.4, np.inf)
+    choice = driver.choose({"joystick": np.array([0.0, 1.0], np.float32)}, Verdict(danger=True, first_s=first_s))
+    assert ACTIONS.points[choice.action].tolist() == [0.0, 0.25] and choice.driver == ORACLE
+
+
+def test_labels_are_of_the_moment_that_was_seen(segment: Segment):
+    unsafe = segment.truth != SAFE
+    assert (segment.visible[~unsafe] == SAFE).mean() > 0.99, "who knows less fears less"

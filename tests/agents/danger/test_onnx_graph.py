@@ -1,0 +1,95 @@
+"""The exported form of a danger policy against the policy itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from wcsim.agents.danger.drive_law import Drive
+from wcsim.agents.danger.network import DangerNet, DangerSpec
+from wcsim.agents.danger.onnx_graph import DangerGraph
+from wcsim.agents.danger.policy import DangerPolicy, inputs
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.sight import Eye
+from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
+from wcsim.core.joystick import driven, limits_of, shaped_rows
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+CONFIG = with_overrides(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
+POINTS = torch.as_tensor(action_set("square81").points)
+
+
+def network(**parts: bool) -> DangerNet:
+    torch.manual_seed(0)
+    net = DangerNet(DangerSpec(**{"rival": False, "gaps": False, **parts}), POINTS)
+    with torch.no_grad():
+        for value in net.parameters():
+            value.add_(0.3 * torch.randn_like(value) * value.abs().mean())
+    return net.eval()
+
+
+def ride(ticks: int = 30) -> list[dict[str, np.ndarray]]:
+    """Observations of a chair that drives through a street of noise."""
+    rng = np.random.default_rng(3)
+    base = rng.integers(60, 200, (36, 48))
+    found = []
+    for tick in range(ticks):
+        depth = np.clip(base + rng.integers(-3, 4, base.shape), 0, 255).astype(np.uint8)
+        depth[rng.random(depth.shape) < 0.02] = 0
+        imu = rng.normal(0.0, 0.02, 8).astype(np.float32)
+        found.append(
+            {
+                "depth": depth[None],
+                "seg": rng.choice([7, 8, 11, 24, 26], (1, 36, 48)).astype(np.uint8),
+                "imu": imu,
+                "odometry": np.array([0.05 + 0.01 * tick, 0.02], np.float32),
+                "joystick": np.array([0.3 * np.sin(tick / 5.0), 0.8], np.float32),
+            }
+        )
+    return found
+
+
+def test_the_drives_law_is_that_of_the_chair():
+    chair = ChairConfig()
+    rng = np.random.default_rng(0)
+    motion = rng.uniform(-1.5, 1.5, (200, 3))
+    commands = shaped_rows(rng.uniform(-1.0, 1.0, (200, 2)), chair)
+    drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
+    told = drive.follow(torch.as_tensor(motion), torch.as_tensor(commands), 0.1).numpy()
+    pairs = zip(motion.tolist(), commands, strict=True)
+    true = [driven(*row, *command, limits_of(chair), 0.1) for row, command in pairs]
+    assert np.allclose(told, true, atol=1e-9)
+    sticks = rng.uniform(-1.0, 1.0, (200, 2))
+    assert np.allclose(drive.shaped(torch.as_tensor(sticks)).numpy(), shaped_rows(sticks, chair), atol=1e-9)
+
+
+def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
+    net, rule = network(), DangerRule(threshold=0.4)
+    policy, eye = DangerPolicy("own", net, CONFIG, rule), Eye(CONFIG)
+    graph = DangerGraph(net, CONFIG, rule).eval()
+    state = [torch.zeros(shape) for shape in graph.shapes().values()]
+    policy.reset()
+    actions, same = [], 0
+    for seen in ride():
+        sight = eye.look(seen)
+        with torch.inference_mode():
+            values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
+            wanted = torch.sigmoid(net(*inputs([sight], eye)))
+        own = graph._picture(state[0], state[4])
+        differ = (own[0] * 255.0 - torch.as_tensor(sight.picture[:5]).float()).abs() > 2.0
+        assert differ.float().mean() < 0.01, "cells at a border may go either way"
+        assert (danger - wanted).abs().max() < 0.05
+        action = policy.act(seen)
+        eye.command(int(values.argmax()))
+        actions.append(action)
+        same += int(values.argmax()) == action
+        assert bool(warning) in (True, False)
+    assert same == len(actions) and len(set(actions)) > 1
+
+
+@pytest.mark.parametrize("part", ["rival", "gaps"])
+def test_what_the_rival_knows_cannot_be_exported(part):
+    with pytest.raises(PolicyError, match=r"danger\.rival=false"):
+        DangerGraph(network(**{part: True}), CONFIG, DangerRule())

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from wcsim.agents.danger.rule import DangerRule, choose
+from wcsim.supervisor.actions import action_set
+
+ACTIONS = action_set("square81")
+RULE = DangerRule()
+STICK = np.array([0.1, 0.9])
+
+
+def test_where_nothing_is_dangerous_the_user_decides():
+    assert choose(np.zeros(81), STICK, ACTIONS, RULE) == ACTIONS.nearest(STICK)
+
+
+def test_the_nearest_action_that_is_safe_enough_is_taken():
+    danger = np.zeros(81)
+    danger[ACTIONS.points[:, 1] > 0.3] = 0.9
+    x, y = ACTIONS.points[choose(danger, STICK, ACTIONS, RULE)]
+    assert (x, y) == (0.0, 0.25)
+
+
+def test_where_nothing_is_safe_the_least_dangerous_is_taken():
+    danger = np.full(81, 0.9)
+    danger[17] = 0.8
+    assert choose(danger, STICK, ACTIONS, RULE) == 17
+
+
+def test_the_last_action_is_kept_a_little_longer():
+    wish = ACTIONS.nearest(STICK)
+    other = int(np.argsort(ACTIONS.distances(STICK[None])[0])[1])
+    near = np.array([0.13, 0.9])  # halfway between two positions, hardly nearer to one
+    first = choose(np.zeros(81), near, ACTIONS, RULE)
+    second = wish if first == other else other
+    assert choose(np.zeros(81), near, ACTIONS, RULE, last=second) in (first, second)
+    danger = np.zeros(81)
+    danger[wish] = 1.1 * RULE.threshold
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE, last=wish) == wish
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE) != wish
+
+
+@given(hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)), st.tuples(st.floats(-1, 1), st.floats(-1, 1)))
+def test_a_lower_level_is_never_more_dangerous(danger, stick):
+    wish = np.array(stick)
+    rules = [DangerRule(threshold=level, keep=0.0, shy=0.0) for level in (0.1, 0.5, 1.0)]
+    chosen = [danger[choose(danger, wish, ACTIONS, rule)] for rule in rules]
+    allowed = [danger.min() < rule.threshold for rule in rules]
+    for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
+        assert value < rule.threshold or not any_is
+
+
+def test_levels_are_thresholds():
+    with pytest.raises(AttributeError):
+        RULE.threshold = 0.5  # type: ignore[misc]

@@ -1,0 +1,132 @@
+"""Rounds of driving and learning: the same data and weights whatever becomes of the worlds on the way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import quick_config
+from wcsim.agents.collecting.data_folder import SEGMENTS, read_manifest
+from wcsim.agents.collecting.segment import NETWORK
+from wcsim.agents.danger.saved import load_danger
+from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
+from wcsim.agents.runs.run_folder import ResolvedRun, open_run
+from wcsim.config import RunConfig
+from wcsim.core import files
+from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town, streets_hash
+
+SMALL = (
+    *("learn.head=danger", "collect.rounds=3", "collect.segments=2", "collect.ticks=12", "collect.chairs=2"),
+    *("collect.scene_share=0", "danger.updates=4", "danger.batch=8", "collect.network_share=1.0"),
+    *("sensors.odometry=typical", "env.observe_gyro=true"),
+)
+
+
+def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:
+    config = quick_config(*SMALL, *overrides)
+    town = find_town(str(corner))
+    info = RunInfo(seed=3, town=town.name, town_sha256=streets_hash(town))
+    return ResolvedRun(config=config, out=out, info=info, resume=resume)
+
+
+def outcome(out: Path) -> tuple[str, str]:
+    """SHA-256 of the data and of the weights."""
+    return read_manifest(out / DATA).data_sha256, files.sha256(out / "policies" / "final" / "weights.safetensors")
+
+
+@pytest.fixture(scope="module")
+def straight(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("rounds") / "straight"
+    train_danger(run_in(corner, out), find_town(str(corner)))
+    return out
+
+
+def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corner: Path):
+    assert len(list((straight / DATA / SEGMENTS).iterdir())) == 6
+    assert [json.loads(line)["event"] for line in (straight / "events.jsonl").read_text().splitlines()] == ["done"]
+    assert open_run(straight).manifest.status == "done"
+    rows = (straight / "metrics.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["round", "0", "1", "2"]
+    config = quick_config(*SMALL)
+    policy = load_danger(straight / "policies" / "final", "own", config)
+    shape = (1, config.cameras[0].height_px, config.cameras[0].width_px)
+    seen = {"depth": np.full(shape, 200, np.uint8), "seg": np.full(shape, 8, np.uint8)}
+    seen |= {"imu": np.zeros(8, np.float32), "odometry": np.zeros(2, np.float32)}
+    policy.begin()
+    policy.reset()
+    assert 0 <= policy.act({**seen, "joystick": np.array([0.0, 1.0], np.float32)}) < 81
+
+
+def test_the_network_drives_from_the_third_round_on(straight: Path):
+    from wcsim.agents.collecting.data_folder import read_segment
+
+    drivers = [set(read_segment(path).driver.tolist()) for path in sorted((straight / DATA / SEGMENTS).iterdir())]
+    assert [NETWORK in who for who in drivers] == [False, False, False, False, True, True]
+
+
+def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straight: Path, corner: Path, tmp_path: Path):
+    killed: list[int] = []
+
+    def kill_one() -> None:
+        while not killed:
+            time.sleep(0.1)
+            for pid in children():
+                if (tmp_path / "two" / DATA / SEGMENTS).is_dir():  # one segment is there already
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+                    return
+
+    thread = threading.Thread(target=kill_one, daemon=True)
+    thread.start()
+    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), worlds=2)
+    assert killed
+    assert outcome(tmp_path / "two") == outcome(straight)
+
+
+def children() -> list[int]:
+    """Processes of worlds, of this process."""
+    found = []
+    for task in Path("/proc/self/task").iterdir():
+        found += [int(pid) for pid in (task / "children").read_text().split()]
+    worlds = []
+    for pid in found:
+        try:
+            if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                worlds.append(pid)
+        except OSError:
+            continue
+    return worlds
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corner: Path, tmp_path: Path):
+    out = tmp_path / "stopped"
+
+    def stop(now: RoundProgress) -> None:
+        if now.round == 1 and now.updates:
+            raise KeyboardInterrupt
+
+    with pytest.raises(InterruptedRunError, match="--resume"):
+        train_danger(run_in(corner, out), find_town(str(corner)), progress=stop)
+    assert open_run(out).manifest.status == "interrupted"
+    segment = sorted((out / DATA / SEGMENTS).iterdir())[-1]
+    if segment.name.split("-")[1] == "002":  # what was being driven may be cut short
+        segment.write_bytes(segment.read_bytes()[:100])
+    train_danger(run_in(corner, out, resume=True), find_town(str(corner)))
+    assert outcome(out) == outcome(straight)
+
+
+def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path):
+    config: RunConfig = quick_config(*SMALL, "danger.width=12")
+    other = ResolvedRun(config=config, out=straight, info=run_in(corner, straight).info, resume=True)
+    with pytest.raises(PolicyError, match="resume with its own"):
+        train_danger(other, find_town(str(corner)))

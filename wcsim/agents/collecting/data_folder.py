@@ -1,0 +1,145 @@
+"""A folder of recorded driving: segments as compressed files, and a manifest that says what each one is.
+
+A segment file holds plain arrays (NumPy's .npy format in a zip, compressed as a whole by zstd); nothing in it is code.
+It is written in one step under the name of its key, so what is there is whole, and is never written again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import zstandard
+
+from wcsim.agents.collecting.segment import Segment, SegmentKey
+from wcsim.config import RunConfig, parse
+from wcsim.config.run_file import DataFile
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_bytes, read_json, shown
+from wcsim.errors import ConfigError, PolicyError
+
+MANIFEST: Final = "data.json"
+SEGMENTS: Final = "segments"
+_LEVEL: Final = 3
+_MOST_BYTES: Final = 1 << 30
+_SETTINGS: Final = (
+    *("cameras.0.width_px", "cameras.0.height_px", "cameras.0.hfov_deg"),
+    *("chair", "env.actions", "env.classes"),
+)
+_KIND: Final = FileKind(what="a segment of recorded driving", limit_bytes=_MOST_BYTES, error=PolicyError)
+_MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
+
+
+def segment_path(folder: Path, key: SegmentKey) -> Path:
+    """Where the segment of a key lies."""
+    return folder / SEGMENTS / f"{key.run}-{key.round:03d}-{key.index:04d}.npz.zst"
+
+
+def write_segment(path: Path, segment: Segment) -> str:
+    """Write a segment, whole or not at all; returns its SHA-256 (hex). Raises DiskFullError."""
+    data = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(_packed(segment))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_segment(path: Path, sha256: str = "") -> Segment:
+    """Read a segment. Raises PolicyError when it is missing, cut short, damaged, or another than `sha256` says."""
+    data = read_bytes(path, _KIND)
+    got = hashlib.sha256(data).hexdigest()
+    if sha256 and got != sha256:
+        raise PolicyError(
+            f"{shown(path)} has SHA-256 {got[:12]}..., {MANIFEST} says {sha256[:12]}...: it was damaged or exchanged; "
+            "collect it again"
+        )
+    try:
+        plain = zstandard.ZstdDecompressor().decompress(data, max_output_size=_MOST_BYTES)
+        with np.load(io.BytesIO(plain), allow_pickle=False) as held:
+            columns = {field.name: np.asarray(held[field.name]) for field in fields(Segment)}
+    except (zstandard.ZstdError, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise PolicyError(
+            f"{shown(path)} cannot be read ({error}); expected a segment as `wcsim collect` writes it"
+        ) from None
+    _require_whole(path, columns)
+    return Segment(**columns)
+
+
+def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]) -> str:
+    """Say what the folder holds: the settings, the towns with their hashes, and the segments' hashes by file name.
+
+    Returns:
+        The SHA-256 of all segments, see `data_digest`.
+    """
+    digest = data_digest(segments)
+    data = {
+        "schema_version": 1,
+        "settings_sha256": settings_digest(config),
+        "config": config.model_dump(mode="json"),
+        "towns": towns,
+        "segments": segments,
+        "data_sha256": digest,
+    }
+    files.write_json(folder / MANIFEST, data)
+    return digest
+
+
+def read_manifest(folder: Path) -> DataFile:
+    """Read `data.json`. Raises PolicyError."""
+    try:
+        return parse(DataFile, read_json(folder / MANIFEST, _MANIFEST_KIND), shown(folder / MANIFEST))
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+
+
+def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> None:
+    """Refuse data of another camera, chair or action set. Raises PolicyError."""
+    wanted = settings_digest(config)
+    if file.settings_sha256 != wanted:
+        other = [name for name in _SETTINGS if _part(file.config, name) != _part(config.model_dump(mode="json"), name)]
+        raise PolicyError(
+            f"{shown(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
+            "those of this run: train with the configuration in its data.json"
+        )
+
+
+def settings_digest(config: RunConfig) -> str:
+    """SHA-256 over what data must have in common with whoever learns from it: camera, chair, actions."""
+    dumped = config.model_dump(mode="json")
+    return hashlib.sha256(repr([_part(dumped, name) for name in _SETTINGS]).encode()).hexdigest()
+
+
+def data_digest(segments: dict[str, str]) -> str:
+    """SHA-256 over all segments, whatever the order in which they came."""
+    return hashlib.sha256("\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()).hexdigest()
+
+
+def _part(dumped: dict[str, Any], name: str) -> Any:
+    here: Any = dumped
+    for word in name.split("."):
+        here = here[int(word)] if word.isdecimal() else here.get(word)
+    return here
+
+
+def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
+    lengths = {len(column) for column in columns.values()}
+    finite = all(np.isfinite(column).all() for column in columns.values() if column.dtype.kind == "f")
+    if len(lengths) != 1 or not finite:
+        raise PolicyError(
+            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers that are not finite; collect it again"
+        )
+
+
+def _packed(segment: Segment) -> bytes:
+    """An .npz file; `np.savez` would write the time into it."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as held:
+        for name, column in segment.arrays().items():
+            array = io.BytesIO()
+            np.lib.format.write_array(array, np.ascontiguousarray(column), allow_pickle=False)
+            held.writestr(zipfile.ZipInfo(f"{name}.npy"), array.getvalue())
+    return out.getvalue()

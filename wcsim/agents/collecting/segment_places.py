@@ -1,0 +1,102 @@
+"""Where a segment is driven: streets of several towns in turn, and generated scenes of blind sides and tight places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.collecting.drive_segment import SegmentPlace
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.envs.senses import with_senses
+from wcsim.agents.policies.dynamic_window.surroundings import SENSES
+from wcsim.config import RunConfig, with_overrides
+from wcsim.core import seeding
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scene_folders.build import build_scene
+from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
+from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.types import SeatSpec
+
+_SCENE_SEEDS: Final = 1 << 24  # those of scenes that are trained in begin here; those of tests are far below
+_MOST_SCENES: Final = 12  # of a segment
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentOrder:
+    """One piece of work; everything in it can be sent to another process."""
+
+    key: SegmentKey
+    towns: tuple[str, ...]  # folders or names
+    config: RunConfig
+    settings: tuple[str, ...] = ()  # section.key=value, over the configuration: what this segment is like
+    policy: str = ""  # the folder of the network that drives, "" for none
+
+
+def settings_in_turn(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
+    """What differs from segment to segment: each is one of the settings of `collect.variants`."""
+    variants = config.collect.variants
+    if not variants:
+        return ()
+    draw = seeding.generator(key.run, "collect", key.round, key.index, "variant")
+    return tuple(variants[int(draw.integers(len(variants)))].split())
+
+
+def is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
+    """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
+
+    >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.3",))
+    >>> [is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
+    3
+    """
+    number = key.round * config.collect.segments + key.index
+    share = config.collect.scene_share
+    return int((number + 1) * share + 1e-9) > int(number * share + 1e-9)
+
+
+def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
+    """The worlds of a segment, one after the other.
+
+    Args:
+        order: The piece of work.
+        work: A folder for generated scenes.
+
+    Raises:
+        TownError: A town is missing.
+    """
+    config = with_overrides(order.config, (*order.settings, "world.draw_threads=1"))
+    config = with_senses(config, SENSES)
+    if is_of_scenes(order.config, order.key):
+        yield from _scenes(order, config, work)
+    else:
+        yield _street(order, config)
+
+
+def _street(order: SegmentOrder, config: RunConfig) -> SegmentPlace:
+    key, collect = order.key, config.collect
+    rng = seeding.generator(key.run, "collect", key.round, key.index, "street")
+    town = find_town(order.towns[int(rng.integers(len(order.towns)))])
+    drawn = rng.permutation(len(collect.profiles))
+    who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
+    seats = tuple(SeatSpec(profile=profile, max_steps=collect.episode_steps) for profile in who)
+    seed = seeding.derive(key.run, "collect", key.round, key.index, "world")
+    return SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed)
+
+
+def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[SegmentPlace]:
+    key = order.key
+    rng = seeding.generator(key.run, "collect", key.round, key.index, "scenes")
+    for number in range(_MOST_SCENES):
+        family, seed = FAMILIES[int(rng.integers(len(FAMILIES)))], _SCENE_SEEDS + int(rng.integers(1 << 24))
+        folder = write_scene(family, seed, work / f"scene-{number}")
+        town, scene = build_scene(folder, work / f"town-{number}")
+        ticks = round(scene.duration_s / config.world.tick_s)
+        seats = tuple(replace(spec, max_steps=ticks) for spec in seat_specs(folder, scene, town.file.origin_m))
+        own = scene_config(scene, config)
+        yield SegmentPlace(town=replace(town, passing=True), config=own, seats=seats, ticks=ticks, seed=scene.seed)
+
+
+def driving_seed(key: SegmentKey, number: int) -> int:
+    """The seed of who drives in the world of that number of a segment."""
+    return seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)

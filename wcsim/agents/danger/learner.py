@@ -1,0 +1,105 @@
+"""Supervised learning of dangers: binary cross-entropy over all joystick positions of a step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from wcsim.agents.danger.lessons import Lectures
+from wcsim.agents.danger.network import DangerNet, DangerSpec
+from wcsim.config import RunConfig
+from wcsim.core import seeding
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+_CLIP = 5.0
+_WARM_UP = 0.05  # share of all updates in which the rate rises
+_SMOOTH, _LEAST = 0.98, 0.04
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
+
+
+class DangerLearner:
+    """The network with its optimiser; the learning rate follows one cycle over all rounds.
+
+    Args:
+        config: Of the run.
+        seed: Of the run.
+    """
+
+    def __init__(self, config: RunConfig, seed: int) -> None:
+        danger, self._seed = config.danger, seed
+        torch.manual_seed(seeding.derive(seed, "agent", "danger"))
+        points = torch.as_tensor(action_set(config.env.actions).points)
+        self.net = DangerNet(spec_of(config), points).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._optimizer = torch.optim.AdamW(
+            self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
+        )
+        self._total, self._rate = danger.updates * config.collect.rounds, danger.learning_rate
+        self.updates, self.loss = 0, float("nan")
+
+    def learn(self, lectures: Lectures, updates: int) -> float:
+        """So many updates; the smoothed loss. Raises PolicyError when it leaves the finite numbers."""
+        self.net.train()
+        for _ in range(updates):
+            for group in self._optimizer.param_groups:
+                group["lr"] = self._rate * rate_share(self.updates / self._total)
+            batch = lectures.draw()
+            loss = functional.binary_cross_entropy_with_logits(self.net(*batch.inputs), batch.unsafe)
+            now = float(loss.detach())
+            if not np.isfinite(now):
+                raise PolicyError(
+                    f"the loss was {now} after {self.updates} updates; expected a finite number: make "
+                    "danger.learning_rate smaller"
+                )
+            self._optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(self.net.parameters(), _CLIP)
+            self._optimizer.step()
+            self.updates += 1
+            self.loss = now if np.isnan(self.loss) else _SMOOTH * self.loss + (1.0 - _SMOOTH) * now
+        self.net.train(False)
+        return self.loss
+
+    def moments(self) -> dict[str, torch.Tensor]:
+        """What the optimiser remembers of each weight, by name."""
+        state = self._optimizer.state
+        names = {parameter: name for name, parameter in self.net.named_parameters()}
+        return {
+            f"{names[parameter]}.{key}": value.detach().clone().contiguous()
+            for parameter, held in state.items()
+            for key, value in held.items()
+        }
+
+    def restore(self, moments: dict[str, torch.Tensor], updates: int, loss: float) -> None:
+        """Go on after so many updates with what `moments` gave then. Raises KeyError when it is of another network."""
+        for name, parameter in self.net.named_parameters():
+            self._optimizer.state[parameter] = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
+        self.updates, self.loss = updates, loss
+
+
+def rate_share(done: float) -> float:
+    """Of the learning rate, when the share `done` of all updates is done: up to its whole, then down along a cosine.
+
+    >>> [round(rate_share(done), 3) for done in (0.0, 0.05, 0.525, 1.0)]
+    [0.04, 1.0, 0.5, 0.0]
+    """
+    if done < _WARM_UP:
+        return _LEAST + (1.0 - _LEAST) * done / _WARM_UP
+    return 0.5 * (1.0 + math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP)))
+
+
+def spec_of(config: RunConfig) -> DangerSpec:
+    """The network that a run's configuration asks for."""
+    danger = config.danger
+    return DangerSpec(
+        roll_out=danger.roll_out,
+        gaps=danger.gaps,
+        rival=danger.rival,
+        context=danger.context,
+        width=danger.width,
+        actions=config.env.actions,
+    )

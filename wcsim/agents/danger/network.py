@@ -1,0 +1,153 @@
+"""The danger network: 81 logits, one for each joystick position, of "this ends badly"; the user's wish is no input.
+
+Three parts are added up, each of which can be left out: a roll-out head, which paints cost maps of the street and reads
+them where each position would bring the chair; a gap head, which looks at the numbers of each position with the same
+weights; and a context head on the street map as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from wcsim.agents.danger.roll_outs import NUMBERS, SLICES
+from wcsim.agents.danger.sight import VECTOR
+from wcsim.agents.danger.street_map import OWN_PLANES, PLANES, SIDE
+
+_MAPS: Final = 2 * SLICES  # hull and wheels, by slice of time
+_BASE: Final = -3.0  # so rare are dangers before anything is learned
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DangerSpec:
+    """What the network is made of; plain values, kept in policy.json."""
+
+    roll_out: bool = True
+    gaps: bool = True
+    rival: bool = True
+    context: bool = True
+    width: int = 20
+    actions: str = "square81"
+
+
+class DangerNet(nn.Module):
+    """Logits (B, A) of a batch of sights.
+
+    Args:
+        spec: Its parts.
+        points: (A, 2) joystick positions.
+    """
+
+    def __init__(self, spec: DangerSpec, points: torch.Tensor) -> None:
+        super().__init__()
+        self.spec = spec
+        count, width = len(points), spec.width
+        self.planes = PLANES if spec.rival else OWN_PLANES
+        self.register_buffer("points", points.to(torch.float32), persistent=False)
+        self.points: torch.Tensor
+        self.down = nn.Sequential(
+            *(nn.Conv2d(self.planes, width, 4, stride=2, padding=1), nn.ReLU()),
+            *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
+        )
+        self.deep = nn.Sequential(
+            *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
+            *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
+        )
+        self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
+        self.context = Context(count) if spec.context else None
+        self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR) if spec.gaps else None
+        self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), faint(nn.Linear(48, count)))
+        self.base = nn.Parameter(torch.tensor(_BASE))
+
+    def forward(
+        self, picture: torch.Tensor, numbers: torch.Tensor, vector: torch.Tensor, swept: torch.Tensor
+    ) -> torch.Tensor:
+        """Logits (B, A).
+
+        Args:
+            picture: (B, PLANES, SIDE, SIDE) float32 in 0..1.
+            numbers: (B, A, NUMBERS) float32 in 0..1.
+            vector: (B, VECTOR) float32.
+            swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at without a roll-out head.
+        """
+        picture = picture[:, : self.planes]
+        logit = self.base + self.direct(vector)
+        told = vector
+        if self.roll_out is not None or self.context is not None:
+            near = self.down(picture)
+            far = self.deep(near)
+            if self.context is not None:
+                told, more = self.context(far, vector)
+                logit = logit + more
+            if self.roll_out is not None:
+                logit = logit + self.roll_out(picture, near, far, swept)
+        if self.gaps is not None:
+            points = self.points[None].expand(len(numbers), -1, -1)
+            logit = logit + self.gaps(torch.cat([numbers, points], 2), told)
+        return torch.as_tensor(logit)
+
+
+def faint(layer: nn.Linear) -> nn.Linear:
+    """A layer that says little before it has learned."""
+    with torch.no_grad():
+        layer.weight.mul_(0.1)
+        layer.bias.zero_()
+    return layer
+
+
+class RollOutHead(nn.Module):
+    """Cost maps (B, 2 * SLICES, SIDE, SIDE), read where hull and wheels sweep; the worst place counts most."""
+
+    def __init__(self, planes: int, width: int) -> None:
+        super().__init__()
+        self.narrow = nn.Conv2d(32, width, 3, padding=1)
+        self.fine = nn.Conv2d(planes, _MAPS, 3, padding=1)
+        self.out = nn.Conv2d(2 * width, 4 * _MAPS, 1)
+        self.shuffle = nn.PixelShuffle(2)
+        self.sharpness = nn.Parameter(torch.tensor(1.0))
+
+    def forward(
+        self, picture: torch.Tensor, near: torch.Tensor, far: torch.Tensor, swept: torch.Tensor
+    ) -> torch.Tensor:
+        """(B, A)."""
+        wide = functional.interpolate(functional.relu(self.narrow(far)), scale_factor=2.0)
+        maps = self.shuffle(self.out(torch.cat([near, wide], 1))) + self.fine(picture)
+        read = maps.reshape(len(maps), -1).gather(1, swept.flatten(1)).view(len(swept), swept.shape[1], -1)
+        sharp = functional.softplus(self.sharpness) + 0.2
+        return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
+
+
+class Context(nn.Module):
+    """The street map as a whole: a few numbers for others to use, and logits of its own."""
+
+    SIZE = 64
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.squeeze = nn.Sequential(nn.Conv2d(32, 16, 3, stride=2, padding=1), nn.ReLU(), nn.Flatten())
+        flat = 16 * (SIDE // 8) ** 2
+        self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, self.SIZE), nn.ReLU())
+        self.out = faint(nn.Linear(self.SIZE, count))
+
+    def forward(self, far: torch.Tensor, vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(B, SIZE) and (B, A)."""
+        told = self.dense(torch.cat([self.squeeze(far), vector], 1))
+        return told, self.out(told)
+
+
+class Gaps(nn.Module):
+    """The same small network for each position: its numbers, its place on the stick, and what all share."""
+
+    def __init__(self, numbers: int, shared: int) -> None:
+        super().__init__()
+        self.own, self.shared = nn.Linear(numbers, 48), nn.Linear(shared, 48)
+        self.out = nn.Sequential(nn.ReLU(), nn.Linear(48, 32), nn.ReLU(), nn.Linear(32, 1))
+
+    def forward(self, numbers: torch.Tensor, shared: torch.Tensor) -> torch.Tensor:
+        """(B, A)."""
+        return torch.as_tensor(self.out(self.own(numbers) + self.shared(shared)[:, None])[..., 0])

@@ -1,0 +1,211 @@
+"""Exports a danger policy for whoever has no wcsim: one ONNX model per tick, what it means, and reference steps."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from wcsim.agents.danger.onnx_graph import DangerGraph
+from wcsim.agents.danger.saved import load_net
+from wcsim.agents.networks.onnx_form import exported
+from wcsim.agents.policy_api import Observation
+from wcsim.agents.runs.policy_file import read_danger_file
+from wcsim.config import RunConfig
+from wcsim.core import files
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+MODEL, INT8, ABOUT, MEANING, REFERENCE = (
+    "policy.onnx",
+    "policy-int8.onnx",
+    "policy.toml",
+    "meaning.json",
+    "reference.npz",
+)
+MOST_OFF: Final = 1e-4  # of a danger, between the model and the network it was made of
+OLDEST_FRAME_S: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportFacts:
+    """What was measured of an export on this machine, on one core."""
+
+    steps: int
+    most_off: float  # of a danger, over all reference steps
+    same_actions: float  # share of them
+    int8_most_off: float
+    int8_same_actions: float
+    p50_ms: float
+    p99_ms: float
+    int8_p50_ms: float
+    bytes: int
+    int8_bytes: int
+
+
+def export_danger(
+    policy: Path, out: Path, config: RunConfig, ride: Sequence[Observation], limit_ms: float = math.inf
+) -> ExportFacts:
+    """Write an ONNX folder that `wcsim test` takes as a policy, in one step.
+
+    Args:
+        policy: Folder of the policy.
+        out: To make.
+        config: Of its run.
+        ride: Observations of successive ticks of one episode, for the reference steps.
+        limit_ms: For a decision, 99 of 100 times.
+
+    Raises:
+        PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
+            installed.
+        DiskFullError: There is no room.
+    """
+    net, rule = load_net(policy)
+    graph = DangerGraph(net, config, rule).train(False)
+    shapes = graph.shapes()
+    given = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.INPUTS)
+    states = tuple(torch.zeros(shape) for shape in shapes.values())
+    outputs = (*graph.OUTPUTS, *(f"next_{name}" for name in shapes))
+    model = exported(graph, (*given, *states), (*graph.INPUTS, *shapes), outputs)
+    facts: list[ExportFacts] = []
+
+    def fill(target: Path) -> None:
+        (target / MODEL).write_bytes(model)
+        _quantised(target / MODEL, target / INT8)
+        facts.append(_write_reference(target, graph, ride, outputs))
+        if facts[0].p99_ms > limit_ms:
+            raise PolicyError(
+                f"a decision takes {facts[0].p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
+                "export it anyway with --force"
+            )
+        (target / ABOUT).write_text(_about(config), encoding="utf-8")
+        measured = {"sha256": files.sha256(target / MODEL), "facts": asdict(facts[0])}
+        files.write_json(target / MEANING, {**_meaning(policy, graph, config), **measured})
+
+    files.write_folder(out, fill)
+    return facts[0]
+
+
+def run_model(path: Path, ride: Sequence[Observation], keys: Sequence[str]) -> tuple[dict[str, Any], list[float]]:
+    """Outputs by name, stacked over the steps of a ride, and the time of each step in ms."""
+    session = _session(path)
+    names = [item.name for item in session.get_outputs()]
+    states = {item.name: np.zeros(item.shape, np.float32) for item in session.get_inputs() if item.name not in keys}
+    told: dict[str, list[Any]] = {name: [] for name in names if not name.startswith("next_")}
+    times = []
+    for seen in ride:
+        given = {key: np.ascontiguousarray(seen[key])[None] for key in keys}
+        began = time.perf_counter()
+        out = dict(zip(names, session.run(None, {**given, **states}), strict=True))
+        times.append(1000.0 * (time.perf_counter() - began))
+        states = {name: out[f"next_{name}"] for name in states}
+        for name, values in told.items():
+            values.append(out[name][0])
+    return {name: np.stack(values) for name, values in told.items()}, times
+
+
+def _write_reference(
+    target: Path, graph: DangerGraph, ride: Sequence[Observation], outputs: Sequence[str]
+) -> ExportFacts:
+    dangers, actions = [], []
+    state = [torch.zeros(shape) for shape in graph.shapes().values()]
+    with torch.inference_mode():
+        for seen in ride:
+            given = [torch.as_tensor(seen[key])[None] for key in graph.INPUTS]
+            values, _, danger, *state = graph(*given, *state)
+            dangers.append(danger[0].numpy())
+            actions.append(int(values.argmax()))
+    told, times = run_model(target / MODEL, ride, graph.INPUTS)
+    small, small_times = run_model(target / INT8, ride, graph.INPUTS)
+    most_off = float(np.abs(told["danger"] - np.stack(dangers)).max())
+    if most_off > MOST_OFF:
+        raise PolicyError(
+            f"the exported model's dangers are off by {most_off:.2g}; expected at most {MOST_OFF:g}: this is a fault "
+            "of the export, and nothing was written"
+        )
+    inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.INPUTS}
+    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": np.array(actions)}
+    np.savez(target / REFERENCE, **kept)
+    return ExportFacts(
+        steps=len(ride),
+        most_off=most_off,
+        same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
+        int8_most_off=float(np.abs(small["danger"] - np.stack(dangers)).max()),
+        int8_same_actions=float(np.mean(small["values"].argmax(axis=1) == actions)),
+        p50_ms=float(np.median(times)),
+        p99_ms=float(np.percentile(times, 99)),
+        int8_p50_ms=float(np.median(small_times)),
+        bytes=(target / MODEL).stat().st_size,
+        int8_bytes=(target / INT8).stat().st_size,
+    )
+
+
+def _quantised(path: Path, out: Path) -> None:
+    """The same model with its dense layers in 8 bits."""
+    from onnxruntime.quantization import QuantType, quantize_dynamic
+
+    logging.disable(logging.WARNING)  # it recommends another of its tools
+    try:
+        quantize_dynamic(path, out, weight_type=QuantType.QInt8, op_types_to_quantize=["MatMul", "Gemm"])
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _about(config: RunConfig) -> str:
+    camera = config.cameras[0]
+    settings = [
+        f"cameras.0.width_px={camera.width_px}",
+        f"cameras.0.height_px={camera.height_px}",
+        f"world.action_delay_ticks={config.world.action_delay_ticks}",
+        "sensors.odometry=typical",
+        "env.observe_gyro=true",
+    ]
+    lines = ",\n  ".join(f'"{setting}"' for setting in settings)
+    return f'preset = "quick"\nsettings = [\n  {lines},\n]\n'
+
+
+def _meaning(policy: Path, graph: DangerGraph, config: RunConfig) -> dict[str, Any]:
+    """Everything that somebody without wcsim must know to run the model."""
+    file, actions = read_danger_file(policy), action_set(config.env.actions)
+    return {
+        "inputs": {
+            "depth": "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), d along "
+            "the optical axis, at most 255",
+            "seg": "uint8 (1, 1, H, W): Cityscapes labelIds",
+            "imu": "float32 (1, 8): mean acceleration x, y, z of the tick / 40 m/s2 with gravity, roll / pi, pitch / "
+            "(pi / 2), turn rates x, y, z / 4 rad/s; x ahead, y left, z up",
+            "odometry": "float32 (1, 2): mean speed of the tick / 4 m/s, turn rate / 4 rad/s, left is positive",
+            "joystick": "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
+        },
+        "states": {name: list(shape) for name, shape in graph.shapes().items()},
+        "reset": "every state is zero at the start; the output next_state_X goes into state_X at the next tick",
+        "outputs": {
+            "values": "float32 (1, A): the action is that of the highest value",
+            "warning": "float32 (1, 1): above 0.5 the user should be warned",
+            "danger": "float32 (1, A) in 0..1: how sure it is that the action ends badly",
+        },
+        "actions_xy": actions.points.tolist(),
+        "rule": asdict(graph.rule),
+        "camera": file.camera.model_dump(mode="json"),
+        "chair": file.chair.model_dump(mode="json"),
+        "tick_s": config.world.tick_s,
+        "action_delay_ticks": config.world.action_delay_ticks,
+        "guard": f"no output that is NaN, no frame older than {OLDEST_FRAME_S} s, no missed tick may drive the chair: "
+        "ramp the stick to zero",
+    }
+
+
+def _session(path: Path) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

@@ -1,0 +1,289 @@
+"""The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
+
+It makes the street map as `street_map.py` does, with the tensors that ONNX knows; a test holds the two together
+(`tests/agents/danger/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import torch
+from torch import nn
+
+from wcsim.agents.danger.drive_law import Drive
+from wcsim.agents.danger.network import DangerNet
+from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, hull_and_wheels
+from wcsim.agents.danger.rule import LESS_M, DangerRule
+from wcsim.agents.danger.sight import COMMANDS
+from wcsim.agents.danger.street_map import (
+    BEHIND_M,
+    CELL_M,
+    HALF_M,
+    HEAD_M,
+    KEEP_TICKS,
+    LOW_M,
+    MOVER_M,
+    REACH_M,
+    SIDE,
+    SPAN_M,
+    TRAIL_TICKS,
+    kinds_of_ground,
+    movers,
+)
+from wcsim.agents.policies.depth_check import viewing_rays
+from wcsim.agents.policies.dynamic_window.ego_motion import MOVES_MPS, SPEED_FULL_SCALE, TRUST, TURN_FULL_SCALE
+from wcsim.config import RunConfig
+from wcsim.core.joystick import limits_of, shaped_rows
+from wcsim.errors import PolicyError
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import decode_depth
+
+RASTER: Final = 160
+_KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(7)
+_NOWHERE: Final = -1.0e6
+_STEP_S: Final = 0.1
+_GYRO_Z: Final = 7
+
+State = dict[str, tuple[int, ...]]
+
+
+class DangerGraph(nn.Module):
+    """One step of a danger policy; every state is zero at the start of an episode.
+
+    Args:
+        net: Without the rival's planes and numbers.
+        config: Of the run.
+        rule: From dangers to an action.
+    """
+
+    INPUTS: Final = ("depth", "seg", "imu", "odometry", "joystick")
+    STATES: Final = ("state_motion", "state_waiting", "state_sent", "state_last", "state_cells")
+    OUTPUTS: Final = ("values", "warning", "danger")
+
+    def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
+        """Raises PolicyError for a network that cannot be exported."""
+        super().__init__()
+        if net.spec.rival or net.spec.gaps:
+            raise PolicyError(
+                "a network that looks at what the rival remembers cannot be exported; train with danger.rival=false "
+                "and danger.gaps=false"
+            )
+        camera, actions = config.cameras[0], action_set(config.env.actions)
+        self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
+        self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m
+        rays = viewing_rays(camera).astype(np.float32)
+        eye = np.array(camera.p_BC_m, np.float32)
+        spec = plant_spec(config.chair)
+        outline = spec.outline
+        half_m = 0.5 * outline.length_m
+        box = np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
+        self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
+        chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
+        kept = {
+            "rays": rays,
+            "eye": eye,
+            "metres": decode_depth(np.arange(256, dtype=np.uint8), camera.range_m),
+            "kinds": kinds_of_ground().astype(np.float32),
+            "movers": movers().astype(np.float32),
+            "points": actions.points.astype(np.float32),
+            "commands": shaped_rows(actions.points, config.chair).astype(np.float32),
+            "chair": chair.astype(np.float32),
+            "cells_B": _cells_B(),
+        }
+        self.rays: torch.Tensor
+        self.eye: torch.Tensor
+        self.metres: torch.Tensor
+        self.kinds: torch.Tensor
+        self.movers: torch.Tensor
+        self.points: torch.Tensor
+        self.commands: torch.Tensor
+        self.chair: torch.Tensor
+        self.cells_B: torch.Tensor
+        for name, array in kept.items():
+            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)), persistent=False)
+
+    def shapes(self) -> State:
+        """The shapes of all states."""
+        waiting = max(self.delay, 1)
+        return {
+            "state_motion": (1, 8),  # begun, tick, x, y, yaw in O, v, w, acceleration
+            "state_waiting": (1, waiting, 2),
+            "state_sent": (1, COMMANDS, 2),
+            "state_last": (1, 1),  # action, counted from 1
+            "state_cells": (1, RASTER * RASTER, 7),
+        }
+
+    def forward(
+        self,
+        depth: torch.Tensor,
+        seg: torch.Tensor,
+        imu: torch.Tensor,
+        odometry: torch.Tensor,
+        joystick: torch.Tensor,
+        *states: torch.Tensor,
+    ) -> tuple[torch.Tensor, ...]:
+        """Values (1, A), warning (1, 1), dangers (1, A), and the next states."""
+        motion, waiting, sent, last, cells = states
+        asked = self.drive.shaped(joystick)
+        motion, waiting = self._moved(imu, odometry, asked, motion, waiting)
+        cells = self._seen(depth, seg, motion, cells)
+        picture = self._picture(motion, cells)
+        start = self._start(motion, waiting)
+        vector = self._vector(imu, motion, sent)
+        danger = torch.sigmoid(self.net(picture, picture.new_zeros(1, 1, 1), vector, self._swept(start)))
+        values = self._values(danger, joystick, last)
+        action = values.argmax(dim=1)
+        wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
+        warning = (danger.gather(1, wish[:, None]) > self.rule.warn).to(torch.float32)
+        chosen = self.commands[action][:, None]
+        waiting = torch.cat([waiting[:, 1:], chosen], 1) if self.delay else waiting
+        sent = torch.cat([self.points[action][:, None], sent[:, :-1]], 1)
+        return values, warning, danger, motion, waiting, sent, (action[:, None] + 1).to(torch.float32), cells
+
+    def _moved(
+        self,
+        imu: torch.Tensor,
+        odometry: torch.Tensor,
+        asked: torch.Tensor,
+        motion: torch.Tensor,
+        waiting: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `EgoMotion.observe`."""
+        begun = motion[:, 0:1] > 0.5
+        measured = torch.cat([odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, _GYRO_Z : _GYRO_Z + 1] * TURN_FULL_SCALE], 1)
+        before = motion[:, 5:8]
+        command = waiting[:, 0]
+        after = self.drive.follow(before, command, self.tick_s)
+        mean = 0.5 * (before[:, :2] + after[:, :2])
+        now = torch.cat([after[:, :2] + TRUST * (measured - mean), after[:, 2:]], 1)
+        way, turn = measured[:, 0:1] * self.tick_s, measured[:, 1:2] * self.tick_s
+        heading = motion[:, 4:5] + 0.5 * turn
+        pose = motion[:, 2:5] + torch.cat([way * torch.cos(heading), way * torch.sin(heading), turn], 1)
+        fresh = torch.cat([measured, torch.zeros_like(measured[:, :1])], 1)
+        moves = (measured[:, 0:1].abs() > MOVES_MPS).to(measured.dtype)
+        first = (asked * moves)[:, None].expand_as(waiting)
+        state = torch.cat([torch.ones_like(way), motion[:, 1:2] + 1.0, pose, now], 1)
+        begins = torch.cat([torch.ones_like(way), torch.ones_like(way), torch.zeros_like(pose), fresh], 1)
+        if not self.delay:
+            first = waiting
+        return torch.where(begun, state, begins), torch.where(begun[:, None], waiting, first)
+
+    def _seen(self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
+        """As `StreetMap.see`."""
+        tick = motion[:, 1:2]
+        metres = self.metres[depth.reshape(-1).to(torch.int64)]
+        place = self.eye + metres[:, None] * self.rays
+        kind = self.kinds[seg.reshape(-1).to(torch.int64)]
+        may_move = self.movers[seg.reshape(-1).to(torch.int64)]
+        used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= HEAD_M)
+        used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
+        x, y = _in_O(motion, place[:, 0], place[:, 1])
+        ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
+        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(torch.int64)
+        many = RASTER * RASTER + 1
+
+        def most(values: torch.Tensor) -> torch.Tensor:
+            begin = values.new_full((many,), _NOWHERE)
+            return begin.scatter_reduce(0, slot, values, reduce="amax", include_self=True)[:-1]
+
+        high, low = most(place[:, 2]), -most(-place[:, 2])
+        order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
+        kinds = most(torch.where(kind > 0, 8.0 * order + kind, torch.full_like(kind, 0.0)))
+        moving = most(may_move * (place[:, 2] > MOVER_M).to(kind.dtype))
+        key_x, key_y = most(ix), most(iy)
+        old = cells[0]
+        seen = high > 0.5 * _NOWHERE
+        same = (old[:, _KEY_X] == key_x) & (old[:, _KEY_Y] == key_y) & (old[:, _TICK] > 0.0)
+        mover = torch.where(moving > 0.5, tick[0].expand_as(high), torch.where(same, old[:, _MOVER], 0.0 * high))
+        kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
+        fresh = torch.stack([key_x, key_y, tick[0].expand_as(high), mover, kinds, high, low], 1)
+        return torch.where(seen[:, None], fresh, old)[None]
+
+    def _picture(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
+        """As `StreetMap.picture`, its own planes, (1, 5, SIDE, SIDE) in 0..1."""
+        x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
+        ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
+        found = cells[0][_slot(ix, iy).to(torch.int64)]
+        known = (found[:, _TICK] > 0.0) & (found[:, _KEY_X] == ix) & (found[:, _KEY_Y] == iy)
+        tick = motion[0, 1]
+        age, trail = tick - found[:, _TICK], tick - found[:, _MOVER]
+        fresh = (known & (age <= KEEP_TICKS)).to(x.dtype)
+        moved = (known & (found[:, _MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
+        planes = torch.stack(
+            [
+                fresh * _height_code(found[:, _HIGH]),
+                fresh * _height_code(found[:, _LOW]),
+                fresh * (255.0 - 5.0 * age),
+                moved * (255.0 - 12.0 * trail),
+                fresh * 60.0 * found[:, _CLASS],
+            ]
+        )
+        return planes.reshape(1, 5, SIDE, SIDE) / 255.0
+
+    def _start(self, motion: torch.Tensor, waiting: torch.Tensor) -> torch.Tensor:
+        """As `StreetSense.start`: (1, 6)."""
+        state = torch.cat([torch.zeros_like(motion[:, :3]), motion[:, 5:8]], 1)
+        for number in range(self.delay):
+            state = self.drive.advance(state, waiting[:, number], self.tick_s)
+        return state
+
+    def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
+        """As `Eye` has it."""
+        scaled = motion[:, 5:8] / motion.new_tensor([1.67, 1.5, 2.0])
+        later = motion.new_full((1, 1), self.delay * self.tick_s)
+        said = torch.cat([10.0 * imu[:, 3:5], imu[:, 5:8], scaled, later, sent.reshape(1, -1)], 1)
+        return said.clamp(-2.0, 2.0)
+
+    def _swept(self, start: torch.Tensor) -> torch.Tensor:
+        """As `roll_outs.sweep`: (1, A, n) int64."""
+        state = start.expand(len(self.commands), -1)
+        found = []
+        for step in range(SLICES * EACH_SLICE):
+            held = step * _STEP_S < HOLD_S - 1e-9
+            command = self.commands if held else torch.zeros_like(self.commands)
+            state = self.drive.advance(state, command, _STEP_S)
+            cos, sin = torch.cos(state[:, 2:3]), torch.sin(state[:, 2:3])
+            x = state[:, 0:1] + cos * self.chair[:, 0] - sin * self.chair[:, 1]
+            y = state[:, 1:2] + sin * self.chair[:, 0] + cos * self.chair[:, 1]
+            row = (SIDE - 1 - torch.floor((x + BEHIND_M) / CELL_M)).clamp(0, SIDE - 1)
+            column = torch.floor((HALF_M - y) / CELL_M).clamp(0, SIDE - 1)
+            plane = step // EACH_SLICE + SLICES * self.chair[:, 2]
+            found.append(plane * SIDE * SIDE + row * SIDE + column)
+        return torch.cat(found, 1)[None].to(torch.int64)
+
+    def _values(self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
+        """The highest one is what `rule.choose` takes."""
+        rule = self.rule
+        distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt()
+        numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
+        kept = (numbers == last).to(danger.dtype)
+        limit = rule.threshold * (1.0 + (rule.lenient - 1.0) * kept)
+        cost = distance + rule.shy * danger / rule.threshold - rule.keep * kept
+        allowed = danger < limit
+        nothing = ~allowed.any(dim=1, keepdim=True)
+        cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
+        return -torch.where(nothing, danger + LESS_M * distance, cost)
+
+
+def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
+    return motion[0, 2] + cos * x - sin * y, motion[0, 3] + sin * x + cos * y
+
+
+def _slot(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
+    return (ix - RASTER * torch.floor(ix / RASTER)) * RASTER + (iy - RASTER * torch.floor(iy / RASTER))
+
+
+def _height_code(height_m: torch.Tensor) -> torch.Tensor:
+    return 1.0 + torch.floor(254.0 * ((height_m - LOW_M) / SPAN_M).clamp(0.0, 1.0))
+
+
+def _cells_B() -> np.ndarray:
+    """(SIDE * SIDE, 2) middles of the picture's cells in B."""
+    rows, columns = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
+    x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
+    y = HALF_M - (columns + 0.5) * CELL_M
+    return np.stack([x.reshape(-1), y.reshape(-1)], 1).astype(np.float32)

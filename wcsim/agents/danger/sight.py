@@ -1,0 +1,90 @@
+"""What the danger network is shown of one tick, made from a chair's observation and what it remembers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
+from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
+from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
+from wcsim.agents.policy_api import IMU_KEY, Observation
+from wcsim.config import RunConfig
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.supervisor.actions import action_set
+from wcsim.types import F32, F64, U8
+
+COMMANDS: Final = 3  # last ones that are told
+_TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
+_GYRO: Final = slice(5, 8)
+_STARTS: Final = 4  # v, w, acceleration, delay
+VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
+MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change their sign when left and right change places
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DangerSight:
+    """One tick of one chair."""
+
+    picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
+    actions: U8  # (A, NUMBERS) see `roll_outs.profile`
+    vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
+    start: F32  # (6,) where roll-outs begin, see `sweep`
+
+
+class Eye:
+    """Makes sights for one chair, from tick to tick: `look`, then `command`.
+
+    Args:
+        config: Of the run: its first camera is seen, and its chair driven.
+        delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
+    """
+
+    senses = SENSES
+
+    def __init__(self, config: RunConfig, delay_ticks: int | None = None) -> None:
+        self._actions = action_set(config.env.actions)
+        spec = plant_spec(config.chair)
+        self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
+        around = self.around
+        self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
+        self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
+        self._tick_s = config.world.tick_s
+        self.forget()
+
+    def forget(self) -> None:
+        """Stand still, and know nothing of the street."""
+        self.around.forget()
+        self._map.forget()
+        self._sent = np.zeros((COMMANDS, 2))
+
+    def look(self, observation: Observation) -> DangerSight:
+        """Take the observation of a new tick."""
+        around = self.around
+        around.observe(observation)
+        pose = around.ego.pose_O
+        self._map.see(around.depth_m, around.classes(observation), pose)
+        points = around.in_the_way(0.0)
+        picture = np.empty((PLANES, SIDE, SIDE), np.uint8)
+        self._map.picture(pose, around.memory.cells, points, picture)
+        start, later_s = around.start()
+        numbers = np.empty((len(self._actions), NUMBERS), np.uint8)
+        profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        return DangerSight(
+            picture=picture, actions=numbers, vector=self._vector(observation, later_s), start=start.astype(np.float32)
+        )
+
+    def command(self, action: int) -> None:
+        """Say which action is sent now."""
+        self.around.command(action)
+        self._sent = np.roll(self._sent, 1, axis=0)
+        self._sent[0] = self._actions.points[action]
+
+    def _vector(self, observation: Observation, later_s: float) -> F32:
+        imu, motion = observation[IMU_KEY], self.around.ego.motion
+        said: F64 = np.concatenate(
+            [10.0 * imu[_TILT], imu[_GYRO], motion / (1.67, 1.5, 2.0), [later_s], self._sent.reshape(-1)]
+        )
+        return np.clip(said, -2.0, 2.0).astype(np.float32)

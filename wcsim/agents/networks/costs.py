@@ -1,0 +1,130 @@
+"""What a network costs: parameters, multiplications, memory, and the time of one decision on one core."""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import nn
+
+from wcsim.agents.networks.q_network import NetSpec, QNet
+from wcsim.agents.networks.registry import preferred_window
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.supervisor.actions import action_set
+
+LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
+RESERVE_MS: Final = 60.0  # of it is for the network that makes the classes of a real camera's pictures
+_WARM_UP: Final = 3
+Times = tuple[float, float]  # median and 99th percentile in ms
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkCost:
+    """One network at one size of pictures."""
+
+    name: str
+    window: int
+    params: int
+    macs: int  # multiplications and additions of one decision
+    mb: float  # of weights, and of what one decision keeps in memory at a time
+    p50_ms: float
+    p99_ms: float
+    onnx_p50_ms: float | None  # by ONNX Runtime; None where that is not installed
+
+    @property
+    def within_100_ms(self) -> bool:
+        """Whether a decision fits into a tick, with the reserve for the segmentation."""
+        return self.p99_ms <= LIMIT_MS - RESERVE_MS
+
+
+def cost_of(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> NetworkCost:
+    """Measure a network on one core of this machine. Raises PolicyError when there is none of that name."""
+    window = preferred_window(name)
+    image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
+    vectors = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))}
+    actions = spaces.Discrete(len(action_set("square81")))
+    net = QNet(spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}), actions, NetSpec(network=name))
+    net.set_training_mode(False)
+    seen = {
+        CLASS_KEY: torch.full((1, window, height_px, width_px), 7, dtype=torch.uint8),
+        DEPTH_KEY: torch.full((1, window, height_px, width_px), 90, dtype=torch.uint8),
+        IMU_KEY: torch.zeros(1, 5),
+        JOYSTICK_KEY: torch.zeros(1, 2),
+    }
+    macs, held = _counted(net, seen)
+    params = sum(value.numel() for value in net.parameters())
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        p50_ms, p99_ms = _timed(lambda: net(seen), runs)
+        onnx_ms = _onnx_ms(net, seen, runs)
+    finally:
+        torch.set_num_threads(threads)
+    return NetworkCost(
+        name=name,
+        window=window,
+        params=params,
+        macs=macs,
+        mb=round((4 * params + held) / 1e6, 2),
+        p50_ms=round(p50_ms, 3),
+        p99_ms=round(p99_ms, 3),
+        onnx_p50_ms=None if onnx_ms is None else round(onnx_ms, 3),
+    )
+
+
+def _timed(call: Callable[[], object], runs: int) -> Times:
+    times = []
+    with torch.inference_mode():
+        for number in range(_WARM_UP + runs):
+            began = time.perf_counter()
+            call()
+            if number >= _WARM_UP:
+                times.append(1000.0 * (time.perf_counter() - began))
+    return float(np.median(times)), float(np.percentile(times, 99))
+
+
+def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
+    """Multiplications of one call, and the bytes of the largest layer's output."""
+    macs, largest = 0, 0
+
+    def count(layer: nn.Module, given: Any, out: Any) -> None:
+        nonlocal macs, largest
+        result = out[0] if isinstance(out, tuple) else out
+        largest = max(largest, result.numel() * result.element_size())
+        if isinstance(layer, nn.Conv2d | nn.Conv3d):
+            macs += result.numel() * layer.in_channels // layer.groups * math.prod(layer.kernel_size)
+        elif isinstance(layer, nn.Linear):
+            macs += result.numel() * layer.in_features
+        elif isinstance(layer, nn.LSTM | nn.GRU):
+            steps = given[0].shape[0] * given[0].shape[1]
+            macs += steps * sum(weight.numel() for name, weight in layer.named_parameters() if "weight" in name)
+
+    handles = [layer.register_forward_hook(count) for layer in net.modules() if not list(layer.children())]
+    with torch.inference_mode():
+        net(seen)
+    for handle in handles:
+        handle.remove()
+    return macs, largest
+
+
+def _onnx_ms(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
+    from wcsim.agents.networks.onnx_form import Bare, can_export, exported
+
+    if not can_export():
+        return None
+    import onnxruntime
+
+    keys = tuple(seen)
+    model = io.BytesIO(exported(Bare(net, keys), tuple(seen.values()), keys, ("values",)))
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model.getvalue(), options, providers=["CPUExecutionProvider"])
+    given = {key: value.numpy() for key, value in seen.items()}
+    return _timed(lambda: session.run(None, given), runs)[0]

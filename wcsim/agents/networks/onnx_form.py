@@ -1,0 +1,57 @@
+"""Networks in ONNX's form: https://onnx.ai; the extra `onnx` brings what is needed."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from importlib.util import find_spec
+
+import torch
+from torch import nn
+
+from wcsim.errors import PolicyError
+
+OPSET = 18
+
+
+def can_export() -> bool:
+    """Whether what the extra `onnx` brings is there."""
+    return find_spec("onnx") is not None and find_spec("onnxruntime") is not None
+
+
+class Bare(nn.Module):
+    """A network that is called with tensors, in the place of one that is called with a dict of them."""
+
+    def __init__(self, net: nn.Module, keys: Sequence[str]) -> None:
+        super().__init__()
+        self.net, self.keys = net, tuple(keys)
+
+    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
+        """What the network makes of them."""
+        return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
+
+
+def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]) -> bytes:
+    """A network as an ONNX model, for inputs of these very shapes.
+
+    Args:
+        net: Called with tensors alone.
+        given: An example of each.
+        inputs: Their names.
+        outputs: Names of what it returns.
+
+    Raises:
+        PolicyError: ONNX is not installed, or the network cannot be expressed in it.
+    """
+    held = io.BytesIO()
+    if not can_export():
+        raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # tracing warns of every shape that is a Python number
+            names = {"input_names": list(inputs), "output_names": list(outputs)}
+            torch.onnx.export(net, given, held, opset_version=OPSET, dynamo=False, **names)  # type: ignore[arg-type]
+    except (RuntimeError, torch.onnx.errors.OnnxExporterError) as error:
+        raise PolicyError(f"the network cannot be exported to ONNX: {str(error).splitlines()[0][:200]}") from None
+    return held.getvalue()

@@ -1,0 +1,51 @@
+"""A training run of a danger network from configuration to saved policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from wcsim.agents.rounds.towns_of_rounds import towns_of
+from wcsim.agents.rounds.train_rounds import Progress, Rounds, train_rounds
+from wcsim.agents.runs.resumed_folder import folder_of
+from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.core import files
+from wcsim.errors import InterruptedRunError
+from wcsim.towns.scenario.town import Town
+
+
+def train_danger(
+    run: ResolvedRun,
+    town: Town,
+    worlds: int = 1,
+    progress: Progress = lambda now: None,
+    stage: Callable[[str], object] = lambda told: None,
+) -> Path:
+    """Do all rounds and leave a run folder with data/, checkpoints/ and policies/final.
+
+    Args:
+        run: The run; with `resume` it goes on after the last whole round.
+        town: The one that it is trained in; others may be beside it, see `CollectConfig`.
+        worlds: Processes that drive beside the one that learns; how many changes nothing but the time.
+        progress: Told what comes of it.
+        stage: Told what takes long before the first round.
+
+    Raises:
+        InterruptedRunError: Ctrl-C; `resume` goes on.
+        PolicyError, TownError, DiskFullError: See `train_rounds` and `folder_of`.
+    """
+    folder = folder_of(run)
+    with files.locked(folder.path):
+        towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)
+        rounds = Rounds(folder=folder, towns=towns, worlds=worlds)
+        total = folder.config.collect.rounds
+        try:
+            sha256 = train_rounds(rounds, progress)
+        except KeyboardInterrupt:
+            folder.with_status("interrupted", 0)
+            raise InterruptedRunError(
+                f"stopped; {folder.path} holds the rounds that are done, and can be continued with --resume"
+            ) from None
+        folder.with_status("done", total * folder.config.danger.updates)
+        folder.event("done", weights_sha256=sha256)
+    return folder.path

@@ -1,0 +1,46 @@
+"""The towns that data is driven in: the run's own, those of the configuration, and some that are drawn for the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from wcsim.config import RunConfig
+from wcsim.core import seeding
+from wcsim.errors import TownError
+from wcsim.towns.making.maker import make_town
+from wcsim.towns.making.wishes import Wishes
+from wcsim.towns.scenario.town import Town, find_town, open_town
+
+TOWNS: Final = "towns"
+
+
+def towns_of(
+    own: Town, config: RunConfig, folder: Path, seed: int, stage: Callable[[str], object] = lambda told: None
+) -> tuple[str, ...]:
+    """Folders or names of all towns, the run's own first.
+
+    Args:
+        own: The run's.
+        config: Of the run.
+        folder: Of the run; towns that are drawn lie in it, and are made once.
+        seed: Of the run.
+        stage: Told what is made.
+
+    Raises:
+        TownError: A town is missing, is meant for tests, or cannot be made.
+        SumoError: One of SUMO's tools failed.
+    """
+    others = [find_town(name) for name in config.collect.towns]
+    for town in others:
+        if town.split == "test":
+            raise TownError(f"collect.towns: {town.name} is a town for tests; expected towns for training")
+    for number in range(config.collect.made_towns):
+        drawn = seeding.derive(seed, "collect", "town", number)
+        out = folder / TOWNS / f"made-{drawn}"
+        if not out.is_dir():
+            stage(f"making town {number + 1} of {config.collect.made_towns}")
+            make_town(out, drawn, Wishes())
+        others.append(open_town(out))
+    return tuple(str(town.address) for town in (own, *others))

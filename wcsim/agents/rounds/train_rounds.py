@@ -1,0 +1,155 @@
+"""Trains a danger network in rounds: drive, learn, drive again with what was learned, learn from all of it.
+
+While the network learns from round n, the worlds already drive round n + 1 with the network that had learned from the
+rounds before n. What a segment is depends on its key alone, so data and weights do not depend on the number of worlds,
+nor on what died on the way.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import torch
+
+from wcsim.agents.collecting.data_folder import (
+    SEGMENTS,
+    read_manifest,
+    read_segment,
+    require_same_settings,
+    write_manifest,
+)
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.segment_places import SegmentOrder, settings_in_turn
+from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.danger.lessons import Lectures, lessons_of
+from wcsim.agents.danger.rule import rule_of
+from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.rounds.round_checkpoint import digest_of, load_round, newest_round, save_round
+from wcsim.agents.rounds.workers import Workers
+from wcsim.agents.runs.run_folder import METRICS, RunFolder
+from wcsim.config import RunConfig
+from wcsim.core import files, seeding
+from wcsim.towns.scenario.town import find_town, streets_hash
+
+DATA: Final = "data"
+_COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundProgress:
+    """What is known while a round goes on."""
+
+    round: int
+    rounds: int
+    segments: int  # that have come back
+    of: int
+    updates: int = 0
+    loss: float = float("nan")
+
+
+Progress = Callable[[RoundProgress], object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rounds:
+    """What to train with."""
+
+    folder: RunFolder
+    towns: tuple[str, ...]  # folders or names
+    worlds: int = 1
+
+    @property
+    def config(self) -> RunConfig:
+        """Of the run."""
+        return self.folder.config
+
+
+def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
+    """Do all rounds that are left; the SHA-256 of the weights.
+
+    Raises:
+        TownError: A town is missing.
+        PolicyError: Something that is kept does not fit, worlds died too often, or the loss left the finite numbers.
+        DiskFullError: There is no room.
+    """
+    config, folder = rounds.config, rounds.folder
+    torch.set_num_threads(config.learn.threads)
+    torch.use_deterministic_algorithms(True)
+    seed, total = folder.manifest.seed, config.collect.rounds
+    learner = DangerLearner(config, seed)
+    first = newest_round(folder.checkpoints) + 1
+    segments = load_round(folder.checkpoints, first - 1, learner) if first else {}
+    lectures = Lectures(config)
+    for data in map(Path, config.collect.data):
+        file = read_manifest(data)
+        require_same_settings(data, file, config)
+        for name, sha256 in sorted(file.segments.items()):
+            lectures.add(lessons_of(read_segment(data / SEGMENTS / name, sha256), config))
+    for name in sorted(segments):
+        lectures.add(lessons_of(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
+    with Workers(rounds.worlds, folder.path / DATA) as workers:
+        for number in range(first, total):
+            began_s = time.monotonic()
+            now = _orders(rounds, number)
+            came = workers.take(now, _told(progress, number, total, len(now)))
+            if number + 1 < total:
+                workers.ask(_orders(rounds, number + 1))
+            waited_s = time.monotonic() - began_s
+            fresh = [read_segment(folder.path / DATA / SEGMENTS / name, came[name]) for name in sorted(came)]
+            for segment in fresh:
+                lectures.add(lessons_of(segment, config))
+            lectures.begin(seeding.generator(seed, "agent", "lectures", number))
+            loss = learner.learn(lectures, config.danger.updates)
+            segments |= came
+            save_round(folder.checkpoints, number, learner, segments)
+            _save(rounds, learner, f"round-{number:03d}")
+            crashes = sum(int(segment.crashed.sum()) for segment in fresh)
+            row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
+            _note(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
+            at = RoundProgress(round=number, rounds=total, segments=len(now), of=len(now), updates=learner.updates)
+            progress(replace(at, loss=loss))
+    towns = {town.name: streets_hash(town) for town in map(find_town, rounds.towns)}
+    write_manifest(folder.path / DATA, config, towns, segments)
+    _save(rounds, learner, "final")
+    return digest_of(learner.net)
+
+
+def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
+    """The segments of a round, driven by the network of the round before the last, where there is one."""
+    config, driver = rounds.config, number - 2
+    policy = str(rounds.folder.policy(f"round-{driver:03d}")) if driver >= 0 else ""
+    keys = [
+        SegmentKey(run=rounds.folder.manifest.seed, round=number, index=index)
+        for index in range(config.collect.segments)
+    ]
+    return [
+        SegmentOrder(key=key, towns=rounds.towns, config=config, settings=settings_in_turn(config, key), policy=policy)
+        for key in keys
+    ]
+
+
+def _told(progress: Progress, number: int, total: int, of: int) -> Callable[[SegmentKey], None]:
+    back = 0
+
+    def done(key: SegmentKey) -> None:
+        nonlocal back
+        back += 1
+        progress(RoundProgress(round=number, rounds=total, segments=back, of=of))
+
+    return done
+
+
+def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
+    rule, sha256 = rule_of(rounds.config.danger), rounds.folder.manifest_sha256()
+    save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)
+
+
+def _note(path: Path, row: Sequence[float]) -> None:
+    """Add a row to metrics.csv."""
+    old = path.read_text(encoding="utf-8").splitlines() if path.is_file() else [",".join(_COLUMNS)]
+    kept = [old[0], *(line for line in old[1:] if int(line.split(",")[0]) < row[0])]
+    files.write_bytes(path, "\n".join([*kept, ",".join(f"{value:.6g}" for value in row), ""]).encode())

@@ -1,0 +1,60 @@
+"""`wcsim networks`: what each network costs on this machine."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from wcsim.agents.networks.names import NETWORK_NAMES, require_network
+from wcsim.cli.shared.common import OutFile, parse, some_words, write_json
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.errors import ConfigError
+
+
+@dataclass
+class Options:
+    """Parameters, multiplications, memory and the time of a decision on one core, for each network."""
+
+    names: str = ",".join(NETWORK_NAMES)
+    """Networks, joined by commas: by name or as module:Class."""
+    width: int = 320
+    """Of the pictures, in pixels."""
+    height: int = 240
+    """Of the pictures, in pixels."""
+    runs: int = 30
+    """Decisions to time."""
+    json: OutFile = None
+    """Write the rows to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Measure and print a table."""
+    options = parse(Options, words, "networks")
+    names = some_words("--names", options.names)
+    for name in names:
+        require_network(name)
+    if not (8 <= options.width <= 2048 and 8 <= options.height <= 2048 and options.runs >= 1):
+        raise ConfigError(
+            f"--width {options.width}, --height {options.height}, --runs {options.runs}; expected 8 to 2048 pixels "
+            "each way, and 1 run or more"
+        )
+    from rich.console import Console
+    from rich.table import Table
+
+    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, cost_of  # torch is loaded here
+
+    costs = [cost_of(name, options.height, options.width, options.runs) for name in names]
+    table = Table("network", "window", "params", "MACs", "MB", "p50 ms", "p99 ms", "ONNX p50 ms", "fits")
+    for cost in costs:
+        onnx = "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}"
+        table.add_row(
+            *(cost.name, str(cost.window), f"{cost.params:,}", f"{cost.macs / 1e6:.1f} M", f"{cost.mb:.1f}"),
+            *(f"{cost.p50_ms:.2f}", f"{cost.p99_ms:.2f}", onnx, "yes" if cost.within_100_ms else "no"),
+        )
+    Console().print(table)
+    print(
+        f"pictures of {options.width}x{options.height}, one core; fits: {LIMIT_MS:g} ms less {RESERVE_MS:g} ms, which "
+        "a real chair needs for the classes of its pictures"
+    )
+    if options.json is not None:
+        write_json(options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs])
+    return Exit.DONE

@@ -1,0 +1,71 @@
+"""`wcsim collect`: drive, and write down what was seen and done, and which actions would have ended badly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.run_config import require_trained_users
+from wcsim.cli.training.train import checked_town
+from wcsim.config import load_run_config
+from wcsim.errors import ConfigError
+
+
+@dataclass
+class Options:
+    """Record driving to learn from; `wcsim train --data FOLDER` reads it."""
+
+    town: str = "helsinki"
+    """Towns to drive in, in turn, joined by commas; their split must be train."""
+    preset: str = "laptop"
+    """Settings to begin with; the section [collect] says who drives, and how."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file laid over the preset."""
+    set: Repeated = ()
+    """section.key=value, laid over both; may be given several times."""
+    segments: int = 10
+    """Segments in all, each a fresh world of collect.ticks ticks; those that are there already are kept."""
+    policy: str = ""
+    """A trained danger network that drives a share of the episodes; without one users and the oracle drive."""
+    worlds: int = 1
+    """Worlds that drive at once, each in a process of its own: the data is the same for any number."""
+    seed: int = 0
+    """Seed of everything: equal seeds give equal data."""
+    out: OutFolder = None
+    """Data folder; default data/TOWN-SEED."""
+    json: OutFile = None
+    """Write where the data is, and its hash, to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Drive, and leave a data folder."""
+    options = parse(Options, words, "collect")
+    config = load_run_config(options.preset, options.set, options.config)
+    require_trained_users(config)
+    if options.segments < 1 or options.worlds < 1:
+        raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected 1 or more of each")
+    towns = [checked_town(name, False) for name in some_words("--town", options.town)]
+    out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
+    check_folder("--out", out)
+    from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here
+    from wcsim.agents.runs.run_folder import policy_path
+
+    order = DataOrder(
+        folder=out,
+        config=config,
+        towns=tuple(str(town.address) for town in towns),
+        seed=options.seed,
+        segments=options.segments,
+        policy=str(policy_path(options.policy)) if options.policy else "",
+        worlds=options.worlds,
+    )
+    sha256 = collect_data(order, lambda done, of: print(f"{done} of {of} segments", flush=True))
+    print(f"data folder: {out}, SHA-256 {sha256}    learn from it: wcsim train --preset laptop --data {out}")
+    if options.json is not None:
+        write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
+    return Exit.DONE

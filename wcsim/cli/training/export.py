@@ -1,0 +1,65 @@
+"""`wcsim export`: a trained policy for machines that have no wcsim."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from wcsim.agents.runs.policy_file import is_danger
+from wcsim.agents.runs.run_folder import config_of, policy_path
+from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.errors import ConfigError, PolicyError
+
+LIMIT_MS, RESERVE_MS = 100.0, 60.0  # of a tick, and what a real camera's segmentation needs of it
+
+
+@dataclass
+class Options:
+    """Write a policy as an ONNX model with its state, its rule, its meaning and reference steps."""
+
+    policy: Annotated[str, tyro.conf.Positional]
+    """A run of a danger network, or its policy folder; RUN@0.2 sets the assistance level."""
+    onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder to make."""
+    town: str = "helsinki"
+    """Town in which the reference steps are driven."""
+    steps: int = 200
+    """Reference steps."""
+    force: bool = False
+    """Export it although a decision takes longer than a real chair has."""
+    json: OutFile = None
+    """Write what was measured to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Export, and say what was measured."""
+    options = parse(Options, words, "export")
+    if options.onnx is None:
+        raise ConfigError("nothing to write to; expected --onnx FOLDER")
+    if not 2 <= options.steps <= 100_000:
+        raise ConfigError(f"--steps {options.steps}; expected 2 to 100000")
+    check_folder("--onnx", options.onnx)
+    path = policy_path(options.policy)
+    if not is_danger(path):
+        raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
+    from wcsim.agents.danger.onnx_export import export_danger  # torch is loaded here
+    from wcsim.agents.rounds.reference_ride import reference_ride
+
+    config = config_of(options.policy, "laptop", ())
+    ride = reference_ride(options.town, config, options.steps)
+    limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
+    facts = export_danger(path, options.onnx, config, ride, limit_ms)
+    print(
+        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, {facts.p50_ms:.2f} ms a step (p99 {facts.p99_ms:.2f})"
+        f"; dangers off by {facts.most_off:.1g} at most, {facts.same_actions:.1%} of {facts.steps} actions the same\n"
+        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {facts.int8_p50_ms:.2f} ms, dangers off by "
+        f"{facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} the same"
+    )
+    if options.json is not None:
+        write_json(options.json, asdict(facts))
+    return Exit.DONE

@@ -1,0 +1,31 @@
+"""Section `[danger]`: the danger head, how it learns and how its numbers become actions (`learn.head = "danger"`)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from wcsim.config.base import Model, NotNegative, Positive, Share
+
+
+class DangerConfig(Model):
+    """The network's parts, its supervised learning, and its rule."""
+
+    roll_out: bool = True  # cost maps, read along each action's way
+    gaps: bool = True  # how near to what each action comes, by the rival's own senses
+    rival: bool = True  # what the rival remembers of the street, as planes of the street map
+    context: bool = True  # the street map as a whole
+    width: Annotated[int, Field(ge=4, le=256)] = 20
+    updates: Annotated[int, Field(ge=1, le=10**7)] = 1500  # of a round
+    batch: Annotated[int, Field(ge=2, le=4096)] = 64
+    learning_rate: Positive = 2e-3
+    weight_decay: NotNegative = 1e-3
+    tight_share: Share = 0.5  # of a batch, from steps in which something is unsafe
+    ahead: Annotated[int, Field(ge=0, le=20)] = 1  # an action is unsafe already, so many steps before it is
+    teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = "visible"  # the oracle: blinded, or all-knowing
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3  # the assistance level: what is more dangerous is out
+    keep: NotNegative = 0.06  # joystick distance by which the last action is taken for nearer
+    lenient: Positive = 1.3  # times the threshold for the last action
+    shy: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth
+    warn: Share = 0.5  # the danger of the user's own stick above which it warns
