@@ -264,7 +264,7 @@ def test_a_windowed_network_of_ones_own_is_built_with_the_window(monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "pairs", Pairs)
     assert ObservationEncoder(space(24, 32, 3), "pairs").features_dim == 6
     assert registry.preferred_window("pairs") == 1
-    assert [registry.preferred_window(name) for name in (*WINDOWED, "small")] == [4, 4, 4, 1]
+    assert [registry.preferred_window(name) for name in (*WINDOWED, "small")] == [4] * len(WINDOWED) + [1]
 
 
 # --- the registry ---

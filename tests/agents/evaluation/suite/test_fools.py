@@ -32,7 +32,8 @@ def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
     assert parts[UNAIDED]["hazard"]["alive_at_end"] < 0.3 < parts["oracle"]["hazard"]["alive_at_end"]
 
     stands = whole["Stands"]
-    assert stands["arrivals"] == 0 and stands["score"] < 0.05 and stands["blocked_share"] > 0.9
+    assert stands["arrivals"] == 0 and stands["score"] < 0.05
+    assert stands["blocked_share"] > 10 * max(0.01, sane["blocked_share"])  # its user lets go after a while
     assert stands["freezes"] > 10 * max(1, sane["freezes"])
 
     shy = parts["NeverCrosses"]["crossing"]
@@ -44,10 +45,10 @@ def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
 
     shaky = whole["Oscillates"]
     assert shaky["stick_travel_per_s"] > 5 * shaky["asked_travel_per_s"] and shaky["kpi1_free_within"] < 0.5
-    assert shaky["needless"] > 5 * max(1, sane["needless"])
+    assert shaky["score"] < 0.1 * sane["score"]
 
     back = whole["ReversesHome"]
-    assert back["arrivals"] == 0 and back["score"] < 0.1 and back["kpi1_free_within"] < 0.5
+    assert back["arrivals"] <= 0.1 * sane["arrivals"] and back["score"] < 0.1 and back["kpi1_free_within"] < 0.5
 
     loud = whole["WarnsAlways"]
     assert loud["warned_share"] > 0.9 and loud["false_warnings_per_km"] > 100
