@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.view.report.failures import WORST, FailedEpisode, worst_of
 from wcsim.view.report.illustrate import Illustration, Key, SeenMoment
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, data_uri, el, joined
 
 _HEADINGS = (
-    *(("policy", "policy"), ("reason", "reason"), ("whose", "fault"), ("partner", "with"), ("speed", "m/s")),
+    *(("policy", "policy"), ("reason", "reason"), ("whose", "fault"), ("partner", "with")),
+    ("speed", "m/s in the last second"),
     *(("part", "part"), ("place", "place"), ("user", "user"), ("unaided", "the user alone, same episode")),
 )
 
@@ -98,7 +100,7 @@ def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) 
     record = failure.episode.record
     said = (
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "
-        f"{record.done_m:.0f} of {record.route_m:.0f} m of the way done, score {record.score:.3f}, "
+        f"{_done(record)}score {record.score:.3f}, "
         f"{len(record.interventions)} interventions{', none in the 5 s before the crash' if record.missed else ''}. "
         f"The user alone in the same episode: {failure.unaided}."
     )
@@ -115,6 +117,11 @@ def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) 
     return el("div", *parts, id=anchor, class_="detail")
 
 
+def _done(record: EpisodeRecord) -> str:
+    """How much of the way was done; nothing where there is none to do."""
+    return f"{record.done_m:.0f} of {record.route_m:.0f} m of the way done, " if record.route_m > 0.0 else ""
+
+
 def _pictures(pictures: Illustration) -> Markup:
     street = el(
         "figure",
@@ -127,8 +134,9 @@ def _pictures(pictures: Illustration) -> Markup:
 
 
 def _seen(moment: SeenMoment) -> Markup:
+    when = f"−{moment.before_s:.1f} s" if moment.before_s > 0.05 else "the end"
     caption = joined((
-        el("b", f"−{moment.before_s:.1f} s"), f" {moment.speed_mps:.2f} m/s", el("br"),
+        el("b", when), f" {moment.speed_mps:.2f} m/s", el("br"),
         f"asked {moment.asked}", el("br"), f"given {moment.given}",
     ))  # fmt: skip
     picture = data_uri("image/png", moment.png)

@@ -144,7 +144,8 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     return figure(
         f"town-{stem}",
         f"Ways in {town}",
-        f"Ways of all episodes, a colour a policy; crosses are own crashes.{missing}",
+        f"Ways of the episodes in this town, a colour a policy; crosses are own crashes. Tight places have streets of "
+        f"their own and are not on it.{missing}",
         csv_of(("policy", "block", "seat", "what", "s", "x_m", "y_m"), plain),
         town_chart(stem, ground, ways, places),
     )

@@ -13,7 +13,7 @@ from wcsim.view.report.markup import Exhibit, Markup, data_uri, el, joined
 PAGE: Final = "report.html"
 FIGURES: Final = "report"
 _ALLOWED: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-_HERE: Final = Path(__file__).parent
+_ASSETS: Final = Path(__file__).parent / "assets"
 SIMULATION_ONLY: Final = "SIMULATION ONLY: these figures say nothing about a real street."
 
 
@@ -35,14 +35,14 @@ def page(title: str, intro: Markup, sections: Sequence[Section]) -> str:
         el("meta", name="viewport", content="width=device-width, initial-scale=1"),
         el("meta", http_equiv="Content-Security-Policy", content=_ALLOWED),
         el("title", title),
-        el("style", Markup((_HERE / "page.css").read_text(encoding="utf-8"))),
+        el("style", Markup((_ASSETS / "page.css").read_text(encoding="utf-8"))),
     )
     body = el(
         "body",
         el("header", el("h1", title), intro, el("nav", *links)),
         el("main", *(el("section", el("h2", each.title), each.body, id=each.name) for each in sections)),
         el("footer", SIMULATION_ONLY),
-        el("script", Markup((_HERE / "page.js").read_text(encoding="utf-8"))),
+        el("script", Markup((_ASSETS / "page.js").read_text(encoding="utf-8"))),
     )
     return f"<!DOCTYPE html>\n{el('html', head, body, lang='en')}\n"
 

@@ -12,6 +12,7 @@ from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode
 from wcsim.view.report.figures import figures_of
+from wcsim.view.report.glossary import conclusion, glossary
 from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
@@ -20,8 +21,9 @@ from wcsim.view.report.tables import comparison_table, legend, result_table, wei
 _BEST = 3
 _COLOURS_SAY = (
     "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
-    "people, dark blue cars, black unknown), below the depth (red near, blue far, black out of range, white not "
-    "measured). Sticks are x to the right and y ahead; asked is the user's, given the policy's."
+    "people and riders, dark red bicycles, dark blue cars, black unknown), below the depth (red near, blue far, black "
+    "out of range, white not measured); the last one is of the end. The camera looks ahead alone. Sticks are x to the "
+    "right and y ahead; asked is the user's, given the policy's."
 )
 
 
@@ -53,7 +55,7 @@ def write_suite_page(
     drawn, listed = figures_of(result), failure_exhibit(result, failures, pictures, why_none)
     episodes = _episodes(result)
     sections = (
-        Section(name="results", title="Results", body=joined((shown(pooled), legend()))),
+        Section(name="results", title="Results", body=joined((shown(pooled), legend(), _who(result, parts)))),
         Section(name="decided", title="What the test decides", body=_decided(pairs, parts, against, weights)),
         Section(name="figures", title="Figures", body=el("div", *map(shown, drawn), class_="charts")),
         Section(name="failures", title="Failures", body=shown(listed, el("p", _COLOURS_SAY, class_="says"))),
@@ -65,13 +67,20 @@ def write_suite_page(
     return write_page(folder, text, (pooled, *by_part, against, weights, *drawn, listed, episodes))
 
 
+def _who(result: KeptResult, parts: Sequence[str]) -> Markup:
+    users = sorted({e.record.profile for episodes in result.episodes.values() for e in episodes})
+    return glossary(result.episodes, parts, users)
+
+
 def _intro(result: KeptResult) -> Markup:
     km = sum(float(row.get("km") or 0.0) for row in result.pooled)
     count = sum(len(episodes) for episodes in result.episodes.values())
     best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
     ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
     changed: object = el("strong", " ".join(result.changed)) if result.changed else "nothing: the list's own settings"
-    return facts(
+    scores = {row["policy"]: float(row.get("score") or 0.0) for row in result.pooled}
+    crashes = {row["policy"]: (int(row["crashes_own"]), float(row.get("km") or 0.0)) for row in result.pooled}
+    told = facts(
         (
             ("suite", f"{result.suite}, set {result.set}"),
             ("list", el("code", result.list_sha256)),
@@ -80,6 +89,7 @@ def _intro(result: KeptResult) -> Markup:
             ("best scores", ranked),
         )
     )
+    return joined((el("p", el("strong", conclusion(scores, crashes))), told))
 
 
 def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, weights: Exhibit) -> Markup:

@@ -32,8 +32,6 @@ SAFETY: Final = (
         says="0 after an own crash or a red entry, else share of the way x pace x obedience; mean over episodes",
         form="{:.3f}",
     ),
-    Column(heading="episodes", key="episodes", says="how many; every one counts, whatever became of it"),
-    Column(heading="km", key="km", says="way that was driven", form="{:.2f}"),
     Column(heading="own crashes", key="crashes_own", says="by the chair's own fault, falls off kerbs among them"),
     Column(
         heading="own / km",
@@ -49,6 +47,8 @@ SAFETY: Final = (
         says="share of the steps without danger, in which the user moves, that the stick was followed within 0.1768",
         form="{:.1%}",
     ),
+    Column(heading="episodes", key="episodes", says="how many; every one counts, whatever became of it"),
+    Column(heading="km", key="km", says="way that was driven", form="{:.2f}"),
     Column(heading="others'", key="crashes_other", says="crashes that were the other's fault"),
     Column(heading="drops", key="drops", says="falls off a kerb, counted in own crashes too"),
     Column(heading="at red", key="red_entries", says="times that it drove onto a crossing at red"),
@@ -66,19 +66,40 @@ SAFETY: Final = (
 SERVICE: Final = (
     Column(heading="distance", key="kpi1", says="mean joystick distance over all steps (KPI 1)", form="{:.3f}"),
     Column(heading="steps", key="kpi2_median", says="median of the steps of an episode (KPI 2)", form="{:.0f}"),
-    Column(heading="arrived", key="arrivals", says="episodes that ended at their destination"),
+    Column(
+        heading="arrived",
+        key="arrivals",
+        says="episodes of the parts free and crossing that ended at their destination",
+    ),
     Column(heading="m/s", key="speed_mps", says="mean speed", form="{:.2f}"),
     Column(heading="s on road", key="road_s", says="seconds that the chair stood on a carriageway", form="{:.0f}"),
     Column(heading="blocked", key="blocked_share", says="share of free steps that go nowhere", form="{:.1%}"),
     Column(heading="froze", key="freezes", says="times that it stood for long without danger"),
 )
 JUDGED: Final = (
-    Column(heading="interventions", key="interventions", says="runs of steps in which it did not do as asked"),
+    Column(
+        heading="interventions",
+        key="interventions",
+        says="runs of steps in which it did not do as asked, in all episodes",
+    ),
     Column(heading="missed", key="missed", says="own crashes without an intervention in the 5 s before"),
     Column(heading="judged", key="judged_episodes", says="episodes in which forks tell what came of the user's wish"),
-    Column(heading="needed", key="needed", says="interventions without which the user alone would have crashed in 5 s"),
-    Column(heading="needless", key="needless", says="interventions without which nothing would have happened in 5 s"),
-    Column(heading="warned", key="warned_share", says="share of dangers warned of at least 1 s ahead", form="{:.0%}"),
+    Column(
+        heading="needed",
+        key="needed",
+        says="interventions of the judged episodes without which the user would have crashed in 5 s",
+    ),
+    Column(
+        heading="needless",
+        key="needless",
+        says="interventions of the judged episodes without which nothing would have happened in 5 s",
+    ),
+    Column(
+        heading="warned",
+        key="warned_share",
+        says="share of dangers warned of at least 1 s ahead; 0 % also of a policy that cannot warn",
+        form="{:.0%}",
+    ),
     Column(
         heading="false warnings/km",
         key="false_warnings_per_km",
@@ -90,7 +111,7 @@ COLUMNS: Final = (*SAFETY, *SERVICE, *JUDGED)
 
 
 def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> Exhibit:
-    """The table of a part, "" for all parts; `worst` gives the last cell of each row."""
+    """The table of a part, "" for all parts; `worst` gives what stands below each policy's name."""
     rows = [row for row in (result.rows if part else result.pooled) if row["part"] == part]
     name = f"table-{part or 'all'}"
     safety = _table(rows, SAFETY, f"{name}-safety", worst)
@@ -113,10 +134,8 @@ def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: Wor
     for row in rows:
         cells: list[object] = [row["policy"], *(_figure(row, column) for column in columns)]
         if worst is not None:
-            cells.insert(1, worst(row["policy"]))
+            cells[0] = joined((row["policy"], el("br"), el("small", "worst: ", worst(row["policy"]))))
         lines.append(cells)
-    if worst is not None:
-        headings.insert(1, "worst moment")
     return table(headings, lines, name)
 
 
