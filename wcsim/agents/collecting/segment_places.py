@@ -34,6 +34,25 @@ class SegmentOrder:
     policy: str = ""  # the folder of the network that drives, "" for none
 
 
+def orders_of(
+    config: RunConfig, towns: tuple[str, ...], first: SegmentKey, count: int, policy: str = ""
+) -> list[SegmentOrder]:
+    """So many pieces of work of a round, with the keys from `first` on.
+
+    Args:
+        config: Of the run.
+        towns: Folders or names.
+        first: The key of the first one.
+        count: How many.
+        policy: The folder of the network that drives, "" for none.
+    """
+    keys = [replace(first, index=first.index + number) for number in range(count)]
+    return [
+        SegmentOrder(key=key, towns=towns, config=config, settings=settings_in_turn(config, key), policy=policy)
+        for key in keys
+    ]
+
+
 def settings_in_turn(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
     """What differs from segment to segment: each is one of the settings of `collect.variants`."""
     variants = config.collect.variants

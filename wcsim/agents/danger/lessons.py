@@ -47,7 +47,9 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
     for row in range(count):
         delay = int(segment.delay[row])
         if begins:
-            eye = eyes.setdefault(delay, Eye(config, delay))
+            if delay not in eyes:
+                eyes[delay] = Eye(config, delay)
+            eye = eyes[delay]
             eye.forget()
         sight = eye.look(
             {

@@ -16,6 +16,7 @@ import torch
 from wcsim.agents.danger.onnx_graph import DangerGraph
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.networks.onnx_form import exported
+from wcsim.agents.policies.onnx_policy import open_session
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.runs.policy_file import read_danger_file
 from wcsim.config import RunConfig
@@ -95,7 +96,7 @@ def export_danger(
 
 def run_model(path: Path, ride: Sequence[Observation], keys: Sequence[str]) -> tuple[dict[str, Any], list[float]]:
     """Outputs by name, stacked over the steps of a ride, and the time of each step in ms."""
-    session = _session(path)
+    session = open_session(path)
     names = [item.name for item in session.get_outputs()]
     states = {item.name: np.zeros(item.shape, np.float32) for item in session.get_inputs() if item.name not in keys}
     told: dict[str, list[Any]] = {name: [] for name in names if not name.startswith("next_")}
@@ -200,12 +201,3 @@ def _meaning(policy: Path, graph: DangerGraph, config: RunConfig) -> dict[str, A
         "guard": f"no output that is NaN, no frame older than {OLDEST_FRAME_S} s, no missed tick may drive the chair: "
         "ramp the stick to zero",
     }
-
-
-def _session(path: Path) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

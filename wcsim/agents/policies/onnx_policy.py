@@ -54,7 +54,7 @@ class OnnxPolicy:
     def __init__(self, path: Path, name: str, actions: int) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
         self.name, self._actions, self._warning = name, actions, False
-        self._session = _session(path / MODEL_FILE)
+        self._session = open_session(path / MODEL_FILE)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
         for key in self._inputs:
@@ -103,7 +103,8 @@ def _fed(key: str, observation: Observation) -> Any:
     return np.ascontiguousarray(observation[key])[None]
 
 
-def _session(path: Path) -> Any:
+def open_session(path: Path) -> Any:
+    """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded."""
     try:
         import onnxruntime
     except ImportError:

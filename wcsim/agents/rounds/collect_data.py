@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.agents.collecting.data_folder import MANIFEST, read_manifest, require_same_settings, write_manifest
 from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.collecting.segment_places import SegmentOrder, settings_in_turn
+from wcsim.agents.collecting.segment_places import orders_of
 from wcsim.agents.rounds.workers import Workers
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
@@ -53,17 +53,8 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     for name in order.towns:
         town = find_town(name)
         towns[town.name] = streets_hash(town)
-    keys = [SegmentKey(run=order.seed, round=0, index=index) for index in range(order.segments)]
-    orders = [
-        SegmentOrder(
-            key=key,
-            towns=order.towns,
-            config=order.config,
-            settings=settings_in_turn(order.config, key),
-            policy=order.policy,
-        )
-        for key in keys
-    ]
+    first = SegmentKey(run=order.seed, round=0, index=0)
+    orders = orders_of(order.config, order.towns, first, order.segments, order.policy)
     done = 0
 
     def back(_: SegmentKey) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +23,7 @@ from wcsim.agents.collecting.data_folder import (
     write_manifest,
 )
 from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.collecting.segment_places import SegmentOrder, settings_in_turn
+from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.rule import rule_of
@@ -110,8 +110,10 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             crashes = sum(int(segment.crashed.sum()) for segment in fresh)
             row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
             _note(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
-            at = RoundProgress(round=number, rounds=total, segments=len(now), of=len(now), updates=learner.updates)
-            progress(replace(at, loss=loss))
+            many = len(now)
+            progress(
+                RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)
+            )
     towns = {town.name: streets_hash(town) for town in map(find_town, rounds.towns)}
     write_manifest(folder.path / DATA, config, towns, segments)
     _save(rounds, learner, "final")
@@ -122,14 +124,8 @@ def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     """The segments of a round, driven by the network of the round before the last, where there is one."""
     config, driver = rounds.config, number - 2
     policy = str(rounds.folder.policy(f"round-{driver:03d}")) if driver >= 0 else ""
-    keys = [
-        SegmentKey(run=rounds.folder.manifest.seed, round=number, index=index)
-        for index in range(config.collect.segments)
-    ]
-    return [
-        SegmentOrder(key=key, towns=rounds.towns, config=config, settings=settings_in_turn(config, key), policy=policy)
-        for key in keys
-    ]
+    first = SegmentKey(run=rounds.folder.manifest.seed, round=number, index=0)
+    return orders_of(config, rounds.towns, first, config.collect.segments, policy)
 
 
 def _told(progress: Progress, number: int, total: int, of: int) -> Callable[[SegmentKey], None]:

@@ -15,8 +15,6 @@ from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.errors import ConfigError, PolicyError
 
-LIMIT_MS, RESERVE_MS = 100.0, 60.0  # of a tick, and what a real camera's segmentation needs of it
-
 
 @dataclass
 class Options:
@@ -48,6 +46,7 @@ def run(words: list[str]) -> int:
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
     from wcsim.agents.danger.onnx_export import export_danger  # torch is loaded here
+    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
     from wcsim.agents.rounds.reference_ride import reference_ride
 
     config = config_of(options.policy, "laptop", ())
