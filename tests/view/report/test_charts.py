@@ -32,7 +32,7 @@ SOME = Estimate(value=0.5, low=0.25, high=0.75)
 GROUND = TownPicture(image=np.full((4, 8, 3), 200, np.uint8), west_m=0.0, east_m=8.0, south_m=0.0, north_m=4.0)
 WAYS = [DrivenWay(policy=name, points_m=((0.0, 0.0), (1.0, 2.0)), crash_m=(1.0, 2.0)) for name in PLACES]
 CHARTS = {
-    "obedience": lambda: obedience_chart({name: (SOME, SOME) for name in PLACES}, [["b@0.5", "b@0.75"]]),
+    "obedience": lambda: obedience_chart({name: (SOME, SOME) for name in PLACES}, [["b@0.5", "b@0.75"]], PLACES),
     "scores": lambda: score_chart([("all", [(name, SOME) for name in PLACES])], PLACES),
     "town": lambda: town_chart("corner", GROUND, WAYS, PLACES),
     "bars": lambda: bar_chart("comfort", "m/s²", {"$a_1$": 1.0, "b@0.5": 2.0}, PLACES),
@@ -54,7 +54,7 @@ def test_a_chart_is_the_same_bytes_each_time_and_asks_for_nothing(name):
 def test_levels_of_one_policy_are_joined_in_their_order():
     lines = levels_of(["n@0.75", "follow", "n@0.5", "m@1", "n@10", "x@y"])
     assert lines == [["n@0.5", "n@0.75", "n@10"]]
-    with_line, without = CHARTS["obedience"](), obedience_chart({name: (SOME, SOME) for name in PLACES}, [])
+    with_line, without = CHARTS["obedience"](), obedience_chart({name: (SOME, SOME) for name in PLACES}, [], PLACES)
     assert with_line.count(b"#888888") > without.count(b"#888888")
 
 

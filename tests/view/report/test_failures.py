@@ -71,7 +71,7 @@ def test_the_speed_of_the_last_second_comes_from_the_way():
 def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tmp_path):
     write_result(tmp_path)
     (tmp_path / "asked.json").write_text('{"suite": "my list.json", "preset": "paper", "network": "a:B"}')
-    failures = failures_of(read_result(tmp_path), Path("out"))
+    failures = failures_of(read_result(tmp_path), Path("runs/out"))
     command = worst_of(failures, SCRIPT).command
     assert shlex.split(command) == [
         "wcsim", "test", SCRIPT, "--suite", "my list.json", "--play", "0.0", "--out", "out", "--preset", "paper",

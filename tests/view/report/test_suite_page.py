@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import dataclasses
 import io
 import json
 import re
@@ -12,6 +13,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.failures import failures_of
+from wcsim.view.report.figures import obedience_figure
 from wcsim.view.report.illustrate import Illustration, SeenMoment
 from wcsim.view.report.suite_page import write_suite_page
 from wcsim.view.report.tables import SAFETY, SERVICE
@@ -141,3 +143,18 @@ def test_the_same_result_gives_the_same_bytes(folder, text):
     failures = failures_of(result, folder)
     first = write_suite_page(result, folder, failures, {}, "").read_bytes()
     assert write_suite_page(result, folder, failures, {}, "").read_bytes() == first
+
+
+def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said):
+    result = read_result(folder)
+    places = {name: place for place, name in enumerate(result.episodes)}
+    low = dataclasses.replace(
+        result,
+        pooled=[
+            {**row, "kpi1_free_within": 0.1, "kpi1_free_within_ci": [0.05, 0.2]} if row["policy"] == "follow" else row
+            for row in result.pooled
+        ],
+    )
+    drawn, without = (obedience_figure(one, places) for one in (result, low))
+    assert "Not drawn" not in drawn.says and "Not drawn, since they do not obey half of the time: follow." in without.says
+    assert "follow" in without.csv and drawn.svg != without.svg

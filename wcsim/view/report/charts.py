@@ -102,19 +102,23 @@ def _figure(name: str, out: io.BytesIO, height_in: float) -> Iterator[Figure]:
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
 
 
-def obedience_chart(points: Mapping[str, tuple[Estimate, Estimate]], lines: Sequence[Sequence[str]]) -> bytes:
+def obedience_chart(
+    points: Mapping[str, tuple[Estimate, Estimate]], lines: Sequence[Sequence[str]], places: Mapping[str, int]
+) -> bytes:
     """Obedience over own crashes a kilometre.
 
     Args:
         points: By policy: crashes per km, and share within 0.1768.
         lines: Policies that are one with another assistance level, in order.
+        places: The policies' places in the result, for their colours.
     """
     out = io.BytesIO()
     with _drawn("obedience", out, 4.0) as axes:
         for line in lines:
             x, y = ([points[name][axis].value for name in line] for axis in (0, 1))
             axes.plot(x, y, color="#888888", linewidth=1.0, zorder=1)
-        for place, (name, (crashes, obeyed)) in enumerate(points.items()):
+        for name, (crashes, obeyed) in points.items():
+            place = places[name]
             axes.errorbar(
                 [crashes.value],
                 [obeyed.value],

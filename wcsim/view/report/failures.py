@@ -116,9 +116,9 @@ def last_speed_mps(episode: KeptEpisode) -> float | None:
 
 
 def command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
-    """The command that drives an episode again."""
+    """The command that drives an episode again, typed where the folder of the test lies."""
     words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
-    words += ["--out", str(folder)]
+    words += ["--out", folder.resolve().name]  # a page is read by others, elsewhere
     words += ["--preset", result.preset] if result.preset != "quick" else []
     words += ["--network", result.network] if result.network else []
     words += [word for setting in result.changed for word in ("--set", setting)]

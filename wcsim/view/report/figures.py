@@ -21,6 +21,7 @@ from wcsim.view.report.charts import (
 from wcsim.view.report.ground import ground_around
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
 
+_OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
 
 
@@ -35,7 +36,7 @@ def figures_of(result: KeptResult) -> list[Exhibit]:
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
         _scores(result, places),
-        _obedience(result),
+        obedience_figure(result, places),
         *_towns(result, places),
         *_comfort(result, places),
         _statuses(result),
@@ -74,7 +75,8 @@ def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
     )
 
 
-def _obedience(result: KeptResult) -> Exhibit:
+def obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
+    """Obedience over own crashes a kilometre, of those who obey half of the time at least."""
     points, plain = {}, []
     for row in result.pooled:
         crashes = _estimate(row, "crashes_per_km", "crashes_per_km_ci")
@@ -84,13 +86,22 @@ def _obedience(result: KeptResult) -> Exhibit:
             figures = (crashes.value, crashes.low, crashes.high, obeyed.value, obeyed.low, obeyed.high)
             plain.append([row["policy"], *figures])
     columns = ("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high")
+    says = (
+        "Upper left is best. Bars are 95 % intervals, over all parts. A line joins the assistance levels of one policy "
+        "(NAME@LEVEL)."
+    )
+    shown = {name: point for name, point in points.items() if point[1].value >= _OBEYS}
+    if 0 < len(shown) < len(points):
+        left_out = [name for name in points if name not in shown]
+        says += f" Not drawn, since they do not obey half of the time: {', '.join(left_out)}."
+    else:
+        shown = points
     return figure(
         "obedience",
         "Obedience against crashes",
-        "Upper left is best. Bars are 95 % intervals, over all parts. A line joins the assistance levels of one policy "
-        "(NAME@LEVEL).",
+        says,
         csv_of(columns, plain),
-        obedience_chart(points, levels_of(points)),
+        obedience_chart(shown, levels_of(shown), places),
     )
 
 

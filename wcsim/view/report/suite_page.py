@@ -23,7 +23,8 @@ _COLOURS_SAY = (
     "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
     "people and riders, dark red bicycles, dark blue cars, black unknown), below the depth (red near, blue far, black "
     "out of range, white not measured); the last one is of the end. The camera looks ahead alone. Sticks are x to the "
-    "right and y ahead; asked is the user's, given the policy's."
+    "right and y ahead; asked is the user's, given the policy's. A command is typed in the folder in which that of the "
+    "test lies."
 )
 
 
