@@ -156,5 +156,6 @@ def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said)
         ],
     )
     drawn, without = (obedience_figure(one, places) for one in (result, low))
-    assert "Not drawn" not in drawn.says and "Not drawn, since they do not obey half of the time: follow." in without.says
+    assert "Not drawn" not in drawn.says
+    assert "Not drawn, since they do not obey half of the time: follow." in without.says
     assert "follow" in without.csv and drawn.svg != without.svg
