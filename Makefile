@@ -11,7 +11,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup setup-cpu demo test lint look bench proof release clean
+.PHONY: setup setup-cpu demo test lint look bench proof results release clean
 
 setup: $(STAMP)
 
@@ -50,6 +50,10 @@ test: $(STAMP) lint
 
 proof: $(STAMP)
 	$(BIN)/pytest -n 2 --dist worksteal -m proof $(if $(GROUP),tests/$(GROUP))
+
+# The tables about learning, in parts of at most 90 minutes; one of them with PART=laptop-1, what there is with PART=--list.
+results: $(STAMP)
+	$(BIN)/python -m tools.results $(PART)
 
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick

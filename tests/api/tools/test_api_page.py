@@ -8,7 +8,7 @@ from pathlib import Path
 import wcsim
 import wcsim.errors
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 
 

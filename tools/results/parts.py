@@ -1,0 +1,95 @@
+"""What is driven for the tables about learning: parts of at most 90 minutes on two cores, each a few commands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+SEEDS: Final = (1, 2, 3)
+BASELINES: Final = ("follow", "dwa", "oracle-visible", "oracle", "stop", "zero", "random")
+# What each ablation changes of preset `laptop`; the full recipe is row `laptop`.
+ABLATIONS: Final[dict[str, tuple[str, ...]]] = {
+    "no-roll-out": ("danger.roll_out=false",),
+    "no-gaps": ("danger.gaps=false",),
+    "no-rival": ("danger.rival=false",),
+    "no-context": ("danger.context=false",),
+    "all-knowing-teacher": ("danger.teacher=truth",),
+    "no-own-driving": ("collect.network_share=0.0",),
+    "no-delay": ("world.action_delay_ticks=0", "collect.variants=[]"),
+    "no-variants": ("collect.variants=[]",),
+    "one-town": ("collect.made_towns=0",),
+    "no-scenes": ("collect.scene_share=0.0",),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A command of `wcsim`, and what it makes; in a folder that is there already it goes on with other words."""
+
+    words: tuple[str, ...]
+    again: tuple[str, ...]
+    folder: Path
+    makes: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Commands that are run one after the other."""
+
+    name: str
+    says: str
+    steps: tuple[Step, ...]
+
+
+def parts(out: Path) -> list[Part]:
+    """All parts, in an order in which each finds what it needs.
+
+    Args:
+        out: The folder of everything that is made.
+    """
+    found = [Part(name="baselines", says="all baselines on Street Assist v1", steps=(judged(out, "v1", ()),))]
+    found += [
+        Part(name=f"laptop-{seed}", says=f"preset laptop, seed {seed}", steps=(trained(out, f"laptop-{seed}", seed),))
+        for seed in SEEDS
+    ]
+    runs = tuple(f"laptop-{seed}" for seed in SEEDS)
+    found.append(Part(name="v1", says="the three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
+    quick = tuple(f"quick-{seed}" for seed in SEEDS)
+    found.append(
+        Part(
+            name="quick",
+            says="preset quick, three seeds, on the suite dev",
+            steps=(*(trained(out, name, int(name[-1]), "quick") for name in quick), judged(out, "dev", quick)),
+        )
+    )
+    return found + list(_ablations(out))
+
+
+def _ablations(out: Path) -> Iterator[Part]:
+    for name, settings in ABLATIONS.items():
+        run = f"ablation-{name}"
+        steps = trained(out, run, 1, "laptop", settings), judged(out, "dev", ("laptop-1", run), alone=True)
+        yield Part(name=run, says=f"preset laptop with {', '.join(settings)}", steps=steps)
+
+
+def trained(out: Path, name: str, seed: int, preset: str = "laptop", settings: tuple[str, ...] = ()) -> Step:
+    """A training run in Helsinki."""
+    run = out / name
+    changed = [word for setting in settings for word in ("--set", setting)]
+    words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *changed)
+    again = ("train", "--resume", "--out", str(run))
+    return Step(words=words, again=again, folder=run, makes=run / "policies" / "final" / "policy.json")
+
+
+def judged(out: Path, suite: str, runs: tuple[str, ...], alone: bool = False) -> Step:
+    """A test of runs on a suite, beside all baselines or beside the user alone; kept blocks are not driven again."""
+    name = "-".join((suite, *runs)) if runs else suite
+    policies = tuple(str(out / run) for run in runs) or BASELINES
+    # One folder a suite: what it has kept of the baselines serves every test.
+    folder = out / "judged" / suite
+    table = out / "tables" / f"{name}.json"
+    words = ("test", *policies, "--suite", suite, "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
+    words = (*words, "--json", str(table))
+    return Step(words=words, again=(*words, "--resume"), folder=folder, makes=table)
