@@ -82,6 +82,11 @@ def is_windowed(name: str) -> bool:
     return bool(getattr(find_network(name), "windowed", False))
 
 
+def carries_state(name: str) -> bool:
+    """Whether the network of that name can carry a state from tick to tick. Raises PolicyError when there is none."""
+    return is_windowed(name) and callable(getattr(find_network(name), "unroll", None))
+
+
 def preferred_window(name: str) -> int:
     """The images a window should hold for the network of that name. Raises PolicyError when there is none."""
     return int(getattr(find_network(name), "window", 1)) if is_windowed(name) else 1
