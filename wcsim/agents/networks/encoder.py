@@ -83,7 +83,8 @@ class ObservationEncoder(BaseFeaturesExtractor):
         """Features (B, T, F) of T observations in a row, (B, T, ...) each, and the state (B, state_size) after them."""
         count = state.shape[0], observations[CLASS_KEY].shape[1]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
-        image, vector = self.image(flat)[:, -1].unflatten(0, count), self.vector(flat).unflatten(0, count)
+        image = torch.unflatten(self.image(flat)[:, -1], 0, count)
+        vector = torch.unflatten(self.vector(flat), 0, count)
         features, after = self.body.unroll(image, vector, state)  # type: ignore[operator]
         return torch.as_tensor(features), torch.as_tensor(after)
 

@@ -85,9 +85,9 @@ class QNet(BasePolicy):
         shape = next(iter(observations.values())).shape[:2]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
         if not self.spec.stateful:
-            return self(flat).unflatten(0, shape), state
+            return torch.unflatten(self(flat), 0, shape), state
         features, after = self.encoder.unroll(observations, state)
-        return self._values(features.flatten(0, 1), flat).unflatten(0, shape), after
+        return torch.unflatten(self._values(features.flatten(0, 1), flat), 0, shape), after
 
     def _values(self, seen: torch.Tensor, observations: Tensors) -> torch.Tensor:
         hidden = self.trunk(torch.cat([seen, self.encoder.vector(observations)], dim=1))

@@ -1,8 +1,8 @@
 """Networks over a short window of images: the paper's Figure 6 (CNN, LSTM, dense), a GRU in its place, stacked images.
 
-All begin as `PatchNet` does, with the whole window in one batch. Called with a window, they read it anew in every step,
-so no state is carried from step to step, and replay may draw steps in any order. With the same weights, LSTM and GRU can
-also be unrolled from a state that the caller carries (`unroll`).
+All begin as `PatchNet` does, with the whole window in one batch. Called with a window, they read it anew in every
+step, so no state is carried from step to step, and replay may draw steps in any order. With the same weights, LSTM and
+GRU can also be unrolled from a state that the caller carries (`unroll`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class RecurrentNet(nn.Module):
 
     def _seen(self, image: torch.Tensor) -> torch.Tensor:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
-        return torch.as_tensor(seen).unflatten(0, image.shape[:2])
+        return torch.unflatten(seen, 0, image.shape[:2])
 
 
 class Figure6Net(RecurrentNet):

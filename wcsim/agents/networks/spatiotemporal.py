@@ -55,7 +55,7 @@ class ConvLstmNet(nn.Module):
     def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[list[torch.Tensor], torch.Tensor]:
         """The map (B, _CELL, h, w) after each image, and the flat state after the last."""
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
-        hidden, cell = state.unflatten(1, (2, _CELL, *self._map)).unbind(1)
+        hidden, cell = torch.unflatten(state, 1, (2, _CELL, *self._map)).unbind(1)
         maps = []
         for tick in range(image.shape[1]):
             into, forget, new, out = self.gates(torch.cat([seen[:, tick], hidden], 1)).chunk(4, 1)

@@ -29,11 +29,12 @@ from wcsim.agents.replay.segment_files import (
     drop_segment,
     segments_in,
     sound_records,
+    sync_segment,
 )
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.errors import PolicyError
-from wcsim.types import U8
+from wcsim.types import U8, Bool
 
 STORE_JSON: Final = "store.json"
 VERSION: Final = 1
@@ -78,7 +79,9 @@ class DiskFrames:
             self._pack, self._unpack = zstandard.ZstdCompressor(level=LEVEL), zstandard.ZstdDecompressor()
             self._reader = SegmentReader(folder)
             self._writer: SegmentWriter | None = None
+            self._unsynced: set[int] = set()
             self._held: int | None = None
+            self._next = 0
             self._mend()
             self._list()
         except BaseException:
@@ -124,6 +127,7 @@ class DiskFrames:
         if self._writer is None or self._writer.segment != segment:
             self._end_segment()
             self._writer = SegmentWriter(self._folder, segment)
+            self._unsynced.add(segment)
             self._drop_old()
         blob = self._pack.compress(frame.tobytes())
         at = number % self._most
@@ -168,19 +172,21 @@ class DiskFrames:
         Raises PolicyError when not all of them are there.
         """
         at = np.arange(first, stop) % self._most
-        lost = int((self._length[at] == 0).sum()) if first >= self._next - self._most and stop <= self._next else -1
-        if lost:
-            have = f"lacks {lost}" if lost > 0 else f"has up to {self._next}"
+        crc, there = self._crc[at], self._length[at] > 0
+        if first < self._next - self._most or stop > self._next:  # of a checkpoint before the newest frames
+            crc, there = self._listed(first, stop)
+        if not there.all():
             raise PolicyError(
-                f"the replay in {shown(self._folder)} {have} of the frames {first} to {stop} that were kept; expected "
-                "all of them: restore its folder, or start a new run"
+                f"the replay in {shown(self._folder)} lacks {int((~there).sum())} of the frames {first} to {stop} that "
+                "were kept; expected all of them: restore its folder, or start a new run"
             )
-        return zlib.crc32(self._crc[at].tobytes())
+        return zlib.crc32(crc.tobytes())
 
     def sync(self) -> None:
-        """Flush what was written to disk."""
-        if self._writer is not None:
-            self._writer.sync()
+        """Flush what was written to disk; until then a loss of power, not the end of a process, may lose it."""
+        for segment in sorted(self._unsynced):
+            sync_segment(self._folder, segment)
+        self._unsynced = set() if self._writer is None else {self._writer.segment}
 
     def _frame(self, number: int) -> U8:
         at, segment = number % self._most, number // SEGMENT_BLOBS
@@ -197,6 +203,17 @@ class DiskFrames:
                 "written: restore the file, or start a new run"
             ) from None
         return frame
+
+    def _listed(self, first: int, stop: int) -> tuple[npt.NDArray[np.uint32], Bool]:
+        """Checksums of these frames, and which of them are there, as the files say."""
+        crc, there = np.zeros(stop - first, dtype=np.uint32), np.zeros(stop - first, dtype=bool)
+        for segment in segments_in(self._folder):
+            if (segment + 1) * SEGMENT_BLOBS > first and segment * SEGMENT_BLOBS < stop:
+                records = sound_records(self._folder, segment)
+                numbers = records["number"].astype(np.int64)
+                wanted = (numbers >= first) & (numbers < stop)
+                crc[numbers[wanted] - first], there[numbers[wanted] - first] = records["crc"][wanted], True
+        return crc, there
 
     def _list(self) -> None:
         """Take up where the frames lie, the last ones that can be read."""
@@ -245,7 +262,6 @@ class DiskFrames:
 
     def _end_segment(self) -> None:
         if self._writer is not None:
-            self._writer.sync()
             self._writer.close()
             self._writer = None
 
@@ -280,5 +296,6 @@ def _require_same(folder: Path, told: dict[str, Any]) -> None:
     if other:
         differ = ", ".join(f"{key} {shown(found.get(key), 80)} instead of {shown(told.get(key), 80)}" for key in other)
         raise PolicyError(
-            f"{shown(path)} is of a replay with {differ}; expected its own configuration and version, or start a new run"
+            f"{shown(path)} is of a replay with {differ}; expected its own configuration and version: use them, or "
+            "start a new run"
         )

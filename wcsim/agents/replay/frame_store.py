@@ -18,6 +18,7 @@ LEVEL = 1
 _CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 I64 = npt.NDArray[np.int64]
+Folded = U8 | bytes
 
 
 class FrameStore(Protocol):
@@ -70,6 +71,17 @@ class PackedFrames:
 def frame_store(rows: int, seats: int, size: int) -> FrameStore:
     """The store in memory that fits frames of `size` bytes, of the last `rows` steps."""
     return RawFrames(rows, seats, size) if size <= _PACK_ABOVE_BYTES else PackedFrames(rows, seats, size)
+
+
+def folded(frame: U8) -> Folded:
+    """A copy of one frame, or, of a large one, its blob."""
+    large = len(frame) > _PACK_ABOVE_BYTES
+    return zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes()) if large else frame.copy()
+
+
+def unfolded(kept: Folded, size: int) -> U8:
+    """The frame (size,) of which `folded` made this."""
+    return unpack_each([kept], size)[0] if isinstance(kept, bytes) else kept
 
 
 def pack(frames: U8) -> list[bytes]:

@@ -1,13 +1,14 @@
 """Append-only files of numbered blobs: what a frame store on disk is made of.
 
-A segment holds up to SEGMENT_BLOBS blobs with consecutive numbers, in two files: `segment-00000012.blobs`, one blob after
-the other, and `segment-00000012.index`, a record of 28 bytes for each of them: number, offset, length and checksum of
-the blob, and a checksum of the record itself. A blob is written before its record, so that a record that is whole means
-a blob that is whole. Segment k holds the numbers from k * SEGMENT_BLOBS on.
+A segment holds up to SEGMENT_BLOBS blobs with consecutive numbers, in two files: `segment-00000012.blobs`, one blob
+after the other, and `segment-00000012.index`, a record of 28 bytes for each of them: number, offset, length and
+checksum of the blob, and a checksum of the record itself. A blob is written before its record, so that a record that is
+whole means a blob that is whole. Segment k holds the numbers from k * SEGMENT_BLOBS on.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import struct
@@ -43,7 +44,8 @@ def index_path(folder: Path, segment: int) -> Path:
 
 def segments_in(folder: Path) -> list[int]:
     """Numbers of the segments of which there is an index, in order."""
-    return sorted(int(match[1]) for match in map(_INDEX.fullmatch, os.listdir(folder)) if match)
+    found = (_INDEX.fullmatch(path.name) for path in folder.iterdir())
+    return sorted(int(match[1]) for match in found if match)
 
 
 def sound_records(folder: Path, segment: int) -> Records:
@@ -84,6 +86,17 @@ def drop_segment(folder: Path, segment: int) -> None:
     blobs_path(folder, segment).unlink(missing_ok=True)
 
 
+def sync_segment(folder: Path, segment: int) -> None:
+    """Flush a segment's files, where they still are, to disk."""
+    for path in (blobs_path(folder, segment), index_path(folder, segment)):
+        with contextlib.suppress(FileNotFoundError):
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+
+
 def _end(records: Records) -> int:
     return int(records["offset"][-1] + records["length"][-1]) if len(records) else 0
 
@@ -118,11 +131,6 @@ class SegmentWriter:
             ) from None
         self._at, self._records = offset + len(blob), self._records + RECORD.itemsize
         return offset, crc
-
-    def sync(self) -> None:
-        """Flush both files to disk."""
-        os.fsync(self._blobs)
-        os.fsync(self._index)
 
     def close(self) -> None:
         """Close both files."""
