@@ -237,33 +237,34 @@ def test_a_network_with_a_state_recalls_and_one_without_cannot():
     scores = []
     for stateful in (True, False):
         learner = recall_model(stateful)
-        learner.learn(4000)
+        learner.learn(3000 if stateful else 1000)
         mean, _ = evaluate_policy(learner, DummyVecEnv([lambda: Monitor(Recall())]), 60, warn=False)
         scores.append(mean)
     assert scores[0] > 0.9
     assert abs(scores[1]) < 0.5
 
 
-@pytest.mark.parametrize("memory", ["steps", "groups"])
-def test_double_q_overestimates_less(memory):
-    """On a chain whose second state has 81 actions of mean -0.1 and much noise, the best of them seems to be good."""
-    found = {}
-    for double_q in (True, False):
-        learner = SeqDQN(
-            SeqQPolicy, Biased(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
-            seed=1, gamma=0.95, learning_rate=3e-3, buffer_size=400, learning_starts=50, batch_size=32, tau=0.01,
-            train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0,
-            device="cpu", policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="patch")},
-            replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, memory=memory, group_steps=2, seed=1)},
-        )  # fmt: skip
-        learner.learn(1000)
-        first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
-        right = learner.action_points.points[:, 0] > 0
-        with torch.no_grad():
-            found[double_q] = float(learner.q_net(first)[0, torch.as_tensor(right)].mean())
+def value_of_going_right(double_q):
+    learner = SeqDQN(
+        SeqQPolicy, Biased(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q), seed=1,
+        gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003, train_freq=1,
+        exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
+        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=1)},
+    )  # fmt: skip
+    learner.learn(800)
+    first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
+    right = torch.as_tensor(learner.action_points.points[:, 0] > 0)
+    with torch.no_grad():
+        return float(learner.q_net(first)[0, right].mean())
+
+
+def test_double_q_overestimates_less():
+    """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good."""
     truth = -0.1 * 0.95
-    assert found[False] - truth > 0.2
-    assert found[True] - truth < 0.7 * (found[False] - truth)
+    plain, double = value_of_going_right(double_q=False) - truth, value_of_going_right(double_q=True) - truth
+    assert plain > 0.3
+    assert double < 0.6 * plain
 
 
 # --- saved ---
