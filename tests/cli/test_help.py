@@ -16,7 +16,7 @@ NESTED = {
     "scene": ("run", "list", "bless", "new", "make"),
     "bench": (
         *("tick", "camera", "chair", "users", "crashes", "reaction"),
-        *("bridge", "barrier", "parallel", "soak", "memory", "curve"),
+        *("bridge", "barrier", "parallel", "soak", "memory", "curve", "replay"),
     ),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]

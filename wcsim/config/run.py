@@ -71,6 +71,9 @@ class RunConfig(Model):
                 "width_px and height_px smaller, or env.window"
             )
         batch = max(self.learn.batch_size, self.learn.aid_batch)
+        if self.learn.memory == "groups":
+            groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
+            batch = max(batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step))
         if sizes_px[0] * self.env.frames * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "

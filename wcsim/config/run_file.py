@@ -46,6 +46,7 @@ class NetFile(Model):
     actions: Literal["square81", "disc69"]
     classes: Literal["cityscapes", "wcsim"]
     prior: PriorFile
+    stateful: bool = False  # carries a state from tick to tick
 
 
 class PolicyFile(Model):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from stable_baselines3.common.type_aliases import GymEnv
@@ -41,7 +42,13 @@ def with_window(config: RunConfig) -> RunConfig:
     """
     if config.env.window is not None:
         return config
-    return with_overrides(config, (f"env.window={registry.preferred_window(config.learn.network)}",))
+    window = 1 if _is_stateful(config) else registry.preferred_window(config.learn.network)
+    return with_overrides(config, (f"env.window={window}",))
+
+
+def _is_stateful(config: RunConfig) -> bool:
+    """Whether the network carries a state from tick to tick, in the place of a window."""
+    return config.learn.memory == "groups" and registry.carries_state(config.learn.network)
 
 
 def net_spec(config: RunConfig) -> NetSpec:
@@ -57,7 +64,12 @@ def net_spec(config: RunConfig) -> NetSpec:
     if learn.head == "danger":
         raise PolicyError("learn.head='danger' learns in rounds, not by Q-learning; expected residual or plain here")
     return NetSpec(
-        network=learn.network, head=learn.head, actions=config.env.actions, classes=config.env.classes, prior=prior
+        network=learn.network,
+        head=learn.head,
+        actions=config.env.actions,
+        classes=config.env.classes,
+        prior=prior,
+        stateful=_is_stateful(config),
     )
 
 
@@ -85,21 +97,41 @@ def checked_device(name: str) -> str:
     return name
 
 
-def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
-    """A fresh learner.
+def build_model(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None = None) -> SeqDQN:
+    """A fresh learner; with `learn.replay_store=disk` its frames lie in `replay_folder`.
 
     Raises:
-        PolicyError: The network or the observation space does not fit.
-        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory.
+        PolicyError: The network or the observation space does not fit, or the folder is of another replay.
+        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory,
+            or settings of the memory that do not go together.
     """
+    _require_memory(config, replay_folder)
     try:
-        return _built(config, env, seed)
+        return _built(config, env, seed, replay_folder)
     except MemoryError:
         frames = config.learn.replay_frames
         raise ConfigError(f"learn.replay_frames={frames} do not fit into the memory; expected fewer") from None
 
 
-def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
+    """Refuse what the memory of a run cannot do."""
+    learn = config.learn
+    if learn.replay_store == "disk" and replay_folder is None:
+        raise ConfigError("learn.replay_store=disk without a folder; expected memory, or a run that has a folder")
+    if learn.memory == "windows" and registry.is_windowed(learn.network) and config.env.frames == 1:
+        raise ConfigError(
+            f"learn.memory=windows with one image in an observation for {learn.network!r}; expected a window: set "
+            f"env.window={registry.preferred_window(learn.network)}"
+        )
+    if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
+        what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
+        raise ConfigError(
+            f"{what} with learn.memory=groups and {learn.network!r}: there is no state for a step by itself or in a "
+            "mirror; expected none of them: set learn.mirror=false and learn.aid=none, or another learn.memory"
+        )
+
+
+def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
     learn, camera = config.learn, config.cameras[0]
     if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
         raise ConfigError(
@@ -128,23 +160,36 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         seed=seed,
         learning_rate=FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
         buffer_size=learn.replay_frames,
-        learning_starts=max(learn.learning_starts, 2),
+        learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
         batch_size=learn.batch_size,
         tau=learn.tau,
         gamma=learn.gamma,
         train_freq=learn.train_every,
         gradient_steps=learn.gradient_steps,
         max_grad_norm=learn.clip_norm,
-        replay_buffer_kwargs={
-            "settings": ReplaySettings(
-                n_step=learn.n_step,
-                gamma=learn.gamma,
-                precrash_share=learn.precrash_share,
-                precrash_window=learn.precrash_window,
-                advice=learn.aid == "oracle",
-                seed=seed,
-            )
-        },
+        replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
         policy_kwargs={"spec": net_spec(config)},
         device=learn.device,
+    )
+
+
+def _learning_starts(learn: LearnConfig, seats: int) -> int:
+    """So late that there is something to draw: two steps, or a whole group of each seat and what follows it."""
+    least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
+    return max(learn.learning_starts, least)
+
+
+def _replay_settings(config: RunConfig, seed: int, folder: Path | None) -> ReplaySettings:
+    learn = config.learn
+    return ReplaySettings(
+        n_step=learn.n_step,
+        gamma=learn.gamma,
+        precrash_share=learn.precrash_share,
+        precrash_window=learn.precrash_window,
+        advice=learn.aid == "oracle",
+        memory=learn.memory,
+        group_steps=learn.group_steps,
+        burn_in=learn.burn_in,
+        folder=folder if learn.replay_store == "disk" else None,
+        seed=seed,
     )

@@ -114,8 +114,7 @@ class EpisodeMetrics(SeqCallback):
             or not isinstance(observation, dict)
         ):
             return
-        actions, _ = learner.policy.predict(observation, deterministic=True)
-        for seat, action in enumerate(actions):
+        for seat, action in enumerate(learner.greedy(observation)):
             distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
             self.sums[seat].greedy.append(distance)
 

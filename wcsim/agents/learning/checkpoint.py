@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.learning.checkpoint_file import (
@@ -95,6 +96,7 @@ def save_checkpoint(
     for old in step_folders(folder)[:-KEEP]:
         if old != target:
             shutil.rmtree(old, ignore_errors=True)
+    _hold_frames(folder, model)
     return target
 
 
@@ -113,9 +115,26 @@ def load_checkpoint(folder: Path, model: SeqDQN) -> Loaded:
             told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
             passed.append(PassedOver(path=path, reason=shown(told, 300)))
             continue
+        _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "there is none"
     raise PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+
+
+def _hold_frames(folder: Path, model: SeqDQN) -> None:
+    """Keep the frames on disk that the checkpoints count on, as long as these are there."""
+    memory = _replay(model)
+    if memory.disk is not None:
+        memory.disk.hold(min((n for path in step_folders(folder) for n in _first_frame(path)), default=None))
+
+
+def _first_frame(path: Path) -> list[int]:
+    """The number of the first frame on disk that a checkpoint counts on; none for one that is no such."""
+    try:
+        with safe_open(path / REPLAY, framework="np") as arrays:
+            return [int(arrays.get_tensor("disk")[0])]
+    except (OSError, SafetensorError, IndexError):
+        return []
 
 
 def newest_step(folder: Path) -> int:

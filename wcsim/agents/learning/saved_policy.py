@@ -34,37 +34,51 @@ JOYSTICK_SIZE = 2
 
 
 class NetPolicy:
-    """A trained network that acts greedily; of a longer window than its own it sees the newest images."""
+    """A trained network that acts greedily; of a longer window than its own it sees the newest images.
+
+    One that carries a state does so from `act` to `act`, and begins anew with each episode.
+    """
 
     def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
         self.net = net
         self.name = name
         self.file = file
         self.net.set_training_mode(False)
+        self._state = net.begin(1)
 
     def begin(self) -> None:
-        """Nothing is remembered between steps."""
+        """Forget everything."""
+        self._state = self.net.begin(1)
 
     def reset(self) -> None:
-        """Nothing is remembered between steps."""
+        """Forget the episode before."""
+        self._state = self.net.begin(1)
 
     def act(self, observation: Observation) -> int:
-        """The action of the highest value."""
-        return int(self.values(observation).argmax())
+        """The action of the highest value; what was seen is remembered, by a network that can."""
+        values, self._state = self._seen(observation)
+        return int(values.argmax())
 
     def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """Values of all actions (A,), in units of the scaled reward.
+        """Values of all actions (A,), in units of the scaled reward; nothing is remembered of what was seen.
 
         Raises PolicyError when the observation holds fewer images than the network was trained on, or the network
         leaves the finite numbers.
         """
+        return self._seen(observation)[0]
+
+    def _seen(self, observation: Observation) -> tuple[np.ndarray[Any, np.dtype[np.float32]], torch.Tensor]:
         seen = newest(observation, self.file.window)
         with torch.inference_mode():
             batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
-            values = np.asarray(self.net(batch)[0].numpy(), dtype=np.float32)
+            if self.net.spec.stateful:
+                found, after = self.net.step(batch, self._state)
+            else:
+                found, after = self.net(batch), self._state
+            values = np.asarray(found[0].numpy(), dtype=np.float32)
         if not np.isfinite(values).all():
             raise PolicyError(f"policy {shown(self.name)!r} gives values that are not finite; train it again")
-        return values
+        return values, after
 
 
 def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:

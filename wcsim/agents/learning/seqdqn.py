@@ -3,8 +3,9 @@
 On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
 gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
 advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
-from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. Recurrent
-networks read the observation's window anew each time, so steps are drawn one by one and no state is stored.
+from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that
+carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row
+(`learning/sequence_loss.py`); any other one learns from steps drawn one by one, each with its window.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
@@ -26,6 +29,7 @@ from torch.nn import functional
 from wcsim.agents.learning.flip_augmentation import Signs, mirrored, mirrored_advice
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.sequence_loss import sequence_loss
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.agents.replay.buffer import FrameReplay
@@ -33,6 +37,7 @@ from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
+States = tuple[npt.NDArray[Any], ...]
 MAX_SKIPPED = 10  # updates in a row with a loss that is not finite
 
 
@@ -78,11 +83,19 @@ class SeqDQN(DQN):
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
+        self._carried: States | None = None  # of every seat, before the coming step; None where all episodes begin
+        self._next: States | None = None  # after it
+        self._greedy: npt.NDArray[Any] | None = None  # what a network that carries a state would have done in it
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
         dqn.setdefault("replay_buffer_class", FrameReplay)
         super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        if isinstance(self.replay_buffer, FrameReplay) and self.replay_buffer.groups is not None:
+            self.replay_buffer.groups.state_size = self.q_net.encoder.state_size
 
     @property
     def action_points(self) -> ActionSet:
@@ -140,9 +153,35 @@ class SeqDQN(DQN):
             raise PolicyError(f"observation is {type(observation).__name__}; expected wcsim's dict of arrays")
         if self.phase is LearningPhase.ACTION_DRIVEN:
             actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
+            if self.q_net.spec.stateful:  # it has to see what is driven
+                self._greedy, self._next = self.policy.predict(observation, self._carried, deterministic=True)
         else:
-            actions, _ = self.predict(observation, deterministic=False)
+            actions, self._next = self.predict(observation, self._carried, deterministic=False)
         return actions, actions
+
+    def greedy(self, observation: dict[str, npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        """What the network would choose in the present step, (N,), while the user's action is executed."""
+        if self.q_net.spec.stateful and self._greedy is not None:
+            return self._greedy
+        return self.policy.predict(observation, deterministic=True)[0]
+
+    def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
+        """Keep a step, with the state before it; the states of seats whose episode ended are forgotten."""
+        groups = replay_buffer.groups if isinstance(replay_buffer, FrameReplay) else None
+        if groups is not None and self._carried is not None:
+            groups.coming = self._carried[0]
+        super()._store_transition(replay_buffer, *step)
+        if self._next is not None:
+            dones = np.asarray(step[3], dtype=bool)
+            self._carried = tuple(np.where(dones[:, None], 0.0, part).astype(part.dtype) for part in self._next)
+
+    def _setup_learn(self, *given: Any, **named: Any) -> tuple[int, BaseCallback]:
+        """SB3's; where it resets the environment, episodes begin."""
+        before = self._last_obs
+        out = super()._setup_learn(*given, **named)
+        if self._last_obs is not before:
+            self._carried = None
+        return out
 
     def _on_step(self) -> None:
         """Set the exploration rate; the target network follows the gradient steps instead of the world's steps."""
@@ -164,10 +203,7 @@ class SeqDQN(DQN):
         plan, step = self.plan, self.num_timesteps
         margin, aid = (0.0, 0.0) if plan is None else (plan.margin_weight(step), plan.aid_weight(step))
         for _ in range(gradient_steps):
-            batch: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
-            if self._flips():
-                batch = mirrored(batch, self._mirror_map(), self.settings.mirror_signs)
-            loss = self.loss(batch, margin)
+            loss = self._drawn_loss(buffer, batch_size, margin)
             if aid > 0.0:
                 loss = loss + aid * self.advice_loss()
             self._update(loss)
@@ -177,6 +213,18 @@ class SeqDQN(DQN):
         self.logger.record("train/max_abs_q", self.max_abs_q)
         self.logger.record("train/margin_weight", margin)
         self.logger.record("train/aid_weight", aid)
+
+    def _drawn_loss(self, buffer: ReplayBuffer, batch_size: int, margin: float) -> torch.Tensor:
+        if self.q_net.spec.stateful and isinstance(buffer, FrameReplay):
+            settings, nets = self.settings, (self.q_net, self.q_net_target)
+            supervised = (lambda *seen: margin * self.margin_loss(*seen)) if margin > 0.0 else None
+            batch = buffer.sample_groups(batch_size)
+            loss, self.max_abs_q = sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
+            return loss
+        drawn: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
+        if self._flips():
+            drawn = mirrored(drawn, self._mirror_map(), self.settings.mirror_signs)
+        return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
         """Huber loss of the n-step double-Q error, plus the weighted large-margin loss."""

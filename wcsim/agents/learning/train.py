@@ -23,6 +23,7 @@ from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder
 from wcsim.config import RunConfig
@@ -70,13 +71,23 @@ def train(
     with files.locked(folder.path), _torch_settings(run.config), StopRequest() as request:
         env = DummyVecEnv([make_env])
         try:
-            model = build_model(run.config, env, run.info.seed)
-            loaded = _loaded(folder, model, say) if run.resume else None
-            session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
-            session.callbacks.extend(callbacks)
-            return session.learn()
+            model = build_model(run.config, env, run.info.seed, folder.replay)
+            with contextlib.closing(_replay(model)) as memory:
+                for note in () if memory.disk is None else memory.disk.notes:
+                    say(note)
+                    folder.event("replay_torn", reason=note)
+                loaded = _loaded(folder, model, say) if run.resume else None
+                session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
+                session.callbacks.extend(callbacks)
+                return session.learn()
         finally:
             env.close()
+
+
+def _replay(model: SeqDQN) -> FrameReplay:
+    if not isinstance(model.replay_buffer, FrameReplay):
+        raise PolicyError("the model has no replay of wcsim's; build it with agents.build.build_model")
+    return model.replay_buffer
 
 
 class _Session:

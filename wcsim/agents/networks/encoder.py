@@ -53,7 +53,15 @@ class ObservationEncoder(BaseFeaturesExtractor):
     ObservationEncoder, "normalize_images": False}`.
     """
 
-    def __init__(self, observation_space: spaces.Dict, network: str = "small", classes: Classes = "cityscapes") -> None:
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        network: str = "small",
+        classes: Classes = "cityscapes",
+        stateful: bool = False,
+    ) -> None:
+        if stateful:
+            _require_state(observation_space, network)
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
         table = group_table(classes)
@@ -63,12 +71,22 @@ class ObservationEncoder(BaseFeaturesExtractor):
         self.body = body
         self.vector_keys = vector_keys(observation_space)
         self.windowed = registry.is_windowed(network)
+        self.state_size = int(body.state_size) if stateful else 0  # type: ignore[arg-type]
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()  # the last one is for depth
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
 
     def forward(self, observations: Tensors) -> torch.Tensor:
         """Features (B, F) of a batch of observations (uint8 images, float32 vectors)."""
         return torch.as_tensor(self.body(self.image(observations), self.vector(observations)))
+
+    def unroll(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features (B, T, F) of T observations in a row, (B, T, ...) each, and the state (B, state_size) after them."""
+        count = state.shape[0], observations[CLASS_KEY].shape[1]
+        flat = {key: value.flatten(0, 1) for key, value in observations.items()}
+        image = torch.unflatten(self.image(flat)[:, -1], 0, count)
+        vector = torch.unflatten(self.vector(flat), 0, count)
+        features, after = self.body.unroll(image, vector, state)  # type: ignore[operator]
+        return torch.as_tensor(features), torch.as_tensor(after)
 
     def image(self, observations: Tensors) -> torch.Tensor:
         """Class planes and log-depth, (B, G + 1, H, W) in 0..1; (B, T, G + 1, H, W) for a network that is windowed.
@@ -127,6 +145,16 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
     if not isinstance(box, spaces.Box):
         raise PolicyError(f"observation {key!r} is {box}; expected a Box")
     return box
+
+
+def _require_state(space: spaces.Space[object], network: str) -> None:
+    if not registry.carries_state(network):
+        raise PolicyError(f"network {network!r} carries no state; expected one with `unroll` (see networks.registry)")
+    if window_size(space) != 1:
+        raise PolicyError(
+            f"network {network!r} carries its state from tick to tick and sees {window_size(space)} images at a time; "
+            "expected one: set env.window=1"
+        )
 
 
 def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_size: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
@@ -12,7 +13,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 
-from wcsim.agents.networks.encoder import Classes, ObservationEncoder, vector_size
+from wcsim.agents.networks.encoder import Classes, ObservationEncoder, Tensors, vector_size
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
@@ -42,6 +43,7 @@ class NetSpec:
     actions: str = "square81"
     classes: Classes = "cityscapes"
     prior: FollowPrior = field(default_factory=FollowPrior)
+    stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
 
 class QNet(BasePolicy):
@@ -50,7 +52,7 @@ class QNet(BasePolicy):
     def __init__(self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec) -> None:
         super().__init__(observation_space, action_space, normalize_images=False)
         self.spec = spec
-        self.encoder = ObservationEncoder(observation_space, spec.network, spec.classes)
+        self.encoder = ObservationEncoder(observation_space, spec.network, spec.classes, spec.stateful)
         count = int(action_space.n)
         inputs = self.encoder.features_dim + vector_size(observation_space)
         self.trunk = nn.Sequential(nn.Linear(inputs, spec.hidden), nn.ReLU())
@@ -67,8 +69,28 @@ class QNet(BasePolicy):
         """Values (B, A), in units of the scaled reward."""
         if not isinstance(observations, dict):
             raise TypeError(f"observations are {type(observations).__name__}; expected a dict of tensors")
-        features = torch.cat([self.encoder(observations), self.encoder.vector(observations)], dim=1)
-        hidden = self.trunk(features)
+        return self._values(self.encoder(observations), observations)
+
+    def begin(self, count: int) -> torch.Tensor:
+        """The state (B, S) at the start of so many episodes; S is 0 for a network that carries none."""
+        return torch.zeros(count, self.encoder.state_size, device=self.device)
+
+    def step(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Values (B, A) of one tick, and the state (B, S) after it."""
+        values, after = self.unroll({key: value[:, None] for key, value in observations.items()}, state)
+        return values[:, 0], after
+
+    def unroll(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Values (B, T, A) of T ticks in a row, observations (B, T, ...), and the state (B, S) after them."""
+        shape = next(iter(observations.values())).shape[:2]
+        flat = {key: value.flatten(0, 1) for key, value in observations.items()}
+        if not self.spec.stateful:
+            return torch.unflatten(self(flat), 0, shape), state
+        features, after = self.encoder.unroll(observations, state)
+        return torch.unflatten(self._values(features.flatten(0, 1), flat), 0, shape), after
+
+    def _values(self, seen: torch.Tensor, observations: Tensors) -> torch.Tensor:
+        hidden = self.trunk(torch.cat([seen, self.encoder.vector(observations)], dim=1))
         q = self.advantage(hidden)
         if self.value is not None:
             q = self.value(hidden) + q - q.mean(dim=1, keepdim=True)
@@ -101,6 +123,8 @@ class QNet(BasePolicy):
 class SeqQPolicy(DQNPolicy):
     """Online and target network for `SeqDQN`, in the form that SB3's `predict`, `save` and `load` expect."""
 
+    q_net: QNet  # type: ignore[assignment]
+
     def __init__(
         self,
         observation_space: spaces.Dict,
@@ -118,6 +142,30 @@ class SeqQPolicy(DQNPolicy):
             normalize_images=False,
             optimizer_kwargs=optimizer_kwargs if optimizer_kwargs is not None else {"eps": 1.5e-4},
         )
+
+    def predict(
+        self,
+        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
+        state: tuple[npt.NDArray[Any], ...] | None = None,
+        episode_start: npt.NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+        """Greedy actions; a network that carries a state takes it, and returns the one after, as ((N, S),)."""
+        if not self.spec.stateful:
+            return super().predict(observation, state, episode_start, deterministic)
+        self.set_training_mode(False)
+        seen, many = self.obs_to_tensor(observation)
+        if not isinstance(seen, dict):
+            raise TypeError(f"observation is {type(observation).__name__}; expected a dict of arrays")
+        before = self.q_net.begin(len(next(iter(seen.values()))))
+        if state is not None:
+            before = torch.tensor(state[0], device=self.device)
+            if episode_start is not None:
+                before[torch.as_tensor(episode_start, dtype=torch.bool)] = 0.0
+        with torch.no_grad():
+            values, after = self.q_net.step(seen, before)
+        actions = values.argmax(dim=1).cpu().numpy()
+        return actions if many else actions[0], (after.cpu().numpy(),)
 
     def make_q_net(self) -> QNet:  # type: ignore[override]
         """A fresh network of this policy's specification."""

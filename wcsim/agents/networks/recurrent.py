@@ -1,7 +1,8 @@
 """Networks over a short window of images: the paper's Figure 6 (CNN, LSTM, dense), a GRU in its place, stacked images.
 
-All begin as `PatchNet` does, with the whole window in one batch. The window is read anew in every step, so no state is
-carried from step to step, and replay may draw steps in any order.
+All begin as `PatchNet` does, with the whole window in one batch. Called with a window, they read it anew in every
+step, so no state is carried from step to step, and replay may draw steps in any order. With the same weights, LSTM and
+GRU can also be unrolled from a state that the caller carries (`unroll`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ class RecurrentNet(nn.Module):
         _, channels, height, width = image_shape
         self.eye = PatchNet((channels, height, width), 0)
         self.memory = memory
+        self.state_size = (2 if isinstance(memory, nn.LSTM) else 1) * _MEMORY
         with torch.no_grad():
             for name, values in memory.named_parameters():
                 if name.startswith("bias"):
@@ -43,10 +45,28 @@ class RecurrentNet(nn.Module):
 
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
-        batch, frames = image.shape[:2]
-        seen = self.eye(image.flatten(0, 1), vector.new_zeros(batch * frames, 0))
-        remembered, _ = self.memory(seen.unflatten(0, (batch, frames)))
+        remembered, _ = self.memory(self._seen(image))
         return torch.cat([remembered[:, -1], vector], dim=1)
+
+    def unroll(
+        self, image: torch.Tensor, vector: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features (B, T, 128 + V) of images (B, T, C, H, W) and vectors (B, T, V) in a row, and the state after them.
+
+        The state (B, state_size) is the one before them: zeros where an episode begins.
+        """
+        before = state[None].contiguous()
+        if isinstance(self.memory, nn.LSTM):
+            hidden, cell = (part.contiguous() for part in before.chunk(2, dim=2))
+            remembered, after = self.memory(self._seen(image), (hidden, cell))
+            after = torch.cat(after, dim=2)
+        else:
+            remembered, after = self.memory(self._seen(image), before)
+        return torch.cat([remembered, vector], dim=2), after[0]
+
+    def _seen(self, image: torch.Tensor) -> torch.Tensor:
+        seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
+        return torch.unflatten(seen, 0, image.shape[:2])
 
 
 class Figure6Net(RecurrentNet):

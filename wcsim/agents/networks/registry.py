@@ -14,6 +14,11 @@ algorithms give their heads the features alone. An example is `examples/own_netw
 A class with `windowed = True` gets the images of the last T ticks (`env.window`), the newest last: it is built with
 `image_shape` (T, C, H, W) and called with (B, T, C, H, W). Its `window` is the T that `wcsim train` takes when the user
 sets none; it must work with any T, 1 included. Nothing is remembered from one call to the next.
+
+A windowed class that can also carry a state from tick to tick has `state_size` after it is built (numbers of its state)
+and `unroll(image, vector, state)` with the same weights: image (B, T, C, H, W) and vector (B, T, V) of T ticks in a row
+and the state (B, state_size) before them, zeros where an episode begins, to features (B, T, F) and the state after
+them. `learn.memory=groups` uses it, with one image in an observation.
 """
 
 from __future__ import annotations
@@ -80,6 +85,11 @@ def find_network(name: str) -> NetworkClass:
 def is_windowed(name: str) -> bool:
     """Whether the network of that name reads a window of images. Raises PolicyError when there is none."""
     return bool(getattr(find_network(name), "windowed", False))
+
+
+def carries_state(name: str) -> bool:
+    """Whether the network of that name can carry a state from tick to tick. Raises PolicyError when there is none."""
+    return is_windowed(name) and callable(getattr(find_network(name), "unroll", None))
 
 
 def preferred_window(name: str) -> int:

@@ -1,6 +1,7 @@
 """Networks that keep the picture's two dimensions while they look through time: ConvLSTM and 3D convolutions.
 
-ConvLSTM: Shi et al. 2015, the form that the paper tried first. Both read the whole window anew in every step.
+ConvLSTM: Shi et al. 2015, the form that the paper tried first. Both read the whole window anew in every step; ConvLSTM
+can also be unrolled from a state that the caller carries.
 """
 
 from __future__ import annotations
@@ -29,20 +30,39 @@ class ConvLstmNet(nn.Module):
         self.gates = nn.Conv2d(width + _CELL, 4 * _CELL, 3, padding=1)
         self.voter = _Voter(_CELL, self.eye, image_shape, vector_size)
         with torch.no_grad():
+            self._map = self.eye(torch.zeros(1, *image_shape[1:])).shape[2:]
+            self.state_size = 2 * _CELL * self._map.numel()
             bias = torch.zeros(4 * _CELL)  # of the gates input, forget, cell, output
             bias[_CELL : 2 * _CELL] = 1.0  # it begins by remembering
             self.gates.bias = nn.Parameter(bias)
 
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128) of image (B, T, C, H, W) and vector (B, V)."""
-        batch, frames = image.shape[:2]
-        seen = self.eye(image.flatten(0, 1)).unflatten(0, (batch, frames))
-        hidden = cell = seen.new_zeros((batch, _CELL, *seen.shape[3:]))
-        for tick in range(frames):
+        maps, _ = self._remembered(image, image.new_zeros(len(image), self.state_size))
+        return torch.as_tensor(self.voter(maps[-1], vector))
+
+    def unroll(
+        self, image: torch.Tensor, vector: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features (B, T, 128) of images (B, T, C, H, W) and vectors (B, T, V) in a row, and the state after them.
+
+        The state (B, state_size) is the one before them: zeros where an episode begins.
+        """
+        maps, after = self._remembered(image, state)
+        features = self.voter(torch.stack(maps, dim=1).flatten(0, 1), vector.flatten(0, 1))
+        return features.unflatten(0, image.shape[:2]), after
+
+    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[list[torch.Tensor], torch.Tensor]:
+        """The map (B, _CELL, h, w) after each image, and the flat state after the last."""
+        seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
+        hidden, cell = torch.unflatten(state, 1, (2, _CELL, *self._map)).unbind(1)
+        maps = []
+        for tick in range(image.shape[1]):
             into, forget, new, out = self.gates(torch.cat([seen[:, tick], hidden], 1)).chunk(4, 1)
             cell = torch.sigmoid(forget) * cell + torch.sigmoid(into) * torch.tanh(new)
             hidden = torch.sigmoid(out) * torch.tanh(cell)
-        return torch.as_tensor(self.voter(hidden, vector))
+            maps.append(hidden)
+        return maps, torch.stack([hidden, cell], dim=1).flatten(1)
 
 
 class Conv3dNet(nn.Module):

@@ -6,13 +6,18 @@ A chain of rows ends where an episode ends (crash or time limit) or where the ne
 environment was reset from outside). The observation after the end of a chain is kept beside the ring, so that a
 truncated episode bootstraps from its true last observation. n-step returns never cross an end of a chain; at the newest
 row, whose successor is not known yet, they are shorter.
+
+What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
+memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)). Frames lie in memory or,
+with a `folder`, on disk (`agents/replay/disk_store.py`).
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +28,12 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
+from wcsim.agents.replay.disk_store import DiskFrames
+from wcsim.agents.replay.frame_store import Folded, folded, frame_store, unfolded
+from wcsim.agents.replay.groups import Groups, SequenceBatch, gather_groups
 from wcsim.agents.replay.layout import layout_of
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
-from wcsim.agents.replay.window_store import WindowStore
+from wcsim.agents.replay.window_store import OpenStore, WindowStore
 from wcsim.core import seeding
 from wcsim.types import F32, U8, Bool
 
@@ -41,6 +49,10 @@ class ReplaySettings:
     precrash_share: float = 0.0  # of a batch from the steps before crashes
     precrash_window: int = 20  # so many of them
     advice: bool = False  # keep which actions end well, too
+    memory: Literal["steps", "groups", "windows"] = "steps"
+    group_steps: int = 16
+    burn_in: int = 8
+    folder: Path | None = None  # of the frames, which are in memory without one
     seed: int = 0
 
 
@@ -76,12 +88,16 @@ class FrameReplay(ReplayBuffer):
         self.observation_space, self.action_space = observation_space, action_space
         self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
         self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, True
-        self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, 2)
+        least = 2 * settings.group_steps + settings.burn_in + 1 if settings.memory == "groups" else 2
+        self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
         self.n_step, self.gamma = settings.n_step, settings.gamma
         self.precrash_share, self.precrash_window = settings.precrash_share, settings.precrash_window
         self.layout = layout_of(observation_space)
         self.rng = seeding.generator(settings.seed, "agent", "replay")
-        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes)
+        self.groups: Groups | None = None
+        if settings.memory == "groups":
+            self.groups = Groups(settings.group_steps, settings.burn_in)
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._store(settings))
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
@@ -92,17 +108,36 @@ class FrameReplay(ReplayBuffer):
         self.advice = AdviceRing(rows, n_envs, count) if settings.advice else None
         self.reset()
 
+    def _store(self, settings: ReplaySettings) -> OpenStore:
+        folder = settings.folder
+        if folder is None:
+            return frame_store
+        layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
+        return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout)
+
+    @property
+    def disk(self) -> DiskFrames | None:
+        """The frames, where they are on disk."""
+        return self.windows.frames if isinstance(self.windows.frames, DiskFrames) else None
+
+    def close(self) -> None:
+        """Close the files, where frames are on disk."""
+        if self.disk is not None:
+            self.disk.close()
+
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget everything; frames on disk stay until others are written in their place."""
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
         self.ended[:] = False
         self.windows.reset()
-        self.after_end: dict[tuple[int, int], tuple[U8, F32]] = {}  # by (absolute index, seat)
+        self.after_end: dict[tuple[int, int], tuple[Folded, F32]] = {}  # by (absolute index, seat)
         self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
         if self.advice is not None:
             self.advice.reset()
+        if self.groups is not None:
+            self.groups.reset()
 
     def add(
         self,
@@ -124,6 +159,8 @@ class FrameReplay(ReplayBuffer):
         self.episode_step[row] = np.where(fresh, 0, self.episode_step[previous] + 1)
         if self.advice is not None:
             self.advice.write(self.total, fresh, infos)
+        if self.groups is not None:
+            self.groups.note(self.total, self.episode_step[row], self.total + 1 - self.buffer_size)
         self.vectors[row] = vectors
         self.actions[row] = np.asarray(action).reshape(self.n_envs)
         self.rewards[row] = reward
@@ -142,8 +179,26 @@ class FrameReplay(ReplayBuffer):
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
     ) -> DictReplayBufferSamples:
-        """A batch of n-step transitions; rewards are unscaled returns. `env` is ignored: nothing is normalised."""
-        return self.gather(*self.draw(batch_size))
+        """A batch of n-step transitions; rewards are unscaled returns. `env` is ignored: nothing is normalised.
+
+        Of a memory of groups, all steps of as many groups as make up about `batch_size` steps.
+        """
+        if self.groups is None:
+            return self.gather(*self.draw(batch_size))
+        index, seats = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
+        count = self.groups.lengths(self, index, seats)
+        steps = np.concatenate([np.arange(k, k + n) for k, n in zip(index, count, strict=True)])
+        return self.gather(steps, np.repeat(seats, count))
+
+    def sample_groups(self, batch_size: int) -> SequenceBatch:
+        """As many groups as make up about `batch_size` steps, with the states that were stored for them.
+
+        Raises ValueError when there is no whole group, or the memory is none of groups.
+        """
+        if self.groups is None:
+            raise ValueError("replay holds steps one by one; build it with memory='groups'")
+        drawn = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
+        return gather_groups(self, self.groups, *drawn)
 
     def draw(self, batch_size: int) -> tuple[I64, I64]:
         """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
@@ -235,8 +290,13 @@ class FrameReplay(ReplayBuffer):
         rows = (chains.last + 1) % self.buffer_size
         images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):
-            images[k], vectors[k] = self.after_end[int(chains.last[k]), int(seats[k])]
+            images[k], vectors[k] = self.observation_after_end(int(chains.last[k]), int(seats[k]))
         return self.layout.split(images, vectors)
+
+    def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
+        """Images and vectors after the last step of a chain."""
+        image, vector = self.after_end[index, int(seat)]
+        return unfolded(image, self.layout.image_bytes), vector
 
     def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
         """Steps 0..window-1 before crashes, within their episodes and the ring."""
@@ -261,7 +321,7 @@ class FrameReplay(ReplayBuffer):
     def _keep_end(self, index: int, seat: int) -> None:
         if self.expected is not None:
             images, vectors = self.expected
-            self.after_end[index, seat] = (images[seat].copy(), vectors[seat].copy())
+            self.after_end[index, seat] = (folded(images[seat]), vectors[seat].copy())
 
     def _forget(self, index: int) -> None:
         """Drop what belongs to the row that is overwritten now."""

@@ -1,4 +1,4 @@
-"""Where replay keeps images: raw bytes when frames are small, one zstd blob a frame when they are large.
+"""Where replay keeps images in memory: raw bytes when frames are small, one zstd blob a frame when they are large.
 
 Grouping several frames into a blob gains nothing (no temporal coding) and would cost random access.
 """
@@ -18,15 +18,16 @@ LEVEL = 1
 _CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 I64 = npt.NDArray[np.int64]
+Folded = U8 | bytes
 
 
 class FrameStore(Protocol):
-    """Frames by (row, seat); a frame is a flat uint8 array of `size` bytes."""
+    """Frames of the last steps by (absolute index of the step, seat); a frame is a flat uint8 array of `size` bytes."""
 
-    def write(self, row: int, seat: int, frame: U8) -> None:
-        """Keep a frame (size,) in place of what was there."""
+    def write(self, index: int, seat: int, frame: U8) -> None:
+        """Keep a frame (size,) of the next step."""
 
-    def read(self, rows: I64, seats: I64) -> U8:
+    def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K,) and (K,) -> (K, size)."""
 
 
@@ -36,13 +37,13 @@ class RawFrames:
     def __init__(self, rows: int, seats: int, size: int) -> None:
         self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
 
-    def write(self, row: int, seat: int, frame: U8) -> None:
+    def write(self, index: int, seat: int, frame: U8) -> None:
         """Keep a frame (size,)."""
-        self._frames[row, seat] = frame
+        self._frames[index % len(self._frames), seat] = frame
 
-    def read(self, rows: I64, seats: I64) -> U8:
+    def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K, size)."""
-        return np.asarray(self._frames[rows, seats], dtype=np.uint8)
+        return np.asarray(self._frames[index % len(self._frames), seats], dtype=np.uint8)
 
 
 class PackedFrames:
@@ -52,24 +53,35 @@ class PackedFrames:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
         self._size = size
 
-    def write(self, row: int, seat: int, frame: U8) -> None:
+    def write(self, index: int, seat: int, frame: U8) -> None:
         """Keep a frame (size,)."""
-        self._blobs[row][seat] = zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes())
+        self._blobs[index % len(self._blobs)][seat] = zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes())
 
-    def read(self, rows: I64, seats: I64) -> U8:
+    def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K, size); a place never written reads as zeros."""
-        out = np.zeros((len(rows), self._size), dtype=np.uint8)
+        out = np.zeros((len(index), self._size), dtype=np.uint8)
         unpack = zstandard.ZstdDecompressor()
-        for index, (row, seat) in enumerate(zip(rows, seats, strict=True)):
+        for k, (row, seat) in enumerate(zip(index % len(self._blobs), seats, strict=True)):
             blob = self._blobs[row][seat]
             if blob:
-                out[index] = np.frombuffer(unpack.decompress(blob, max_output_size=self._size), dtype=np.uint8)
+                out[k] = np.frombuffer(unpack.decompress(blob, max_output_size=self._size), dtype=np.uint8)
         return out
 
 
 def frame_store(rows: int, seats: int, size: int) -> FrameStore:
-    """The store that fits frames of `size` bytes."""
+    """The store in memory that fits frames of `size` bytes, of the last `rows` steps."""
     return RawFrames(rows, seats, size) if size <= _PACK_ABOVE_BYTES else PackedFrames(rows, seats, size)
+
+
+def folded(frame: U8) -> Folded:
+    """A copy of one frame, or, of a large one, its blob."""
+    large = len(frame) > _PACK_ABOVE_BYTES
+    return zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes()) if large else frame.copy()
+
+
+def unfolded(kept: Folded, size: int) -> U8:
+    """The frame (size,) of which `folded` made this."""
+    return unpack_each([kept], size)[0] if isinstance(kept, bytes) else kept
 
 
 def pack(frames: U8) -> list[bytes]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.groups import Groups
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -26,14 +27,19 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     index = first + np.arange(size)
     rows = index % replay.buffer_size
     blobs: list[bytes] = []
-    for seat in range(replay.n_envs):
+    for seat in range(replay.n_envs if replay.disk is None else 0):
         for k in range(0, size, _SLICE):
             blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
     ends = sorted(replay.after_end)
+    end_images = [replay.observation_after_end(*key)[0] for key in ends]
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
+    arrays.update(_group_arrays(replay))
+    if replay.disk is not None:  # the frames stay where they are
+        replay.disk.sync()
+        arrays["disk"] = np.array([*_numbers(replay, replay.total, size), _seal(replay, replay.total, size)], np.int64)
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
@@ -42,7 +48,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
     arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
-    arrays["end_images"] = np.stack([replay.after_end[key][0] for key in ends]) if ends else empty_image
+    arrays["end_images"] = np.stack(end_images) if ends else empty_image
     arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
@@ -55,9 +61,37 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
     return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
 
 
+def _group_arrays(replay: FrameReplay) -> Arrays:
+    """The pass over the groups, and the stored states."""
+    groups = replay.groups
+    if groups is None:
+        return {}
+    states = np.zeros((len(groups.states), groups.state_size), dtype=np.float32)
+    for row, state in zip(states, groups.states.values(), strict=True):
+        row[:] = state
+    return {
+        "pass_order": groups.order[groups.at :],
+        "state_at": np.array(list(groups.states), dtype=np.int64).reshape(-1, 2),
+        "states": states,
+    }
+
+
+def _numbers(replay: FrameReplay, total: int, size: int) -> tuple[int, int]:
+    """The first of the frames on disk that a memory of these steps needs, and the one after its last."""
+    return (total - size) * replay.n_envs, total * replay.n_envs
+
+
+def _seal(replay: FrameReplay, total: int, size: int) -> int:
+    return 0 if replay.disk is None else replay.disk.seal(*_numbers(replay, total, size))
+
+
 def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
-    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type.
+
+    Raises PolicyError when its frames are on disk and not all there.
+    """
     size = _steps_kept(replay, arrays)
+    _require_frames(replay, arrays, size)
     arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
     arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
     for name, (shape, kind) in _expected(replay, arrays, size).items():
@@ -69,6 +103,16 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its images do not go together")
     if (lengths < 0).any() or int(lengths.sum()) != len(frames):
         raise ValueError("replay: its frames have other lengths than it says")
+
+
+def _require_frames(replay: FrameReplay, arrays: Arrays, size: int) -> None:
+    if ("disk" in arrays) != (replay.disk is not None):
+        kept, wanted = ("disk", "memory") if "disk" in arrays else ("memory", "disk")
+        raise ValueError(f"replay: its frames were kept with learn.replay_store={kept}; this is {wanted}")
+    if replay.disk is not None:
+        total = int(arrays["total"][0])
+        if arrays["disk"].tolist() != [*_numbers(replay, total, size), _seal(replay, total, size)]:
+            raise ValueError("replay: the frames on disk are not those that it was saved with")
 
 
 def _steps_kept(replay: FrameReplay, arrays: Arrays) -> int:
@@ -96,6 +140,16 @@ def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple
         "next_vectors": ((coming, layout.vector_size), np.float32),
         "frames": (arrays["frames"].shape, np.uint8),
         "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
+        **({} if replay.groups is None else _expected_groups(replay.groups, arrays)),
+    }
+
+
+def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
+    visits, states = (len(arrays[name]) for name in ("pass_order", "state_at"))
+    return {
+        "pass_order": ((visits, 2), np.int64),
+        "state_at": ((states, 2), np.int64),
+        "states": ((states, groups.state_size), np.float32),
     }
 
 
@@ -115,11 +169,19 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
         getattr(replay, name)[rows] = arrays[name]
     if replay.advice is not None:
         replay.advice.restore(arrays, index)
-    _restore_frames(replay, arrays, index)
+    if replay.groups is not None:
+        replay.groups.order = arrays["pass_order"]
+        keys = map(tuple, arrays["state_at"].tolist())
+        replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
+    if replay.disk is None:
+        _restore_frames(replay, arrays, index)
+    else:
+        replay.disk.cut(_numbers(replay, total, size)[1])
+        replay.windows.attach(total - size, replay.episode_step[rows] == 0)
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.after_end[int(step), int(seat)] = (image, vector)
+        replay.after_end[int(step), int(seat)] = (frame_store.folded(image), vector)
     for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
         for seat in np.flatnonzero(replay.terminated[rows[k]]):
             replay.crashes.append((total - size + int(k), int(seat)))

@@ -6,6 +6,8 @@ observations, or the steps before it are gone) is kept whole beside the frames, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,17 +15,21 @@ from wcsim.agents.replay.frame_store import FrameStore, frame_store
 from wcsim.types import U8, Bool
 
 I64 = npt.NDArray[np.int64]
+OpenStore = Callable[[int, int, int], FrameStore]
 
 
 class WindowStore:
     """Windows (frames * size,) by absolute step index and seat, of the last `steps` steps."""
 
-    def __init__(self, steps: int, seats: int, frames: int, size: int) -> None:
-        """A place for `steps` windows of `frames` frames of `size` bytes in each seat."""
+    def __init__(self, steps: int, seats: int, frames: int, size: int, open_store: OpenStore = frame_store) -> None:
+        """A place for `steps` windows of `frames` frames of `size` bytes in each seat.
+
+        `open_store` is given how many steps' frames are kept, the seats, and the bytes of a frame.
+        """
         self._window, self._size = frames, size
         self._rows = steps + frames - 1  # the oldest window's older frames belong to steps before it
         self._steps = steps
-        self.frames: FrameStore = frame_store(self._rows, seats, size)
+        self.frames: FrameStore = open_store(self._rows, seats, size)
         self._depth = np.zeros((self._rows, seats), dtype=np.int64)  # steps since the start of the chain
         self._told = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
         self.reset()
@@ -42,14 +48,10 @@ class WindowStore:
 
     def write_newest(self, index: int, frames: U8, fresh: Bool) -> None:
         """Keep the newest frames (seats, size) of the next step, whose windows follow from the steps before."""
-        row = index % self._rows
-        if index != self._next:  # nothing is known of the steps before
-            fresh = np.ones_like(fresh)
-        self._next = index + 1
-        self._depth[row] = np.where(fresh, 0, self._depth[row - 1] + 1)
+        fresh = self._follow(index, fresh)
         for seat, frame in enumerate(frames):
             self.whole.pop((index - self._steps, seat), None)
-            self.frames.write(row, seat, frame)
+            self.frames.write(index, seat, frame)
             told = self._told[seat].reshape(self._window, self._size)
             if fresh[seat]:
                 told[:] = frame
@@ -57,14 +59,30 @@ class WindowStore:
                 told[:-1] = told[1:].copy()
                 told[-1] = frame
 
+    def attach(self, first: int, fresh: Bool) -> None:
+        """Go on from frames that the store has already: of the steps from `first` on, `fresh` (steps, seats)."""
+        for step, begins in enumerate(fresh):
+            self._follow(first + step, begins)
+        if len(fresh):
+            seats = np.arange(fresh.shape[1])
+            self._told[:] = self.read(np.full(len(seats), first + len(fresh) - 1), seats)
+
+    def _follow(self, index: int, fresh: Bool) -> Bool:
+        """Note where chains begin at the next step; returns where they do."""
+        if index != self._next:  # nothing is known of the steps before
+            fresh = np.ones_like(fresh)
+        self._next = index + 1
+        self._depth[index % self._rows] = np.where(fresh, 0, self._depth[(index - 1) % self._rows] + 1)
+        return fresh
+
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of windows, (K,) and (K,) -> (K, frames * size)."""
         rows = index % self._rows
         if self._window == 1 and not self.whole:
-            return self.frames.read(rows, seats)
+            return self.frames.read(index, seats)
         back = np.arange(self._window - 1, -1, -1)[:, None]  # oldest first
         steps = np.minimum(back, self._depth[rows, seats])  # (frames, K)
-        read = self.frames.read(((index - steps) % self._rows).reshape(-1), np.tile(seats, self._window))
+        read = self.frames.read((index - steps).reshape(-1), np.tile(seats, self._window))
         out = np.moveaxis(read.reshape(self._window, len(index), self._size), 0, 1).reshape(len(index), -1)
         if self.whole:
             for k, key in enumerate(zip(index.tolist(), seats.tolist(), strict=True)):
@@ -73,4 +91,4 @@ class WindowStore:
 
     def read_newest(self, index: I64, seat: int) -> U8:
         """Copies of the newest frames of one seat's windows, (K,) -> (K, size)."""
-        return self.frames.read(index % self._rows, np.full(len(index), seat))
+        return self.frames.read(index, np.full(len(index), seat))

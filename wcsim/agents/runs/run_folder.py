@@ -6,6 +6,7 @@
 - metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
 - checkpoints/: step-00005000/ ..., LATEST
+- replay/: frames that the checkpoints count on, with learn.replay_store=disk
 - policies/: phase1/, final/
 """
 
@@ -37,7 +38,7 @@ from wcsim.towns.scenario.overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
 _PLANT = "plant.toml"
-_CHECKPOINTS, _POLICIES = "checkpoints", "policies"
+_CHECKPOINTS, _POLICIES, _REPLAY = "checkpoints", "policies", "replay"
 STAGES = ("phase1", "final")
 _LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
@@ -91,6 +92,11 @@ class RunFolder:
     def checkpoints(self) -> Path:
         """Where checkpoints are."""
         return self.path / _CHECKPOINTS
+
+    @property
+    def replay(self) -> Path:
+        """Where the frames of the replay memory are, when they are on disk."""
+        return self.path / _REPLAY
 
     def policy(self, stage: str) -> Path:
         """Where the policy of a stage ("phase1" or "final") is, whether it exists or not."""

@@ -25,6 +25,10 @@ class LearnConfig(Model):
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero
     batch_size: Annotated[int, Field(ge=1, le=4096)] = 32
     replay_frames: Annotated[int, Field(ge=100, le=10**7)] = 50_000
+    replay_store: Literal["memory", "disk"] = "memory"  # where the frames are; disk: in the run folder
+    memory: Literal["steps", "groups", "windows"] = "steps"  # what is drawn; docs/replay.md
+    group_steps: Annotated[int, Field(ge=1, le=1_000)] = 16  # of a group of steps in a row
+    burn_in: Annotated[int, Field(ge=0, le=1_000)] = 8  # steps before a group that are run again without loss
     learning_starts: StepsOrNone = 500
     train_every: Annotated[int, Field(ge=1, le=10**4)] = 4
     gradient_steps: Annotated[int, Field(ge=1, le=10**4)] = 1

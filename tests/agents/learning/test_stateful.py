@@ -1,0 +1,314 @@
+"""Networks that carry a state: driven, stored, learned from groups of steps in a row, saved."""
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from tests.agents.recall import LENGTH, Biased, Recall
+from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from wcsim.agents.learning.build import build_model, with_window
+from wcsim.agents.learning.saved_policy import load_policy, save_policy
+from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.sequence_loss import burned_in, group_targets, group_values, sequence_loss
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.replay.buffer import ReplaySettings
+from wcsim.agents.replay.groups import gather_groups
+from wcsim.config import LearnConfig, RunConfig, load_run_config
+from wcsim.errors import ConfigError, PolicyError
+
+CAMERA = toy_camera(16, 20)
+SMALL = {"learning_starts": 40, "replay_frames": 200, "batch_size": 16, "group_steps": 4, "memory": "groups"}
+CARRYING = ("fig6", "gru", "convlstm")
+
+
+def config(window=None, **learn):
+    given = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{"network": "fig6", **SMALL, **learn}))
+    return (
+        given if window is None else given.model_copy(update={"env": given.env.model_copy(update={"window": window})})
+    )
+
+
+def model(seed=0, envs=1, **learn):
+    return build_model(config(**learn), DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=23)] * envs), seed)
+
+
+def trained(steps=120, **learn):
+    learner = model(**learn)
+    learner.learn(steps)
+    return learner
+
+
+def whole_groups(learner):
+    buffer = learner.replay_buffer
+    return gather_groups(buffer, buffer.groups, *buffer.groups.whole(buffer).T)
+
+
+# --- the two contracts share their weights ---
+
+
+@pytest.mark.parametrize("network", CARRYING)
+def test_step_by_step_is_the_same_as_in_one_go(network):
+    net = model(network=network).q_net
+    g = torch.Generator().manual_seed(0)
+    images = {k: torch.randint(0, 34, (2, 5, 1, 16, 20), dtype=torch.uint8, generator=g) for k in ("seg", "depth")}
+    seen = {**images, "imu": torch.zeros(2, 5, 5), "joystick": torch.rand(2, 5, 2, generator=g)}
+    with torch.no_grad():
+        values, after = net.unroll(seen, net.begin(2))
+        state = net.begin(2)
+        for tick in range(5):
+            now, state = net.step({key: value[:, tick] for key, value in seen.items()}, state)
+            assert torch.allclose(now, values[:, tick], atol=1e-5)
+        assert torch.allclose(state, after, atol=1e-5)
+        assert torch.allclose(net({k: v[:, 0] for k, v in seen.items()}), values[:, 0], atol=1e-5)
+        other, _ = net.unroll(
+            {**seen, "seg": torch.cat([seen["seg"][:, :1].flip(0), seen["seg"][:, 1:]], 1)}, net.begin(2)
+        )
+    assert not torch.allclose(other[:, -1], values[:, -1], atol=1e-6), "the first image is remembered"
+
+
+def test_a_carried_state_replaces_the_window():
+    assert with_window(config()).env.window == 1
+    assert with_window(config(memory="steps")).env.window == 4
+    assert with_window(config(network="stack")).env.window == 4
+    assert model().q_net.spec.stateful
+    assert not model(network="patch").q_net.spec.stateful
+    with pytest.raises(PolicyError, match=r"sees 3 images at a time.*env\.window=1"):
+        build_model(config(), DummyVecEnv([lambda: WindowedStreet(3, CAMERA)]), 0)
+
+
+@pytest.mark.parametrize(
+    ("learn", "told"),
+    [
+        ({"mirror": True}, r"learn\.mirror=true with learn\.memory=groups"),
+        ({"aid": "oracle"}, r"learn\.aid=oracle with learn\.memory=groups"),
+        ({"memory": "windows"}, r"learn\.memory=windows with one image.*env\.window=4"),
+        ({"replay_store": "disk"}, r"learn\.replay_store=disk without a folder"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(learn, told):
+    with pytest.raises(ConfigError, match=told):
+        model(**learn)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("group_steps", 0), ("group_steps", 1001), ("burn_in", -1), ("memory", "x")]
+)
+def test_settings_have_bounds(key, value):
+    with pytest.raises(ConfigError, match=key):
+        load_run_config("quick", (f"learn.{key}={value}",))
+
+
+@pytest.mark.parametrize("memory", ["steps", "groups", "windows"])
+@pytest.mark.parametrize(("network", "window"), [("patch", 1), ("stack", 3)])
+def test_a_network_without_a_state_learns_from_all_three(memory, network, window):
+    given = config(window=window, network=network, memory=memory)
+    learner = build_model(given, DummyVecEnv([lambda: WindowedStreet(window, CAMERA, 23)]), 0)
+    learner.learn(80)
+    assert np.isfinite(learner.last_loss)
+    assert learner._n_updates > 0
+
+
+# --- driving ---
+
+
+@pytest.mark.parametrize("envs", [1, 3])
+def test_the_stored_state_is_what_the_same_weights_make_of_the_episode(envs):
+    """Nothing is learned while driving, so the state that was stored is the one that is computed anew."""
+    learner = model(envs=envs, learning_starts=10_000, phase1_steps=60, burn_in=0, epsilon_start=0.5)
+    learner.learn(150 * envs)
+    buffer, net = learner.replay_buffer, learner.q_net
+    assert len(buffer.groups.states) > 10 * envs
+    for (index, seat), state in list(buffer.groups.states.items())[::5]:
+        steps = np.arange(index - buffer.episode_step[index % buffer.buffer_size, seat], index)
+        if steps[0] < buffer.total - buffer.size():
+            continue
+        batch = buffer.gather(steps, np.full(len(steps), seat)).observations
+        with torch.no_grad():
+            _, after = net.unroll({key: value[None] for key, value in batch.items()}, net.begin(1))
+        assert np.allclose(after[0].numpy(), state, atol=1e-5)
+        assert np.abs(state).max() > 1e-3
+
+
+def test_burn_in_moves_a_stale_state_towards_the_true_one():
+    learner = model(learning_starts=10_000, phase1_steps=0, burn_in=8)
+    learner.learn(200)
+    torch.manual_seed(3)
+    with torch.no_grad():
+        for p in learner.q_net.parameters():
+            p += 0.1 * p.abs().mean() * torch.randn_like(p)
+    buffer, net, gaps = learner.replay_buffer, learner.q_net, {}
+    places = [k for k in buffer.groups.whole(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
+    for burn_in in (8, 0):
+        gaps[burn_in] = []
+        for index, seat in places:
+            begun = index - buffer.episode_step[index % buffer.buffer_size, seat]
+            before = buffer.gather(np.arange(begun, index), np.full(index - begun, seat)).observations
+            with torch.no_grad():
+                true = net.unroll({key: value[None] for key, value in before.items()}, net.begin(1))[1]
+            batch = gather_groups(buffer, buffer.groups, np.array([index]), np.array([seat]))
+            if burn_in == 0:  # the state at the group's start as the old weights made it
+                old = model(learning_starts=10_000, phase1_steps=0).q_net
+                with torch.no_grad():
+                    here = old.unroll({key: value[None] for key, value in before.items()}, old.begin(1))[1]
+            else:
+                here = burned_in(net, batch)
+            gaps[burn_in].append(float((here - true).abs().mean()))
+    assert len(places) > 5
+    assert np.mean(gaps[8]) < 0.5 * np.mean(gaps[0])
+
+
+def test_an_episodes_end_forgets_the_state_of_its_seat_alone():
+    learner = model(envs=2, learning_starts=10_000, phase1_steps=0)
+    learner._carried = learner._next = (np.ones((2, 256), np.float32),)
+    learner._setup_learn(1, None)
+    assert learner._carried is None
+    learner._next = (np.ones((2, 256), np.float32),)
+    new = learner.env.reset()
+    learner._store_transition(
+        learner.replay_buffer, np.zeros(2, int), new, np.zeros(2), np.array([True, False]), [{}, {}]
+    )
+    assert learner._carried[0].sum(axis=1).tolist() == [0.0, 256.0]
+
+
+# --- learning ---
+
+
+def test_targets_by_hand():
+    """Each step's return plus the value of what comes after it, with the states of both networks burned in."""
+    learner = trained(burn_in=3, n_step=3)
+    torch.manual_seed(1)
+    for p in learner.q_net_target.parameters():
+        p.data += 0.05 * torch.randn_like(p)
+    batch = whole_groups(learner)
+    with torch.no_grad():
+        online, target = group_values(learner.q_net, batch), group_values(learner.q_net_target, batch)
+    for double_q in (True, False):
+        found = group_targets(online, target, batch, 0.05, double_q)
+        for k, t in batch.live.nonzero().tolist()[::7]:
+            after = int(batch.after[k, t])
+            pick = int((online if double_q else target)[k, after].argmax())
+            wanted = 0.05 * float(batch.returns[k, t])
+            wanted += (1 - float(batch.terminated[k, t])) * float(batch.discounts[k, t]) * float(target[k, after, pick])
+            assert float(found[k, t]) == pytest.approx(wanted, abs=1e-5)
+    state = burned_in(learner.q_net_target, batch)
+    assert not torch.allclose(state, burned_in(learner.q_net, batch))
+
+
+def test_what_is_not_in_a_group_does_not_count():
+    learner = trained()
+    batch = whole_groups(learner)
+    short = int((batch.live.sum(dim=1) < 4).nonzero()[0])
+    nets = (learner.q_net, learner.q_net_target)
+
+    def loss(batch):
+        return float(sequence_loss(nets, batch, 0.05, True, None)[0].detach())
+
+    before = loss(batch)
+    for change in ("returns", "terminated", "discounts"):
+        value = getattr(batch, change)
+        kept = value[short].clone()
+        value[short, batch.live[short].sum() :] += 50.0
+        assert loss(batch) == before
+        value[short, 0] += 50.0
+        assert loss(batch) != before
+        value[short] = kept
+
+
+def recall_model(stateful, seed=0):
+    spec = NetSpec(network="gru" if stateful else "patch", head="plain", prior=FollowPrior(reward_scale=1.0))
+    spec = spec if not stateful else NetSpec(network="gru", head="plain", prior=spec.prior, stateful=True)
+    return SeqDQN(
+        SeqQPolicy, DummyVecEnv([Recall] * 8), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=seed,
+        gamma=0.9, learning_rate=2e-3, buffer_size=4000, learning_starts=200, batch_size=64, tau=0.05, train_freq=1,
+        exploration_fraction=0.5, exploration_initial_eps=1.0, exploration_final_eps=0.1, device="cpu",
+        policy_kwargs={"spec": spec},
+        replay_buffer_kwargs={
+            "settings": ReplaySettings(n_step=2, gamma=0.9, memory="groups", group_steps=LENGTH, burn_in=2, seed=seed)
+        },
+    )  # fmt: skip
+
+
+def test_a_network_with_a_state_recalls_and_one_without_cannot():
+    """It is worth 1 to remember the first image, and 0 to guess."""
+    scores = []
+    for stateful in (True, False):
+        learner = recall_model(stateful)
+        learner.learn(3000 if stateful else 1000)
+        mean, _ = evaluate_policy(learner, DummyVecEnv([lambda: Monitor(Recall())]), 60, warn=False)
+        scores.append(mean)
+    assert scores[0] > 0.9
+    assert abs(scores[1]) < 0.5
+
+
+def value_of_going_right(double_q):
+    learner = SeqDQN(
+        SeqQPolicy, Biased(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q), seed=1,
+        gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003, train_freq=1,
+        exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
+        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=1)},
+    )  # fmt: skip
+    learner.learn(800)
+    first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
+    right = torch.as_tensor(learner.action_points.points[:, 0] > 0)
+    with torch.no_grad():
+        return float(learner.q_net(first)[0, right].mean())
+
+
+def test_double_q_overestimates_less():
+    """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good."""
+    truth = -0.1 * 0.95
+    plain, double = value_of_going_right(double_q=False) - truth, value_of_going_right(double_q=True) - truth
+    assert plain > 0.3
+    assert double < 0.6 * plain
+
+
+# --- saved ---
+
+
+@pytest.mark.parametrize("network", CARRYING)
+def test_a_saved_policy_carries_its_state_and_begins_anew_with_an_episode(network, tmp_path):
+    learner = trained(60, network=network)
+    policy = load_policy(save_policy(tmp_path / "p", learner, CAMERA))
+    assert (policy.file.window, policy.file.net.stateful) == (1, True)
+    street = ToyStreet(CAMERA)
+    seen = [street.reset(seed=3)[0]] + [street.step(40)[0] for _ in range(6)]
+
+    def driven():
+        out = []
+        for one in seen:
+            out.append(policy.values(one))
+            policy.act(one)
+        return np.array(out)
+
+    first = driven()
+    state, wanted = learner.q_net.begin(1), []
+    for one in seen:
+        with torch.no_grad():
+            values, state = learner.q_net.step({k: torch.as_tensor(v)[None] for k, v in one.items()}, state)
+        wanted.append(values[0].numpy())
+    assert np.allclose(first, wanted, atol=1e-5)
+    assert not np.allclose(driven(), first), "nothing was reset"
+    policy.reset()
+    assert np.array_equal(driven(), first)
+    policy.begin()
+    assert np.array_equal(driven(), first)
+
+
+def test_predict_takes_and_gives_states_as_sb3_has_it():
+    learner = trained(60, envs=2)
+    seen = learner.env.reset()
+    _, state = learner.predict(seen, deterministic=True)
+    _, after = learner.predict(seen, state, episode_start=np.array([True, False]), deterministic=True)
+    assert np.allclose(after[0][0], state[0][0], atol=1e-6)
+    assert not np.allclose(after[0][1], state[0][1], atol=1e-4)
+    one = {key: value[0] for key, value in seen.items()}
+    action, alone = learner.predict(one, deterministic=True)
+    assert np.ndim(action) == 0
+    assert np.allclose(alone[0][0], state[0][0], atol=1e-6)
+    learner.set_logger(configure(None, []))
+    learner.train(2, 16)

@@ -1,0 +1,70 @@
+"""A task of memory: the first image says which way to go, and the last one alone counts."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+
+from wcsim.supervisor.actions import action_set
+
+SIDE, LENGTH = 8, 4
+CUES = (24, 23)  # a person: left; sky: right
+BLANK = 8
+
+
+class Recall(gym.Env):
+    """A cue, blank images, then 1 for a stick to the cue's side and -1 for another; all episodes are LENGTH steps."""
+
+    def __init__(self):
+        self.actions = action_set("square81")
+        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
+        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
+        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.action_space = gym.spaces.Discrete(len(self.actions))
+
+    def _observe(self):
+        shown = CUES[self.cue] if self.step_count == 0 else BLANK
+        image = np.full((1, SIDE, SIDE), shown, np.uint8)
+        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
+        return {"seg": image, "depth": np.full_like(image, 40 * self.step_count), **vectors}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.cue, self.step_count = int(self.np_random.integers(2)), 0
+        return self._observe(), {}
+
+    def step(self, action):
+        self.step_count += 1
+        done = self.step_count == LENGTH
+        right = bool(self.actions.points[int(action)][0] > 0)
+        reward = (1.0 if right == bool(self.cue) else -1.0) if done else 0.0
+        return self._observe(), reward, done, False, {}
+
+
+class Biased(gym.Env):
+    """Left ends at once with 0. Right earns 0 and leads to a second state, where every action ends with N(-0.1, 1)."""
+
+    def __init__(self, seed=0):
+        self.actions = action_set("square81")
+        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
+        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
+        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.action_space = gym.spaces.Discrete(len(self.actions))
+        self.noise = np.random.default_rng(seed)
+        self.second = False
+
+    def observe(self, second):
+        image = np.full((1, SIDE, SIDE), CUES[int(second)], np.uint8)
+        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
+        return {"seg": image, "depth": np.zeros_like(image), **vectors}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.second = False
+        return self.observe(False), {}
+
+    def step(self, action):
+        if self.second:
+            return self.observe(True), float(self.noise.normal(-0.1, 1.0)), True, False, {}
+        self.second = bool(self.actions.points[int(action)][0] > 0)
+        return self.observe(self.second), 0.0, not self.second, False, {}

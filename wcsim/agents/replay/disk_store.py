@@ -1,0 +1,301 @@
+"""Frames on disk: one zstd blob a frame in append-only segments, so that a replay memory may be larger than memory.
+
+In memory are 16 bytes a frame, where it lies. The oldest frames go by removing the oldest segment's files. What a
+checkpoint counts on is kept besides (`hold`), and whatever was written after the checkpoint that a run goes on from is
+cut off. A process that was killed leaves whole frames and at most one torn one, which is cut off when the store is
+opened again; `notes` tells of it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import zlib
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from wcsim.agents.replay.segment_files import (
+    SEGMENT_BLOBS,
+    Records,
+    SegmentReader,
+    SegmentWriter,
+    blobs_path,
+    cut_segment,
+    drop_segment,
+    segments_in,
+    sound_records,
+    sync_segment,
+)
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.errors import PolicyError
+from wcsim.types import U8, Bool
+
+STORE_JSON: Final = "store.json"
+VERSION: Final = 1
+LEVEL: Final = 1
+_KIND = FileKind(what="the description of a replay on disk", limit_bytes=1 << 16, error=PolicyError)
+
+I64 = npt.NDArray[np.int64]
+
+
+class DiskFrames:
+    """The last `steps` steps of every seat, in a folder of its own; one process at a time has it open.
+
+    Frames are numbered in the order in which they are written: step by step, seat by seat.
+    """
+
+    def __init__(self, folder: Path, steps: int, seats: int, size: int, layout: str = "") -> None:
+        """Open the store in `folder`, or make one.
+
+        Args:
+            folder: Where; it is made when it is not there.
+            steps: Of so many the frames can be read.
+            seats: Frames of a step.
+            size: Bytes of a frame.
+            layout: What a frame is made of, in words; another one's store is refused.
+
+        Raises:
+            PolicyError: Another process has it, or it is no store, or one of another version or layout.
+            DiskFullError: It cannot be made.
+        """
+        self._folder, self._seats, self._size = folder, seats, size
+        self._most = steps * seats
+        self.notes: list[str] = []  # what was found when it was opened
+        told = {"format": "wcsim replay", "version": VERSION, "segment_blobs": SEGMENT_BLOBS}
+        self._told = {**told, "seats": seats, "frame_bytes": size, "layout": layout}
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lock = _locked(folder)
+        try:
+            _require_same(folder, self._told)
+            self._offset = np.zeros(self._most, dtype=np.uint64)
+            self._length = np.zeros(self._most, dtype=np.uint32)  # 0 where there is none
+            self._crc = np.zeros(self._most, dtype=np.uint32)
+            self._pack, self._unpack = zstandard.ZstdCompressor(level=LEVEL), zstandard.ZstdDecompressor()
+            self._reader = SegmentReader(folder)
+            self._writer: SegmentWriter | None = None
+            self._unsynced: set[int] = set()
+            self._held: int | None = None
+            self._next = 0
+            self._mend()
+            self._list()
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> DiskFrames:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close all files; the store can be opened again."""
+        if self._lock < 0:
+            return
+        self._reader.close()
+        self._end_segment()
+        os.close(self._lock)
+        self._lock = -1
+
+    @property
+    def next_number(self) -> int:
+        """The number of the frame that is written next."""
+        return self._next
+
+    @property
+    def index_bytes(self) -> int:
+        """What it holds in memory, in bytes."""
+        return self._offset.nbytes + self._length.nbytes + self._crc.nbytes
+
+    def write(self, index: int, seat: int, frame: U8) -> None:
+        """Append a frame (size,) of step `index`; what is there from that step and seat on is cut off first.
+
+        Raises DiskFullError; the store is what it was then.
+        """
+        number = index * self._seats + seat
+        if number != self._next:
+            self.cut(number)
+        segment = number // SEGMENT_BLOBS
+        if self._writer is None or self._writer.segment != segment:
+            self._end_segment()
+            self._writer = SegmentWriter(self._folder, segment)
+            self._unsynced.add(segment)
+            self._drop_old()
+        blob = self._pack.compress(frame.tobytes())
+        at = number % self._most
+        self._offset[at], self._crc[at] = self._writer.append(number, blob)
+        self._length[at] = len(blob)
+        self._next = number + 1
+
+    def read(self, index: I64, seats: I64) -> U8:
+        """Copies of frames of these steps, (K,) and (K,) -> (K, size); one that is not there reads as zeros.
+
+        Raises PolicyError when one is not what was written.
+        """
+        out = np.zeros((len(index), self._size), dtype=np.uint8)
+        for row, number in enumerate((index * self._seats + seats).tolist()):
+            if max(0, self._next - self._most) <= number < self._next and self._length[number % self._most] > 0:
+                out[row] = self._frame(number)
+        return out
+
+    def hold(self, number: int | None) -> None:
+        """Keep the frames from this number on for a checkpoint, whatever else is forgotten; None holds nothing."""
+        self._held = number
+        self._drop_old()
+
+    def cut(self, number: int) -> None:
+        """Forget the frames from this number on; all of them when it is not there to go on from."""
+        self._end_segment()
+        self._reader.close()
+        gap = number > self._next
+        for segment in segments_in(self._folder):
+            first = segment * SEGMENT_BLOBS
+            if gap or first >= number:
+                drop_segment(self._folder, segment)
+            elif first + SEGMENT_BLOBS > number:
+                records = sound_records(self._folder, segment)
+                cut_segment(self._folder, segment, records[records["number"] < number])
+        self._list()
+        self._next = number
+
+    def seal(self, first: int, stop: int) -> int:
+        """A checksum over all frames with these numbers, by which a checkpoint knows them again.
+
+        Raises PolicyError when not all of them are there.
+        """
+        at = np.arange(first, stop) % self._most
+        crc, there = self._crc[at], self._length[at] > 0
+        if first < self._next - self._most or stop > self._next:  # of a checkpoint before the newest frames
+            crc, there = self._listed(first, stop)
+        if not there.all():
+            raise PolicyError(
+                f"the replay in {shown(self._folder)} lacks {int((~there).sum())} of the frames {first} to {stop} that "
+                "were kept; expected all of them: restore its folder, or start a new run"
+            )
+        return zlib.crc32(crc.tobytes())
+
+    def sync(self) -> None:
+        """Flush what was written to disk; until then a loss of power, not the end of a process, may lose it."""
+        for segment in sorted(self._unsynced):
+            sync_segment(self._folder, segment)
+        self._unsynced = set() if self._writer is None else {self._writer.segment}
+
+    def _frame(self, number: int) -> U8:
+        at, segment = number % self._most, number // SEGMENT_BLOBS
+        try:
+            blob = self._reader.read(segment, int(self._offset[at]), int(self._length[at]))
+            if zlib.crc32(blob) != int(self._crc[at]):
+                raise ValueError("another checksum")
+            frame = np.frombuffer(self._unpack.decompress(blob, max_output_size=self._size), np.uint8)
+            if len(frame) != self._size:
+                raise ValueError(f"{len(frame)} bytes")
+        except (OSError, ValueError, zstandard.ZstdError) as error:
+            raise PolicyError(
+                f"{shown(blobs_path(self._folder, segment))}: frame {number} is damaged ({error}); expected what was "
+                "written: restore the file, or start a new run"
+            ) from None
+        return frame
+
+    def _listed(self, first: int, stop: int) -> tuple[npt.NDArray[np.uint32], Bool]:
+        """Checksums of these frames, and which of them are there, as the files say."""
+        crc, there = np.zeros(stop - first, dtype=np.uint32), np.zeros(stop - first, dtype=bool)
+        for segment in segments_in(self._folder):
+            if (segment + 1) * SEGMENT_BLOBS > first and segment * SEGMENT_BLOBS < stop:
+                records = sound_records(self._folder, segment)
+                numbers = records["number"].astype(np.int64)
+                wanted = (numbers >= first) & (numbers < stop)
+                crc[numbers[wanted] - first], there[numbers[wanted] - first] = records["crc"][wanted], True
+        return crc, there
+
+    def _list(self) -> None:
+        """Take up where the frames lie, the last ones that can be read."""
+        self._length[:] = 0
+        self._next = 0
+        for segment in reversed(segments_in(self._folder)):  # the newest one first: it says which is the oldest frame
+            records = sound_records(self._folder, segment)
+            numbers = records["number"].astype(np.int64)
+            if self._next == 0 and len(records):
+                self._next = int(numbers[-1]) + 1
+            if (segment + 1) * SEGMENT_BLOBS <= self._next - self._most:
+                return
+            kept = numbers >= self._next - self._most
+            at = numbers[kept] % self._most
+            for held, name in ((self._offset, "offset"), (self._length, "length"), (self._crc, "crc")):
+                held[at] = records[name][kept]
+
+    def _mend(self) -> None:
+        """Cut off what a killed process left torn at the end."""
+        segments = segments_in(self._folder)
+        if not segments:
+            return
+        records = self._whole(segments[-1], sound_records(self._folder, segments[-1]))
+        self._reader.close()
+        torn = cut_segment(self._folder, segments[-1], records)
+        if torn:
+            name = blobs_path(self._folder, segments[-1])
+            self.notes.append(f"{name}: {torn} bytes of a torn frame were cut off; all frames before it are there")
+
+    def _whole(self, segment: int, records: Records) -> Records:
+        """The records up to the first one whose blob is not what was written, as after a loss of power."""
+        for row, (_, offset, length, crc, _) in enumerate(records.tolist()):
+            if zlib.crc32(self._reader.read(segment, offset, length)) != crc:
+                return records[:row]
+        return records
+
+    def _drop_old(self) -> None:
+        floor = self._next - self._most
+        if self._held is not None:
+            floor = min(floor, self._held)
+        for segment in segments_in(self._folder):
+            if (segment + 1) * SEGMENT_BLOBS > floor:
+                return
+            self._reader.forget(segment)
+            drop_segment(self._folder, segment)
+
+    def _end_segment(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def _locked(folder: Path) -> int:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise PolicyError(
+            f"the replay in {shown(folder)} is open in another process; wait for its end, or choose another --out"
+        ) from None
+    except OSError:  # a file system without locks
+        pass
+    return descriptor
+
+
+def _require_same(folder: Path, told: dict[str, Any]) -> None:
+    """Write down what the store holds, or refuse one that holds something else."""
+    path = folder / STORE_JSON
+    if not path.exists():
+        if any(folder.iterdir()):
+            raise PolicyError(
+                f"{shown(folder)} has files but no {STORE_JSON}; expected a replay or an empty folder: restore it, or "
+                "start a new run"
+            )
+        files.write_json(path, told)
+        return
+    found = read_json(path, _KIND)
+    other = sorted(key for key in {*told, *found} if found.get(key) != told.get(key))
+    if other:
+        differ = ", ".join(f"{key} {shown(found.get(key), 80)} instead of {shown(told.get(key), 80)}" for key in other)
+        raise PolicyError(
+            f"{shown(path)} is of a replay with {differ}; expected its own configuration and version: use them, or "
+            "start a new run"
+        )

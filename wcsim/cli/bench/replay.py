@@ -1,0 +1,92 @@
+"""`wcsim bench replay`: what a state costs in the replay memory on disk."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.config import load_run_config
+from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.bench.replay.state_cost import StateCost
+
+NOISES = {"clean": "none", "noisy": "typical"}
+MOST = {"kb_per_state_clean": 5.0, "kb_per_state_noisy": 25.0, "write_ms": 0.5, "read_ms": 0.5}
+
+
+@dataclass
+class ReplayOptions:
+    """What a state costs in the replay memory on disk: bytes without and with sensor noise, time to write and read."""
+
+    town: str = "helsinki"
+    """Town to run."""
+    width: int = 320
+    """Camera width in pixels."""
+    height: int = 240
+    """Camera height in pixels."""
+    states: int = 600
+    """States to keep for each of the two."""
+    seed: int = 4
+    """Seed of the world."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: ReplayOptions) -> int:
+    """Run the bench; 1 when a number is above what it may be."""
+    in_bounds("--width", options.width, 16, 2048)
+    in_bounds("--height", options.height, 16, 2048)
+    in_bounds("--states", options.states, 10, 1_000_000)
+    town = find_town(options.town)
+    size = (f"cameras.0.width_px={options.width}", f"cameras.0.height_px={options.height}")
+    configs = {name: load_run_config("quick", (*size, f"cameras.0.noise={noise}")) for name, noise in NOISES.items()}
+
+    from wcsim.bench.replay.state_cost import measure_states
+
+    costs: dict[str, StateCost] = {}
+    with (
+        tempfile.TemporaryDirectory(prefix="wcsim-replay-") as work,
+        Progress(console=Console(stderr=True), transient=True) as bar,
+    ):
+        for name, config in configs.items():
+            task = bar.add_task(name, total=options.states)
+
+            def seen(done: int, task: int = task) -> None:
+                bar.update(task, completed=done)  # type: ignore[arg-type]
+
+            costs[name] = measure_states(town, config, options.states, options.seed, Path(work) / name, seen)
+    found = {
+        **{f"kb_per_state_{name}": cost.kb_per_state for name, cost in costs.items()},
+        "write_ms": max(cost.write_ms for cost in costs.values()),
+        "read_ms": max(cost.read_ms for cost in costs.values()),
+    }
+    Console().print(_table(costs))
+    if options.json is not None:
+        write_json(options.json, found)
+    above = [name for name, value in found.items() if value > MOST[name]]
+    for name in above:
+        Console(stderr=True).print(f"{name} is {found[name]:.2f}; expected at most {MOST[name]}")
+    return int(bool(above))
+
+
+def _table(costs: dict[str, StateCost]) -> Table:
+    table = Table("camera", "kB a state", "write ms", "read ms", "100,000 states: on disk", "in memory (counted)")
+    for name, cost in costs.items():
+        table.add_row(
+            name,
+            f"{cost.kb_per_state:.2f}",
+            f"{cost.write_ms:.3f}",
+            f"{cost.read_ms:.3f}",
+            f"{cost.kb_per_state / 10:.2f} GB",
+            f"{cost.memory_mb:.1f} MB",
+        )
+    table.caption = f"medians of {min(cost.states for cost in costs.values())} states, wall time"
+    return table
