@@ -260,6 +260,14 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
         read_metrics(path)
 
 
+def test_the_log_of_a_run_that_was_begun_before_values_were_watched_is_gone_on_with(tmp_path):
+    path, old = tmp_path / "metrics.csv", COLUMNS[: COLUMNS.index("value_start")]
+    path.write_text(",".join(old) + "\n" + ",".join(["10", *["1"] * (len(old) - 1)]) + "\n")
+    assert read_metrics(path)[0]["overestimate"] == ""
+    MetricsFile(path, keep_to_step=10).add({**dict.fromkeys(COLUMNS), "step": 20, "overestimate": 0.5})
+    assert [row["overestimate"] for row in read_metrics(path)] == ["", "0.5"]
+
+
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
     target = tmp_path / "x"
     files.write_folder(target, lambda folder: (folder / "a").write_text("1") and None)
