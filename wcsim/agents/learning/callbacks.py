@@ -13,9 +13,10 @@ from typing import Any
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.learning.metrics import MetricsFile
+from wcsim.agents.learning.metrics import MetricsFile, Value
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.watching.tensorboard import BoardLog
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
 
@@ -77,11 +78,11 @@ class JamWatch(SeqCallback):
 
 
 class EpisodeMetrics(SeqCallback):
-    """Writes a row of metrics.csv at the end of each episode."""
+    """Writes a row of metrics.csv at the end of each episode, and to TensorBoard where that is wanted."""
 
-    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0) -> None:
+    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0, board: BoardLog | None = None) -> None:
         super().__init__()
-        self.metrics, self.begun_s = metrics, begun_s
+        self.metrics, self.begun_s, self.board = metrics, begun_s, board
         self.episodes, self.crashes = 0, crashes
         self.kpi1: float | None = None
         self.sums: list[EpisodeSums] = []
@@ -146,7 +147,7 @@ class EpisodeMetrics(SeqCallback):
         self.kpi1 = sums.distance / sums.steps
         plan = learner.plan
         check = sums.values.check(ended=crashed)
-        self.metrics.add(
+        self._write(
             {
                 "step": self.num_timesteps,
                 "episode": self.episodes,
@@ -172,6 +173,11 @@ class EpisodeMetrics(SeqCallback):
             }
         )
         self.sums[seat] = EpisodeSums()
+
+    def _write(self, row: dict[str, Value]) -> None:
+        self.metrics.add(row)
+        if self.board is not None:
+            self.board.add(row)
 
 
 class Every(SeqCallback):

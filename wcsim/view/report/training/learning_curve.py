@@ -118,7 +118,7 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
 
 
 def crossing(episodes: Sequence[TrainedEpisode], limit: float = KPI1_LIMIT) -> Crossing:
-    """Where the mean of KPI 1 over the last episodes first was at most the limit; the first few episodes are too few."""
+    """Where the mean of KPI 1 over the last episodes first was at most the limit; the first few are too few for it."""
     told = [(episode.step, episode.kpi1) for episode in episodes if episode.kpi1 is not None]
     means = running_means([kpi1 for _, kpi1 in told])
     within = [place for place, mean in enumerate(means) if mean <= limit and place + 1 >= LEAST]

@@ -24,13 +24,13 @@ from wcsim.view.report.training.learning_curve import (
 )
 
 _KPI1_SAYS: Final = (
-    f"Joystick distance of user and agent, mean over an episode: KPI 1, with its limit {KPI1_LIMIT}; in the first phase "
-    "of the actions that the agent would have chosen. A triangle: a mean comes below the limit"
+    f"Joystick distance of user and agent, mean over an episode: KPI 1, with its limit {KPI1_LIMIT}; in the first "
+    "phase of the actions that the agent would have chosen. A triangle: a mean comes below the limit"
 )
 _OVER_SAYS: Final = (
-    "Value of the best action at the start of an episode minus the discounted return that really followed, both in units "
-    "of the scaled reward: what the network promises too much. Without double Q-learning (learn.double_q) it is higher. "
-    "In the first phase the user's action is what followed"
+    "Value of the best action at the start of an episode minus the discounted return that really followed, both in "
+    "units of the scaled reward: what the network promises too much. Without double Q-learning (learn.double_q) it is "
+    "higher. In the first phase the user's action is what followed"
 )
 _Value = Callable[[TrainedEpisode], float | None]
 _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
