@@ -12,7 +12,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
@@ -22,6 +24,7 @@ from wcsim.agents.learning.build import build_model, checked_device
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
@@ -227,6 +230,23 @@ def test_a_network_that_does_not_exist_leaves_a_clear_error(tmp_path):
 def test_a_run_of_one_phase_has_both_policies(tmp_path):
     path = train(a_run(config(total_steps=60, phase1_steps=60), tmp_path / "run", 0), street)
     assert weights(path) == weights(path, "phase1")
+
+
+def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_save_is_loaded(tmp_path):
+    judge = EvalCallback(
+        Monitor(street()), eval_freq=60, n_eval_episodes=1, verbose=0, log_path=str(tmp_path / "judged"),
+        best_model_save_path=str(tmp_path / "best"),
+    )  # fmt: skip
+    keep = CheckpointCallback(100, str(tmp_path / "kept"))
+    run = train(a_run(config(), tmp_path / "run", 5), street, callbacks=(judge, keep))
+    assert list(np.load(tmp_path / "judged" / "evaluations.npz")["timesteps"]) == [60, 120, 180, 240]
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {f"rl_model_{k}_steps.zip" for k in (100, 200)}
+    seen = street().reset(seed=2)[0]
+    for path in (tmp_path / "best" / "best_model.zip", tmp_path / "kept" / "rl_model_200_steps.zip"):
+        again = SeqDQN.load(path, device="cpu")
+        action, _ = again.predict({key: value[None] for key, value in seen.items()}, deterministic=True)
+        assert again.num_timesteps > 0 and 0 <= int(action[0]) < 81
+    assert weights(run) == weights(train(a_run(config(), tmp_path / "alone", 5), street))  # they change nothing
 
 
 # --- the parts ---
