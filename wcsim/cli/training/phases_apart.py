@@ -124,15 +124,18 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     told = Console(stderr=True, highlight=False)
     told.print(f"first phase done; {suite.file.suite} {suite.file.set} chooses: {suite.episodes} episodes a client")
 
-    def drive(policy: str, network: str = "") -> tuple[EpisodeRecord, ...]:
-        say = lambda who, done, of: told.print(f"{who}: {done} of {of} blocks", style="dim")  # noqa: E731
-        return run_suite(replace(order, network=network), (policy,), say)[policy]
+    def say(policy: str, done: int, of: int) -> None:
+        told.print(f"{policy}: {done} of {of} blocks", style="dim")
 
-    records = {UNAIDED: drive(UNAIDED)}
+    networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
         network = client.config.learn.network
-        policy = str(policy_of(run.out, client.name))
-        records[policy] = drive(policy, network if is_own(network) else "")
+        networks[policy_of(run.out, client.name)] = network if is_own(network) else ""
+    found: dict[str, tuple[EpisodeRecord, ...]] = {}
+    for network in dict.fromkeys(networks.values()):
+        policies = [policy for policy, its in networks.items() if its == network]
+        found |= run_suite(replace(order, network=network), policies, say)
+    records = {policy: found[policy] for policy in networks}
     return judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
 
 
