@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import load_file
-from stable_baselines3 import DQN
+from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -105,6 +107,21 @@ def test_equal_seeds_give_equal_runs_in_the_real_street(run, corner, tmp_path):
         one, other = (load_file(folder / "policies" / stage / "weights.safetensors") for folder in (run, again))
         assert one.keys() == other.keys()
         assert all(np.array_equal(one[key], other[key]) for key in one)
+
+
+def test_the_example_of_stock_learners_trains_saves_and_loads_both(corner, tmp_path):
+    small = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24", "env.max_steps=12")
+    threads = torch.get_num_threads()
+    try:
+        learn = runpy.run_path(str(EXAMPLES / "stock_sb3.py"))["learn"]
+        saved = learn(str(corner), 24, tmp_path, small)
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(threads)
+    assert [path.name for path in saved] == ["dqn.zip", "ppo.zip"]
+    assert [kind.load(path, device="cpu").num_timesteps for kind, path in zip((DQN, PPO), saved, strict=True)] == [
+        24, 24,
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["own_network.py", "own_reward.py"])

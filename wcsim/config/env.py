@@ -16,15 +16,15 @@ LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 class RewardConfig(Model):
     """Windows of Tables 1 and 2 of the paper, and the share of contacts that counts as a crash."""
 
-    base: Finite = 1.0
+    base: Finite = 1.0  # paid for a step within max_follow_distance
     max_follow_distance: JoystickDistance = 0.1768  # sqrt(0.125^2 + 0.125^2)
-    max_distance: JoystickDistance = 2.0
-    penalty: NotNegative = 2.0
-    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)
-    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)
-    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
-    crash: NotNegative = 100.0
-    body_on_ground_Ns: NotNegative = 20.0
+    max_distance: JoystickDistance = 2.0  # joystick distance of the full penalty
+    penalty: NotNegative = 2.0  # at the upper end of each window
+    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)  # from no penalty to a crash, per axis
+    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)  # from no penalty to a crash
+    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)  # from no penalty to a crash
+    crash: NotNegative = 100.0  # taken for a crash
+    body_on_ground_Ns: NotNegative = 20.0  # impulse of footplate or body on the ground that is a crash
     drop: bool = True  # beyond the paper: a wheel that falls off a kerb is a crash
 
     @model_validator(mode="after")
@@ -40,15 +40,15 @@ Window = Annotated[int, Field(ge=1, le=16)]
 class EnvConfig(Model):
     """What the agent sees and does."""
 
-    observation: Literal["compact", "table3"] = "compact"
-    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    observation: Literal["compact", "table3"] = "compact"  # class ids and log-depth as uint8, or the floats of Table 3
+    classes: Literal["cityscapes", "wcsim"] = "cityscapes"  # Cityscapes', or with kerbs and crosswalks
     observe_gyro: bool = False  # beyond the paper: the turn rates among what the agent sees
     observe_yaw: bool = False  # and the heading
     window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
-    actions: Literal["square81", "disc69"] = "square81"
-    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    actions: Literal["square81", "disc69"] = "square81"  # joystick positions: 9 by 9, or those that meet the unit disc
+    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000  # of an episode; a training takes learn.episode_steps
     profile: Text = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
-    truth: bool = False
+    truth: bool = False  # what the oracle says in info, for baselines and measurements
     truth_visible: bool = False  # the truth, and what the oracle says that knows only whom the cameras showed lately
 
     @model_validator(mode="after")

@@ -43,10 +43,10 @@ class VaryConfig(Model):
 
     light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = None  # times; colours only
     friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = None  # times; of wheels and casters
-    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None
+    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None  # of the user
     camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = None  # along x, y and z of each
     camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
-    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None
+    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None  # drawn
     plant: Spans = Field(default_factory=dict)  # of the plant's file
     sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(default_factory=dict)  # section.key
     attention: Shares = Field(default_factory=dict)  # share of those who look for this chair, by class

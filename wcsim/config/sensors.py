@@ -23,26 +23,26 @@ def _by_word(given: Any, typical: dict[str, Any]) -> Any:
 class DepthNoiseConfig(Model):
     """A stereo camera's errors. The defaults are those of a small active stereo camera indoors or in the shade."""
 
-    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05  # between the two imagers
     sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # of the disparity
     step_px: Annotated[float, Field(ge=0.0, le=1.0)] = 0.03125  # to which the disparity is rounded, 0 for not at all
     matcher_width_px: Annotated[int, Field(ge=8, le=8192)] = 848  # of the images that are compared
-    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28
+    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28  # nearer is not measured
     shadow: bool = True  # what only one of the two imagers sees is not measured
     dropout: Share = 0.01  # share of the picture lost in patches
     grazing_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 3.0  # surfaces seen flatter than this ...
     grazing_dropout: Share = 0.3  # ... lose so much
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 3
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 3  # size of what is lost
 
 
 class ClassNoiseConfig(Model):
     """The errors of a network that names the pixels."""
 
     border_px: Annotated[int, Field(ge=0, le=8)] = 2  # a pixel may take the class of another so near
-    border_share: Share = 0.5
+    border_share: Share = 0.5  # of the pixels at a border that do
     grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # squares that err together
     dropout: Share = 0.01  # share of the picture without a class, in patches
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 6
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 6  # size of what is lost
 
 
 class ColourNoiseConfig(Model):
@@ -62,19 +62,19 @@ class CameraNoiseConfig(Model):
 class CameraConfig(Model):
     """One camera on a chair."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "front"
-    width_px: Pixels = 320
-    height_px: Pixels = 240
-    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0
-    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
-    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "front"  # the agent sees the first camera
+    width_px: Pixels = 320  # of its pictures
+    height_px: Pixels = 240  # of its pictures
+    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0  # horizontal field of view
+    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0  # farther depth is not measured
+    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # nor is nearer
     p_BC_m: tuple[Along, Along, Height] = (0.35, 0.0, 1.0)  # armrest, knee height
-    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
-    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0
-    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1
+    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # to the left
+    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0  # up; negative looks down
+    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1  # between two pictures
     lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # of the pictures that never arrive
-    rgb: bool = False
-    renderer: Literal["numba", "pybullet"] = "numba"
+    rgb: bool = False  # colour too, for people
+    renderer: Literal["numba", "pybullet"] = "numba"  # what draws it: numba is many times faster
     noise: CameraNoiseConfig | None = None  # or "none", or "typical" for every part with its defaults
 
     @field_validator("noise", mode="before")
@@ -98,27 +98,27 @@ class ImuConfig(Model):
     """The IMU and tilt sensor (definitions: docs/senses.md)."""
 
     p_BI_m: tuple[Along, Along, Height] = (0.18, 0.0, 0.50)  # under the seat, near the centre of mass
-    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 20.0
+    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 20.0  # corner of the filter before the peak is taken
     saturation_mps2: Positive = 156.9  # +-16 g
     gyro_range_deg: Annotated[float, Field(ge=250.0, le=2000.0)] = 2000.0  # +-, a second
     # what the supervisor judges
-    accel_window: Literal["lp20_peak", "tick_mean"] = "lp20_peak"
-    gravity: Literal["included", "removed"] = "removed"
+    accel_window: Literal["lp20_peak", "tick_mean"] = "lp20_peak"  # a tick's filtered peak, or its mean
+    gravity: Literal["included", "removed"] = "removed"  # in what is judged
     # what the agent sees
-    mean_gravity: Literal["included", "removed"] = "included"
-    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"
+    mean_gravity: Literal["included", "removed"] = "included"  # in what is seen
+    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"  # what roll and pitch come from
     tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = 1.0  # how fast the accelerometer corrects the gyroscope
     tilt_noise_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # each tick; the ideal sensor has none
     tilt_bias_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5  # standard deviation over episodes
     # errors of a small, calibrated part
-    noise: bool = True
+    noise: bool = True  # off: no errors at all, whatever stands below
     accel_density_ug: Annotated[float, Field(ge=0.0, le=10_000.0)] = 300.0  # per root hertz
     gyro_density_deg: Annotated[float, Field(ge=0.0, le=1.0)] = 0.005  # a second, per root hertz
     accel_bias_mg: Annotated[float, Field(ge=0.0, le=200.0)] = 5.0  # at switching on, standard deviation
     gyro_bias_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1  # a second
     accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # of the drift around it
     gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # a second
-    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0
+    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0  # of the drift
 
 
 class SensorConfig(Model):
@@ -133,11 +133,11 @@ class SensorConfig(Model):
 class OdometryConfig(SensorConfig):
     """Encoders on the drive wheels (formulas: docs/senses.md)."""
 
-    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048
+    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048  # of an encoder
     radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = 0.01  # share; of each wheel, over episodes
     speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # per root hertz
     turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.2  # a second, per root hertz
-    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0
+    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0  # until its reading arrives
 
     @property
     def measure(self) -> Measure:

@@ -20,21 +20,21 @@ _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 class WorldConfig(Model):
     """Clocks, mirror and street reaction."""
 
-    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1  # a step of the world; SUMO and the action take one each
     substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics, in a tick; None: 120 a second
     contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where something is met; None: 240
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0
-    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
-    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # traffic that SUMO drives before the first step
+    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # of the town's own traffic
+    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0  # around a chair: who is drawn and may react
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
     action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = None  # how often SUMO's drivers decide
     street: Literal["usual", "careless"] = "usual"  # a careless one sets the next two
-    attention_share: Share = 0.95
-    reaction_s: Reaction = 0.7
+    attention_share: Share = 0.95  # of the others who look at the chair
+    reaction_s: Reaction = 0.7  # from seeing it to braking
     attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(default_factory=dict)  # by class
     reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(default_factory=dict)  # seconds, by class
-    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5
-    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0
+    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5  # that drivers and cyclists plan to brake with
+    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0  # kept free around a chair that appears
     crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
     button: bool = True  # a chair that stands at a red crossing of its route asks for green
     button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # of standing there

@@ -119,6 +119,27 @@ def test_exploration_leaves_the_global_generators_alone():
     assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
 
 
+def test_a_supervised_first_phase_is_cross_entropy_of_unscaled_values_with_the_user_s_action():
+    learner, data = model(phase1="supervised", reward_scale=0.1), batch()
+    sticks = data.observations["joystick"].numpy()
+    labels = [action_set("square81").nearest(stick) for stick in sticks]
+    with torch.no_grad():
+        values = learner.q_net(data.observations).numpy() / 0.1
+        got = float(learner.supervised_loss(learner.q_net(data.observations), data.observations))
+    shares = np.exp(values) / np.exp(values).sum(axis=1, keepdims=True)
+    assert got == pytest.approx(float(-np.log(shares[np.arange(6), labels]).mean()), rel=1e-4)
+    with torch.no_grad():
+        plain, whole = (float(learner.loss(data, weight)) for weight in (0.0, 2.0))
+    assert whole - plain == pytest.approx(2.0 * got, rel=1e-4)
+
+
+def test_how_the_first_phase_teaches_is_a_setting():
+    assert model(phase1="td").plan.margin_weight(0) == 0.0
+    for how in ("margin", "supervised"):
+        assert model(phase1=how, margin=0.5).plan.margin_weight(0) == 0.5
+    assert model().settings.supervision == model(phase1="td").settings.supervision == "margin"
+
+
 def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
     learner = model()
     before = [p.detach().clone() for p in learner.q_net.parameters()]

@@ -12,7 +12,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
@@ -22,6 +24,7 @@ from wcsim.agents.learning.build import build_model, checked_device
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
@@ -229,6 +232,23 @@ def test_a_run_of_one_phase_has_both_policies(tmp_path):
     assert weights(path) == weights(path, "phase1")
 
 
+def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_save_is_loaded(tmp_path):
+    judge = EvalCallback(
+        Monitor(street()), eval_freq=60, n_eval_episodes=1, verbose=0, log_path=str(tmp_path / "judged"),
+        best_model_save_path=str(tmp_path / "best"),
+    )  # fmt: skip
+    keep = CheckpointCallback(100, str(tmp_path / "kept"))
+    run = train(a_run(config(), tmp_path / "run", 5), street, callbacks=(judge, keep))
+    assert list(np.load(tmp_path / "judged" / "evaluations.npz")["timesteps"]) == [60, 120, 180, 240]
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {f"rl_model_{k}_steps.zip" for k in (100, 200)}
+    seen = street().reset(seed=2)[0]
+    for path in (tmp_path / "best" / "best_model.zip", tmp_path / "kept" / "rl_model_200_steps.zip"):
+        again = SeqDQN.load(path, device="cpu")
+        action, _ = again.predict({key: value[None] for key, value in seen.items()}, deterministic=True)
+        assert again.num_timesteps > 0 and 0 <= int(action[0]) < 81
+    assert weights(run) == weights(train(a_run(config(), tmp_path / "alone", 5), street))  # they change nothing
+
+
 # --- the parts ---
 
 
@@ -258,6 +278,14 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
     path.write_text("a,b\n1,2\n")
     with pytest.raises(PolicyError, match="columns a, b"):
         read_metrics(path)
+
+
+def test_the_log_of_a_run_that_was_begun_before_values_were_watched_is_gone_on_with(tmp_path):
+    path, old = tmp_path / "metrics.csv", COLUMNS[: COLUMNS.index("value_start")]
+    path.write_text(",".join(old) + "\n" + ",".join(["10", *["1"] * (len(old) - 1)]) + "\n")
+    assert read_metrics(path)[0]["overestimate"] == ""
+    MetricsFile(path, keep_to_step=10).add({**dict.fromkeys(COLUMNS), "step": 20, "overestimate": 0.5})
+    assert [row["overestimate"] for row in read_metrics(path)] == ["", "0.5"]
 
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):

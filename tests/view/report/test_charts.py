@@ -24,9 +24,9 @@ from wcsim.view.report.charts import (
 )
 from wcsim.view.report.figures import levels_of
 from wcsim.view.report.ground import ground_around
-from wcsim.view.report.training_page import running_means
+from wcsim.view.report.training.learning_curve import running_means
 
-CURVE = Curve(name="c", steps=[1, 2], values=[1.0, 2.0], means=[1.0, 1.5])
+CURVE = Curve(name="c", steps=[1, 2], values=[1.0, 2.0], means=[1.0, 1.5], switch=1, crossing=2)
 PLACES = {"$a_1$": 0, "b@0.5": 1, "b@0.75": 2}
 SOME = Estimate(value=0.5, low=0.25, high=0.75)
 GROUND = TownPicture(image=np.full((4, 8, 3), 200, np.uint8), west_m=0.0, east_m=8.0, south_m=0.0, north_m=4.0)
@@ -37,7 +37,7 @@ CHARTS = {
     "town": lambda: town_chart("corner", GROUND, WAYS, PLACES),
     "bars": lambda: bar_chart("comfort", "m/s²", {"$a_1$": 1.0, "b@0.5": 2.0}, PLACES),
     "shares": lambda: share_chart("status", {"$a_1$": {"finished": 3, "gave_up": 1}}),
-    "curves": lambda: curve_chart("fig", "y", [CURVE], [1]),
+    "curves": lambda: curve_chart("fig", "y", [CURVE], 1.5),
 }
 
 

@@ -7,6 +7,7 @@
 - ledgers/NAME.ledger: every frame that a client has seen
 - events.jsonl, logs/: what the processes did and said
 - NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
+- selection/: the test that chose who learns the second phase, where one did (`learn.select_by`), and choice.json
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ _SEAL, _FILES = "seal", "files_sha256"
 _NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
+SELECTION, CHOICE = "selection", "choice.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +134,16 @@ def open_clients_folder(path: Path) -> ClientsFolder:
         raise PolicyError(str(error)) from None
     manifest = manifest_of(data, path)
     return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+
+
+def read_choice(path: Path, clients: Collection[str]) -> str:
+    """The client of a run that was chosen to go on; "" where none was. Raises PolicyError when the file is damaged."""
+    if not (path / SELECTION / CHOICE).is_file():
+        return ""
+    best = read_json(path / SELECTION, CHOICE).get("best")
+    if not isinstance(best, str) or best not in clients:
+        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare them again")
+    return best
 
 
 def _written(folder: ClientsFolder) -> ClientsFolder:

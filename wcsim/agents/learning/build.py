@@ -80,7 +80,7 @@ def phase_plan(learn: LearnConfig) -> PhasePlan:
         phase1_steps=learn.phase1_steps,
         epsilon_start=learn.epsilon_start,
         epsilon_end=learn.epsilon_end,
-        margin=learn.margin,
+        margin=0.0 if learn.phase1 == "td" else learn.margin,
         margin_fade=learn.margin_fade,
         aid=learn.aid_weight if learn.aid == "oracle" else 0.0,
     )
@@ -155,6 +155,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             aid_relabel=learn.aid_relabel,
             aid_ahead=learn.aid_ahead,
             aid_margin=learn.aid_margin,
+            supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
         ),
         plan=phase_plan(learn),
         seed=seed,

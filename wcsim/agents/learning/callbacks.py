@@ -10,11 +10,14 @@ from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
 
+import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.learning.metrics import MetricsFile
+from wcsim.agents.learning.metrics import MetricsFile, Value
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.watching.tensorboard import BoardLog
+from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
 
 GREEDY_EVERY = 5  # steps between two looks at what the agent would do while the user's action is executed
@@ -43,6 +46,7 @@ class EpisodeSums:
     progress_m: float = 0.0
     arrivals: int = 0
     greedy: list[float] = field(default_factory=list)
+    values: ValueWatch = field(default_factory=lambda: ValueWatch(gamma=1.0, scale=1.0))
 
 
 class SeqCallback(BaseCallback):
@@ -74,11 +78,11 @@ class JamWatch(SeqCallback):
 
 
 class EpisodeMetrics(SeqCallback):
-    """Writes a row of metrics.csv at the end of each episode."""
+    """Writes a row of metrics.csv at the end of each episode, and to TensorBoard where that is wanted."""
 
-    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0) -> None:
+    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0, board: BoardLog | None = None) -> None:
         super().__init__()
-        self.metrics, self.begun_s = metrics, begun_s
+        self.metrics, self.begun_s, self.board = metrics, begun_s, board
         self.episodes, self.crashes = 0, crashes
         self.kpi1: float | None = None
         self.sums: list[EpisodeSums] = []
@@ -89,6 +93,7 @@ class EpisodeMetrics(SeqCallback):
 
     def _on_step(self) -> bool:
         self._look_greedy()
+        self._look_at_starts()
         for seat, info in enumerate(self.locals["infos"]):
             self._add(seat, float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
@@ -98,6 +103,7 @@ class EpisodeMetrics(SeqCallback):
     def _add(self, seat: int, reward: float, info: dict[str, Any]) -> None:
         sums = self.sums[seat]
         sums.reward += reward
+        sums.values.add(reward)
         sums.steps += 1
         sums.distance += float(info.get("joystick_distance", 0.0))
         sums.speed += float(info.get("speed_mps", 0.0))
@@ -118,6 +124,19 @@ class EpisodeMetrics(SeqCallback):
             distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
             self.sums[seat].greedy.append(distance)
 
+    def _look_at_starts(self) -> None:
+        """The value of what the agent saw when its episode began."""
+        learner, observation = self.learner, self.learner._last_obs
+        starts = [seat for seat, sums in enumerate(self.sums) if sums.steps == 0]
+        if not starts or not isinstance(observation, dict):
+            return
+        seen, _ = learner.policy.obs_to_tensor(observation)
+        with torch.no_grad():
+            values = learner.q_net(seen).max(dim=1).values
+        for seat in starts:
+            value, scale = float(values[seat]), learner.settings.reward_scale
+            self.sums[seat].values = ValueWatch(gamma=learner.gamma, scale=scale, value=value)
+
     def _finish(self, seat: int, info: dict[str, Any]) -> None:
         sums, learner = self.sums[seat], self.learner
         crashed = not info.get("TimeLimit.truncated", False)
@@ -126,7 +145,8 @@ class EpisodeMetrics(SeqCallback):
         self.crashes += int(crashed)
         self.kpi1 = sums.distance / sums.steps
         plan = learner.plan
-        self.metrics.add(
+        check = sums.values.check(ended=crashed)
+        self._write(
             {
                 "step": self.num_timesteps,
                 "episode": self.episodes,
@@ -146,9 +166,17 @@ class EpisodeMetrics(SeqCallback):
                 "max_abs_q": learner.max_abs_q,
                 "updates": learner._n_updates,
                 "elapsed_s_wall": time.monotonic() - self.begun_s,
+                "value_start": check.value,
+                "return_start": check.discounted,
+                "overestimate": check.overestimate,
             }
         )
         self.sums[seat] = EpisodeSums()
+
+    def _write(self, row: dict[str, Value]) -> None:
+        self.metrics.add(row)
+        if self.board is not None:
+            self.board.add(row)
 
 
 class Every(SeqCallback):

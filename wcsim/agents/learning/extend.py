@@ -10,8 +10,13 @@ from wcsim.core import files
 from wcsim.errors import ConfigError, PolicyError
 
 
-def extend(run: Path, steps: int) -> None:
+def extend(run: Path, steps: int, fade: float | None = None) -> None:
     """Write another number of steps in all into a run's configuration; all else in it stays as it was.
+
+    Args:
+        run: Its folder.
+        steps: In all.
+        fade: Another `learn.learning_rate_fade`; None leaves it.
 
     Raises:
         PolicyError: It is no run, or cannot have so many.
@@ -20,6 +25,8 @@ def extend(run: Path, steps: int) -> None:
     data, manifest = read_json(run, CONFIG), read_json(run, MANIFEST)
     try:
         data["learn"]["total_steps"] = steps
+        if fade is not None:
+            data["learn"]["learning_rate_fade"] = fade
         config = parse(RunConfig, data, str(run / CONFIG))
     except (ConfigError, TypeError, KeyError) as error:
         raise PolicyError(f"{run / CONFIG}: {error}") from None

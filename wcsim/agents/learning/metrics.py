@@ -16,7 +16,9 @@ from wcsim.errors import DiskFullError, PolicyError
 COLUMNS = (
     "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
     "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
+    "value_start", "return_start", "overestimate",
 )  # fmt: skip
+_OLDER = COLUMNS[: COLUMNS.index("value_start")]  # of runs that were begun before values were compared with returns
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 Value = float | int | str | None
@@ -50,16 +52,18 @@ def read_metrics(path: Path) -> list[dict[str, str]]:
         rows = list(csv.reader(io.StringIO(whole, newline="")))
     except csv.Error as error:
         raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the metrics.csv of a run") from None
-    if not rows or tuple(rows[0]) != COLUMNS:
+    columns = tuple(rows[0]) if rows else ()
+    if columns not in (COLUMNS, _OLDER):
         got = ", ".join(rows[0]) if rows else "none"
         raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(COLUMNS)}")
     last = 0
     for number, row in enumerate(rows[1:], start=2):
-        step = int(row[0]) if len(row) == len(COLUMNS) and _STEP.fullmatch(row[0]) else -1
+        step = int(row[0]) if len(row) == len(columns) and _STEP.fullmatch(row[0]) else -1
         if step < last:
-            raise PolicyError(f"{path}:{number}: is damaged; expected {len(COLUMNS)} values, the first a growing step")
+            raise PolicyError(f"{path}:{number}: is damaged; expected {len(columns)} values, the first a growing step")
         last = step
-    return [dict(zip(COLUMNS, row, strict=True)) for row in rows[1:]]
+    missing = [""] * (len(COLUMNS) - len(columns))
+    return [dict(zip(COLUMNS, [*row, *missing], strict=True)) for row in rows[1:]]
 
 
 def _text(value: Value) -> str:

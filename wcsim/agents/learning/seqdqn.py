@@ -58,6 +58,7 @@ class SeqSettings:
     aid_relabel: float = 0.5
     aid_ahead: int = 0
     aid_margin: float = 1.0
+    supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
 
 
 class SeqDQN(DQN):
@@ -227,14 +228,14 @@ class SeqDQN(DQN):
         return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
-        """Huber loss of the n-step double-Q error, plus the weighted large-margin loss."""
+        """Huber loss of the n-step double-Q error, plus the weighted loss towards the user's action."""
         target = self.targets(batch)
         values = self.q_net(batch.observations)
         self.max_abs_q = float(values.detach().abs().max())
         chosen = values.gather(1, batch.actions.long())
         loss = functional.smooth_l1_loss(chosen, target)
         if margin > 0.0:
-            loss = loss + margin * self.margin_loss(values, batch.observations)
+            loss = loss + margin * self.supervised_loss(values, batch.observations)
         return loss
 
     @torch.no_grad()
@@ -248,6 +249,13 @@ class SeqDQN(DQN):
             value = after.max(dim=1, keepdim=True).values
         discounts = self.gamma if batch.discounts is None else batch.discounts
         return torch.as_tensor(self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value)
+
+    def supervised_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """The loss towards the user's action, for weight 1: a margin, or cross-entropy of values in unscaled reward."""
+        if self.settings.supervision == "margin":
+            return self.margin_loss(values, observations)
+        label = self.q_net.distances(observations[JOYSTICK_KEY]).argmin(dim=1)
+        return functional.cross_entropy(values / self.settings.reward_scale, label)
 
     def margin_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """How far the user's action is from beating every other by a margin that grows with the joystick distance."""

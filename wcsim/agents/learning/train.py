@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from types import TracebackType
+from typing import Any, Literal, Self
 
 import gymnasium
 import torch
@@ -20,9 +21,10 @@ from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, Sto
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.metrics import MetricsFile
-from wcsim.agents.learning.phases import PhaseSwitch
+from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder
@@ -67,6 +69,8 @@ def train(
         PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
     """
     checked_device(run.config.learn.device)
+    if run.config.learn.tensorboard:
+        require_tensorboard()
     folder = folder_of(run, with_window)
     with files.locked(folder.path), _torch_settings(run.config), StopRequest() as request:
         env = DummyVecEnv([make_env])
@@ -79,7 +83,8 @@ def train(
                 loaded = _loaded(folder, model, say) if run.resume else None
                 session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
                 session.callbacks.extend(callbacks)
-                return session.learn()
+                with session:
+                    return session.learn()
         finally:
             env.close()
 
@@ -113,7 +118,8 @@ class _Session:
         if plan is None:
             raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
         metrics = MetricsFile(run.path / METRICS, keep_to_step=model.num_timesteps if resume else None)
-        self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)))
+        board = BoardLog(run.path, model.num_timesteps if resume else None) if self.learn_config.tensorboard else None
+        self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)), board=board)
         self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
         self.callbacks: list[BaseCallback] = [
@@ -124,6 +130,15 @@ class _Session:
             Every(progress_every, self._report),
             StopWhenAsked(request),
         ]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.episodes.board is not None:
+            self.episodes.board.close()
 
     def learn(self) -> Path:
         """Run to the end. Raises InterruptedRunError when it was stopped."""
@@ -147,6 +162,7 @@ class _Session:
                 self._checkpoint()
             raise
         if not self.switch.done and self.learn_config.phase1_steps > 0:
+            self.switch.done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
             self._switched()
         self._checkpoint()
         self._finish("done")

@@ -64,7 +64,6 @@ def run_suites(words: list[str]) -> int:
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
     from wcsim.agents.evaluation.suite.list_file import open_suite
-    from wcsim.agents.evaluation.suite.result_files import ASKED
 
     suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
@@ -92,10 +91,7 @@ def run_suites(words: list[str]) -> int:
             write_json(options.json, {"suite": suite.file.suite, "set": suite.file.set, "rows": moved})
         return 0
     records = run_suite(order, names, lambda name, done, of: told.print(f"{name}: {done} of {of} blocks", style="dim"))
-    result = _result(suite.file, suite.sha256, records, changed)
-    write_json(out / "result.json", result)
-    write_json(out / "episodes.json", {name: [record.to_json() for record in found] for name, found in records.items()})
-    write_json(out / ASKED, {"suite": options.suite, "preset": options.preset, "network": options.network})
+    result = keep_result(order, options.suite, records)
     show_result(Console(), result, changed)
     if options.json is not None:
         write_json(options.json, result)
@@ -117,15 +113,30 @@ def _order(options: SuiteOptions, suite: Suite, out: Path) -> SuiteOrder:
     )
 
 
-def _result(
-    file: Any, sha256: str, records: Mapping[str, Sequence[EpisodeRecord]], changed: Sequence[str]
-) -> dict[str, Any]:
+def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]) -> dict[str, Any]:
+    """Write what a test leaves in its folder; the result.
+
+    Args:
+        order: What was driven.
+        name: The list, as it was asked for.
+        records: Of the user alone and of the policies.
+
+    Raises:
+        DiskFullError: There is no room.
+    """
+    from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT
     from wcsim.agents.evaluation.suite.rows import pooled_rows, result_of
     from wcsim.agents.evaluation.suite.run import UNAIDED
 
     rows, pooled = [], []
-    for name, found in records.items():
-        parts, whole = pooled_rows(name, found, records[UNAIDED])
+    for policy, found in records.items():
+        parts, whole = pooled_rows(policy, found, records[UNAIDED])
         rows += parts
         pooled.append(whole)
-    return {**result_of(file, sha256, rows, pooled), "changed": list(changed)}
+    suite = order.suite
+    result = {**result_of(suite.file, suite.sha256, rows, pooled), "changed": list(order.settings)}
+    write_json(order.out / RESULT, result)
+    episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
+    write_json(order.out / EPISODES, episodes)
+    write_json(order.out / ASKED, {"suite": name, "preset": order.preset, "network": order.network})
+    return result

@@ -1,4 +1,4 @@
-"""`wcsim report FOLDER`: the page of a finished test on a suite, or of a training."""
+"""`wcsim report FOLDER...`: the page of a finished test on a suite, or of trainings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.evaluation.judged_suite import MOST_JOBS
-from wcsim.cli.shared.common import Repeated, check_folder, in_bounds, parse
+from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, FileError
 
@@ -25,10 +25,15 @@ _MOST_PICTURES = 1000
 
 @dataclass
 class Options:
-    """Write report.html and its figures into the folder of a finished test on a suite, or of a training."""
+    """Write report.html and its figures into the folder of a finished test on a suite, or of a training.
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    Several trainings give one page with the curves of all.
+    """
+
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
     """What `wcsim test --suite` or `wcsim train` wrote."""
+    out: OutFolder = None
+    """Folder for the page of several trainings. (default: runs/report)"""
     pictures: int = 8
     """Failures that are shown in pictures, the worst of each policy; each is driven once more, up to a minute."""
     own: Repeated = ()
@@ -42,39 +47,53 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "report")
     in_bounds("--pictures", options.pictures, 0, _MOST_PICTURES)
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
-    is_test, is_run = (is_file(options.folder / name) for name in ("result.json", "manifest.json"))
-    if not is_folder(options.folder) or not (is_test or is_run):
-        raise ConfigError(
-            f"{shown(options.folder)}: nothing to report; expected a folder that `wcsim test --suite` or `wcsim train` "
-            "wrote"
-        )
-    check_folder("FOLDER", options.folder)
+    kinds = [_is_test(folder) for folder in options.folders]
+    if not kinds or (len(kinds) > 1 and any(kinds)):
+        raise ConfigError(f"{len(kinds)} folders, {sum(kinds)} of tests; expected one, or several of `wcsim train`")
+    out = options.folders[0] if len(kinds) == 1 else options.out or Path("runs") / "report"
+    check_folder("FOLDER" if len(kinds) == 1 else "--out", out)
     if find_spec("matplotlib") is None:
         raise ConfigError("figures are drawn by matplotlib, which is not here: python -m pip install 'wcsim[report]'")
-    path = _of_test(options) if is_test else _of_training(options.folder)
+    path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
     Console(highlight=False).print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
     return 0
 
 
-def _of_training(folder: Path) -> Path:
-    from wcsim.view.report.training_page import read_training, write_training_page
+def _is_test(folder: Path) -> bool:
+    """Whether a folder is of a test; else it is of a training. Raises ConfigError when it is neither."""
+    is_test, is_run = (is_file(folder / name) for name in ("result.json", "manifest.json"))
+    if not is_folder(folder) or not (is_test or is_run):
+        raise ConfigError(
+            f"{shown(folder)}: nothing to report; expected a folder that `wcsim test --suite` or `wcsim train` wrote"
+        )
+    return is_test
 
-    return write_training_page(read_training(folder), folder)
+
+def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
+    from wcsim.view.report.training.learning_curve import read_training
+    from wcsim.view.report.training.selection import selections
+    from wcsim.view.report.training.training_page import crossings, write_training_page
+
+    training = read_training(folders)
+    page = write_training_page(training, out, selections(training))
+    for name, crossed in crossings(training).items():
+        Console(highlight=False).print(f"{name}: {crossed.told()}", soft_wrap=True, markup=False)
+    return page
 
 
-def _of_test(options: Options) -> Path:
+def _of_test(options: Options, folder: Path) -> Path:
     from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.view.report.failures import failures_of
     from wcsim.view.report.suite_page import write_suite_page
 
-    result = read_result(options.folder)
-    failures = failures_of(result, options.folder)
+    result = read_result(folder)
+    failures = failures_of(result, folder)
     try:
         pictures, why_none = _pictures(options, result, failures), ""
     except FileError as error:  # the numbers stand without pictures
         pictures, why_none = {}, f"No pictures: {error}"
         Console(stderr=True, highlight=False).print(why_none, soft_wrap=True, markup=False)
-    return write_suite_page(result, options.folder, failures, pictures, why_none)
+    return write_suite_page(result, folder, failures, pictures, why_none)
 
 
 def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
@@ -85,7 +104,7 @@ def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisod
         return {}
     told = Console(stderr=True, highlight=False)
     return illustrated(
-        order_of(result, options.folder, options.own),
+        order_of(result, options.folders[0], options.own),
         wanted,
         options.own,
         options.jobs,

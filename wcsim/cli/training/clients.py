@@ -20,12 +20,12 @@ from wcsim.agents.clients.clients_folder import (
 )
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
-from wcsim.agents.runs.run_folder import MANIFEST, make_manifest, open_run
+from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import in_town, require_user, resolve_config, steps_note
-from wcsim.cli.training.report import TickRate, print_report, report_of
+from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
@@ -53,7 +53,7 @@ RECONNECT_S = 330.0  # longer than a world may take to load again
 ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
 CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
 _NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
-_TAKEN = ("world", "logs", "ledgers", "configs", "journal")  # names in a run folder
+_TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report")  # names in a run folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +63,20 @@ class Client:
     name: str
     seat: int
     config: RunConfig
+    until: int | None = None  # steps after which it stops for now; None for all of them
+
+    @property
+    def ordered(self) -> RunConfig:
+        """The configuration that its process learns with; a rate that fades does so in the last part alone."""
+        if self.until is None:
+            return self.config
+        learn = self.config.learn.model_copy(update={"total_steps": self.until, "learning_rate_fade": 0.0})
+        return self.config.model_copy(update={"learn": learn})
+
+    @property
+    def steps(self) -> int:
+        """Steps that it learns for, for now."""
+        return self.ordered.learn.total_steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +87,8 @@ class GroupRun:
     out: Path
     info: RunInfo
     resume: bool = False
+    best: str = ""  # the client that was chosen after the first phase
+    last: bool = True  # whether the run is done when all have learned for `Client.steps`
 
 
 def train_clients(options: Options, run: GroupRun, town: Town) -> int:
@@ -89,7 +105,7 @@ def train_clients(options: Options, run: GroupRun, town: Town) -> int:
     with StopSignals() as signals, ExitStack() as held:
         folder = held.enter_context(_opened(run))
         place = held.enter_context(workplace())
-        left = tuple(client for client in run.clients if not folder.done(client.name, client.config.learn.total_steps))
+        left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
         plans = [_plan(run, folder, place, client) for client in left]
         order = _world_order(options, run, town, folder, place, len(left))
         rate = TickRate()
@@ -206,8 +222,8 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
         with locked(run.out):
             folder = open_clients_folder(run.out)
             _mend(folder)
-            for name, config in configs.items():
-                _lengthen(folder.path / name, config.learn.total_steps)
+            for client in run.clients:
+                _lengthen(folder.path / client.name, client.ordered)
             write_client_configs(folder.path, configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
@@ -230,10 +246,14 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             raise
 
 
-def _lengthen(run: Path, steps: int) -> None:
-    """Let a client's own run be of so many steps, where there is one."""
-    if (run / MANIFEST).is_file() and open_run(run).config.learn.total_steps != steps:
-        extend(run, steps)
+def _lengthen(run: Path, config: RunConfig) -> None:
+    """Let a client's own run be as long as its configuration says, where there is one."""
+    steps, fade = config.learn.total_steps, config.learn.learning_rate_fade
+    if not (run / MANIFEST).is_file():
+        return
+    learn = open_run(run).config.learn
+    if (learn.total_steps, learn.learning_rate_fade) != (steps, fade):
+        extend(run, steps, fade)
 
 
 def _mend(folder: ClientsFolder) -> None:
@@ -282,7 +302,7 @@ def _world_order(
 
 def _plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
     """A client's order, and how its process is started."""
-    config, env = client.config, client.config.env
+    config, env = client.ordered, client.config.env
     out = (folder.path / client.name).absolute()
     order = ClientSpec(
         join=SeatRequest(
@@ -328,9 +348,10 @@ def _told(
         if outcome.code == Exit.REFUSED:
             raise ConfigError(outcome.message)
     steps = sum(client.status.step for client in outcome.clients if client.status is not None)
-    done = all(folder.done(client.name, client.config.learn.total_steps) for client in run.clients)
+    done = all(folder.done(client.name, client.steps) for client in run.clients)
     try:
-        folder = folder.with_status("done" if done else "interrupted", steps or folder.manifest.steps)
+        status: Status = "done" if done and run.last else "interrupted"
+        folder = folder.with_status(status, steps or folder.manifest.steps)
     except DiskFullError as error:  # the work is there all the same
         print(f"wcsim: {error}", file=sys.stderr)
     if outcome.code == Exit.REFUSED:
@@ -346,5 +367,8 @@ def _told(
     if outcome.code:
         print(f"wcsim: {outcome.message}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
         return Exit.FAILED
-    print(f"run folder: {folder.path}    test one: wcsim test {folder.path / folder.clients[0]} --town monaco")
+    print_crossings(folder.path)
+    if run.last:
+        tested = folder.path / (run.best or folder.clients[0])
+        print(f"run folder: {folder.path}    test one: wcsim test {tested} --town monaco")
     return Exit.DONE

@@ -1,7 +1,8 @@
-"""What comes of a run with several clients: which ticks each one saw, and the proof that none was lost or doubled."""
+"""What comes of a run: where each client came to follow its user, and the proof that no tick was lost or doubled."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import ClientsFolder
-from wcsim.errors import WcsimError
+from wcsim.errors import PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
 from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
 from wcsim.server.launch.states import LaunchState
+from wcsim.view.report.training.learning_curve import crossing, read_training
 
 
 class TickRate:
@@ -122,3 +124,15 @@ def print_report(console: Console, report: ClientsReport) -> None:
         markup=False,
         soft_wrap=True,
     )
+
+
+def print_crossings(run: Path) -> None:
+    """Where KPI 1 of each client of a run came below its limit; a log that cannot be read is no reason to fail."""
+    try:
+        clients = read_training([run]).clients
+    except PolicyError as error:
+        print(f"wcsim: {error}", file=sys.stderr)
+        return
+    for name, episodes in clients.items():
+        if episodes:
+            print(f"{name}: {crossing(episodes).told()}")

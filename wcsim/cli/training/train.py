@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -49,9 +49,12 @@ class Options:
     """Networks that learn in one world at once, each in a process of its own; by name or as module:Class."""
     config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
     """TOML file laid over all for one of the clients; may be given several times."""
+    select_by: Annotated[str | None, tyro.conf.arg(metavar="LIST")] = None
+    """Suite, or list of your own, by which clients are compared after the first phase: the best one alone learns the
+    second. (default: learn.select_by, with preset paper validation; '' lets all learn it)"""
     worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 1
-    """Worlds that drive beside a danger network that learns, each in a process of its own: data and weights are the
-    same for any number."""
+    """Worlds that drive beside a danger network that learns, or that compare clients, each in a process of its own:
+    data, weights and choice are the same for any number."""
     data: Repeated = ()
     """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
     times."""
@@ -63,6 +66,8 @@ class Options:
     """Seed of everything: equal seeds give equal weights."""
     out: OutFolder = None
     """Run folder; default runs/TOWN-PRESET-SEED."""
+    tensorboard: bool = False
+    """Write scalars for TensorBoard into the run folder too, as --set learn.tensorboard=true."""
     resume: bool = False
     """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
     allow_test_town: bool = False
@@ -75,13 +80,15 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
-    options = parse(Options, words, "train")
+    options = _as_settings(parse(Options, words, "train"))
     if options.resume and options.clients is None and options.out is not None and is_of_clients(options.out):
         return _train_clients(options, words)
     if options.clients is not None:
         return _train_clients(options, words)
     if options.resume:
         return _resume(options, words)
+    if options.select_by:
+        raise ConfigError("--select-by: there is one network; expected --clients A,B,... to choose from")
     config = resolve_config(options, options.network)
     if options.data:
         config = with_overrides(config, (f"collect.data={json.dumps(options.data)}",))
@@ -90,6 +97,13 @@ def run(words: list[str]) -> int:
     note = steps_note(config, options.steps)
     train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds)
     return _told(options, resolved)
+
+
+def _as_settings(options: Options) -> Options:
+    """The options with `--select-by` and `--tensorboard` as the settings that they are."""
+    choice = () if options.select_by is None else (f"learn.select_by={json.dumps(options.select_by)}",)
+    board = ("learn.tensorboard=true",) if options.tensorboard else ()
+    return replace(options, set=(*options.set, *choice, *board))
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -126,6 +140,9 @@ def typed(options: Options, words: list[str]) -> Typed:
 
 
 def _told(options: Options, run: ResolvedRun) -> int:
+    from wcsim.cli.training.report import print_crossings
+
+    print_crossings(run.out)
     print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, run.info.town)}")
     if options.json is not None:
         write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
@@ -138,17 +155,18 @@ def _out(options: Options, town: Town) -> Path:
 
 def _train_clients(options: Options, words: list[str]) -> int:
     """Several networks in one world."""
-    from wcsim.cli.training.clients import GroupRun, resolved, resumed_group, train_clients
+    from wcsim.cli.training.clients import GroupRun, resolved, resumed_group
+    from wcsim.cli.training.phases_apart import train_group
 
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
     if options.resume:
         out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
-        return train_clients(options, *resumed_group(options, out, typed(options, words)))
+        return train_group(options, *resumed_group(options, out, typed(options, words)))
     clients = resolved(options)
     town = checked_town(options.town, options.allow_test_town)
     info = in_town(_info_of(options, words), town, clients[0].config)
-    return train_clients(options, GroupRun(clients=clients, out=_out(options, town), info=info), town)
+    return train_group(options, GroupRun(clients=clients, out=_out(options, town), info=info), town)
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:

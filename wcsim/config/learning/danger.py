@@ -16,11 +16,11 @@ class DangerConfig(Model):
     gaps: bool = True  # how near to what each action comes, by the rival's own senses
     rival: bool = True  # what the rival remembers of the street, as planes of the street map
     context: bool = True  # the street map as a whole
-    width: Annotated[int, Field(ge=4, le=256)] = 20
+    width: Annotated[int, Field(ge=4, le=256)] = 20  # channels of its first layer
     updates: Annotated[int, Field(ge=1, le=10**7)] = 1500  # of a round
-    batch: Annotated[int, Field(ge=2, le=4096)] = 64
-    learning_rate: Positive = 2e-3
-    weight_decay: NotNegative = 1e-3
+    batch: Annotated[int, Field(ge=2, le=4096)] = 64  # steps in an update
+    learning_rate: Positive = 2e-3  # Adam's
+    weight_decay: NotNegative = 1e-3  # Adam's
     tight_share: Share = 0.5  # of a batch, from steps in which something is unsafe
     ahead: Annotated[int, Field(ge=0, le=20)] = 1  # an action is unsafe already, so many steps before it is
     teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = "visible"  # the oracle: blinded, or all-knowing

@@ -79,6 +79,8 @@ class Curve:
     steps: Sequence[int]
     values: Sequence[float]
     means: Sequence[float]
+    switch: int | None = None  # step at which its first phase ended
+    crossing: int | None = None  # step at which its means came below the limit
 
 
 def colour_of(place: int) -> str:
@@ -227,21 +229,27 @@ def share_chart(name: str, counts: Mapping[str, Mapping[str, int]]) -> bytes:
 _ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444")
 
 
-def curve_chart(name: str, label: str, curves: Sequence[Curve], marks: Sequence[int]) -> bytes:
-    """Curves over training steps; `marks` are steps at which a phase ended."""
+def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | None = None) -> bytes:
+    """Curves over training steps, with a line at the limit; values that are all positive begin at zero."""
     out = io.BytesIO()
     with _drawn(name, out) as axes:
+        if limit is not None:
+            axes.axhline(limit, color="#222222", linewidth=0.9, linestyle=":", label=f"{limit:g}")
         for place, curve in enumerate(curves):
             colour = colour_of(place)
             axes.plot(curve.steps, curve.values, ".", color=colour, markersize=4, markeredgewidth=0, alpha=0.45)
             axes.plot(curve.steps, curve.means, color=colour, linewidth=1.3, label=_short(curve.name))
-        for step in marks:
-            axes.axvline(step, color="#888888", linewidth=0.8, linestyle="--")
-        axes.set_ylim(bottom=0.0)
+            if curve.switch is not None:  # several at one step: their dashes stand beside each other
+                dashes = (3.0 * place, (3.0, 3.0 * max(1, len(curves) - 1)))
+                axes.axvline(curve.switch, color=colour, linewidth=0.9, linestyle=dashes)
+            if curve.crossing is not None and limit is not None:
+                axes.plot([curve.crossing], [limit], "v", color=colour, markersize=7, markeredgecolor="#222222")
+        if all(value >= 0.0 for curve in curves for value in curve.values):
+            axes.set_ylim(bottom=0.0)
         axes.set_xlim(left=0.0)
         axes.set_xlabel("steps of training")
         axes.set_ylabel(label)
-        _legend(axes, len(curves))
+        _legend(axes, len(curves) + (limit is not None))
     return out.getvalue()
 
 

@@ -1,0 +1,67 @@
+"""The numbers of metrics.csv for TensorBoard, by a stand-in for its writer: the package itself need not be here."""
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from tests.agents.learning.test_train import CAMERA, config, street
+from tests.agents.toy import ToyStreet, a_run
+from wcsim.agents.learning.metrics import COLUMNS, read_metrics
+from wcsim.agents.learning.train import train
+from wcsim.agents.learning.watching.tensorboard import BoardLog
+from wcsim.errors import ConfigError
+
+MODULE = "torch.utils.tensorboard"
+
+
+class Writer:
+    """What TensorBoard's SummaryWriter is asked for."""
+
+    def __init__(self, folder, purge_step=None):
+        self.folder, self.purge_step, self.scalars, self.closed = folder, purge_step, [], False
+        WRITERS.append(self)
+
+    def add_scalar(self, tag, value, step):
+        assert not self.closed
+        self.scalars.append((tag, value, step))
+
+    def flush(self):
+        """All is kept at once."""
+
+    def close(self):
+        self.closed = True
+
+
+WRITERS: list[Writer] = []
+
+
+@pytest.fixture
+def board(monkeypatch):
+    monkeypatch.setitem(sys.modules, MODULE, SimpleNamespace(SummaryWriter=Writer))
+    WRITERS.clear()
+    return WRITERS
+
+
+def test_every_number_of_the_log_is_a_scalar(board, tmp_path):
+    run = train(a_run(config(tensorboard=True), tmp_path / "run", 1), street)
+    (writer,) = board
+    assert (writer.folder, writer.purge_step, writer.closed) == (str(run / "tensorboard"), None, True)
+    rows = read_metrics(run / "metrics.csv")
+    for tag, name in (("episode/kpi1", "kpi1"), ("episode/return", "return"), ("train/epsilon", "epsilon")):
+        told = [(step, value) for found, value, step in writer.scalars if found == tag]
+        assert told == [(int(row["step"]), pytest.approx(float(row[name]), rel=1e-4)) for row in rows]
+    tags = {tag.partition("/")[2] for tag, *_ in writer.scalars}
+    assert tags <= set(COLUMNS) - {"crash_reason", "step", "episode"} and "overestimate" in tags
+
+
+def test_a_run_that_goes_on_drops_what_was_lost(board, tmp_path):
+    BoardLog(tmp_path, keep_to_step=120).close()
+    assert [writer.purge_step for writer in board] == [121]
+
+
+def test_without_the_package_it_is_said_before_a_folder_is_made(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, MODULE, None)
+    with pytest.raises(ConfigError, match="python -m pip install tensorboard"):
+        train(a_run(config(tensorboard=True), tmp_path / "run", 1), lambda: ToyStreet(CAMERA))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,154 @@
+"""Clients that learn the first phase together, and of which a suite chooses the one that learns the second."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.cli.training.test_clients import SMALL, start, waited
+from tests.support.events import read_events
+from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
+from wcsim.agents.evaluation.suite.list_file import write_list
+from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.runs.run_folder import open_run
+from wcsim.cli.main import main
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.training.clients import GroupRun, resolved
+from wcsim.cli.training.phases_apart import best_of, first_phase, judged_of, policy_of, second_phase
+from wcsim.cli.training.train import Options
+from wcsim.config import load_run_config
+from wcsim.errors import PolicyError
+from wcsim.server.specs import RunInfo
+
+STEPS = ("--steps", 32, "--set", "learn.phase1_steps=16", "--set", "learn.checkpoint_every=8")
+
+
+@pytest.fixture(scope="module")
+def suite(corner, tmp_path_factory):
+    path = tmp_path_factory.mktemp("list") / "corner.json"
+    write_list(suite_in(corner, block_of(corner, max_steps=12)).file, path)
+    return path
+
+
+def a_group(*words):
+    options = Options(clients="small,gru", steps=100, set=words)
+    return GroupRun(clients=resolved(options), out=Path("x"), info=RunInfo(seed=1))
+
+
+def test_the_paper_chooses_by_validation_and_trains_figure_6_in_a_supervised_way():
+    learn = load_run_config("paper").learn
+    assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("validation", "fig6", "supervised", 1.0)
+    assert load_run_config("quick").learn.select_by == ""
+
+
+def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
+    run = a_group("learn.phase1_steps=30", "learn.learning_rate_fade=0.5")
+    assert [client.steps for client in run.clients] == [100, 100]
+    first = first_phase(run)
+    assert [client.steps for client in first.clients] == [30, 30] and not first.last
+    assert {client.ordered.learn.learning_rate_fade for client in first.clients} == {0.0}
+    second = second_phase(run, "gru")
+    assert [client.steps for client in second.clients] == [30, 100] and second.last and second.resume
+    assert second.clients[1].ordered == run.clients[1].config
+
+
+def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
+    def result(**scores):
+        rows = [{"policy": policy_of(Path("r"), n), "score": s, "crashes_own": c} for n, (s, c) in scores.items()]
+        return {"pooled": [{"policy": "follow", "score": 0.9, "crashes_own": 0}, *rows]}
+
+    def best(**scores):
+        return best_of(judged_of(result(**scores), Path("r"), list(scores)))
+
+    assert best(a=(0.1, 0), b=(0.3, 5), c=(0.2, 0)) == "b"
+    assert best(a=(0.3, 2), b=(0.3, 1)) == "b"
+    assert best(a=(0.3, 1), b=(0.3, 1)) == "a"
+    assert best(a=(None, 0), b=(0.1, 9)) == "b"
+
+
+def test_a_choice_that_names_no_client_is_refused(tmp_path):
+    assert read_choice(tmp_path, ["a"]) == ""
+    (tmp_path / "selection").mkdir()
+    for best in ('"b"', "3", "null"):
+        (tmp_path / "selection" / "choice.json").write_text(f'{{"best": {best}}}')
+        with pytest.raises(PolicyError, match="names no client"):
+            read_choice(tmp_path, ["a"])
+
+
+BAD = {
+    "--clients small,gru --select-by nonesuch": "there is no such list",
+    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "has none: learn.phase1_steps",
+    "--network small --select-by dev": "--clients A,B",
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_what_cannot_be_chosen_by_is_refused_before_anything_is_learned(corner, tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "--town", str(corner), *words.split()]) == 2
+    assert BAD[words] in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def check(run, best, left):
+    folder = open_clients_folder(run)
+    assert folder.manifest.status == "done"
+    assert (open_run(run / best).manifest.steps, open_run(run / left).manifest.steps) == (32, 16)
+    assert {row["phase"] for row in read_metrics(run / left / "metrics.csv")} == {"1"}
+    assert {row["phase"] for row in read_metrics(run / best / "metrics.csv")} == {"1", "2"}
+    events = [(event["event"], event.get("who")) for event in read_events(run)]
+    assert events.count(("chosen", best)) == 1 and ("compared", left) in events
+    assert all(open_run(run / name).policy("phase1").is_dir() for name in (best, left))
+
+
+def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner, suite):
+    words = ("train", "--town", corner, "--clients", "small,gru", "--select-by", suite, "--out", "run", *STEPS, *SMALL)
+    child = start(tmp_path, *words, "--json", "x.json")
+    out, err = child.communicate(timeout=280)
+    assert child.returncode == 0, err
+    run = tmp_path / "run"
+    choice = json.loads((run / "selection" / "choice.json").read_text())
+    best = choice["best"]
+    (left,) = {"small", "gru"} - {best}
+    assert choice["clients"][best]["score"] >= choice["clients"][left]["score"]
+    check(run, best, left)
+    assert "learns the second phase" in out and f"{left}: KPI 1" in out and f"wcsim test run/{best}" in out
+    result = json.loads((tmp_path / "x.json").read_text())
+    assert {c["name"]: (c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]} == {
+        best: (32, 0, 0),
+        left: (16, 0, 0),
+    }
+    assert main(["report", str(run)]) == 0
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "Who learns the second phase" in page and (run / "report" / "selection.csv").is_file()
+    again = start(tmp_path, *words, "--resume")  # all is done: nothing is driven or learned
+    _, err = again.communicate(timeout=120)
+    assert again.returncode == 0, err
+    check(run, best, left)
+
+
+@pytest.mark.proof
+def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corner):
+    file = suite_in(corner, *[block_of(corner, max_steps=60)] * 3).file
+    blocks = [block.model_copy(update={"seed": seed}) for seed, block in enumerate(file.blocks)]
+    write_list(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
+    words = ("--town", corner, "--clients", "small,gru", "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
+    child = start(tmp_path, "train", *words)
+    kept = tmp_path / "run" / "selection" / "kept"
+    waited(lambda: list(kept.glob("*.json")), within_s=280.0)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert (child.returncode, "while clients were compared" in err) == (Exit.STOPPED, True), err
+    before = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
+    assert len(before) < 9 and not (kept.parent / "choice.json").exists()
+    child = start(tmp_path, "train", "--out", "run", "--resume")
+    _, err = child.communicate(timeout=280)
+    assert child.returncode == 0, err
+    after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
+    assert len(after) == 9 and {name: after[name] for name in before} == before
+    best = read_choice(tmp_path / "run", ["small", "gru"])
+    check(tmp_path / "run", best, *({"small", "gru"} - {best}))

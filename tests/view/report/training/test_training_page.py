@@ -1,0 +1,133 @@
+"""The page of a training: what the log holds, for each client."""
+
+import csv
+
+import pytest
+
+from tests.support.worlds import quick_config
+from wcsim.agents.clients.clients_folder import create_clients_folder
+from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
+from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.cli.main import main
+from wcsim.errors import PolicyError
+from wcsim.server.specs import RunInfo
+from wcsim.view.report.training.learning_curve import TrainedEpisode, crossing, read_training
+from wcsim.view.report.training.training_page import write_training_page
+
+INFO = RunInfo(seed=1, town="corner")
+
+
+def row(step, **changes):
+    plain = dict.fromkeys(COLUMNS, 0)
+    told = {"step": step, "phase": 1, "length": 10, "kpi1": 0.5, "kpi1_greedy": 0.5, "crash_reason": ""}
+    return {**plain, **told, **changes}
+
+
+def several(path, *names):
+    config = quick_config()
+    create_clients_folder(path, config, make_manifest(config, INFO), dict.fromkeys(names, config))
+    return path
+
+
+def one(path):
+    config = quick_config()
+    return create_run(path, config, make_manifest(config, INFO)).path
+
+
+def log(folder, *rows):
+    folder.mkdir(exist_ok=True)
+    metrics = MetricsFile(folder / "metrics.csv")
+    for each in rows:
+        metrics.add(each)
+
+
+def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
+    run = several(tmp_path / "run", "a", "b")
+    log(run / "a", row(10), row(20, kpi1_greedy=0.25, length=30), row(30, phase=2, crashed=1))
+    log(run / "b", row(15, length=60))
+    assert main(["report", str(run)]) == 0
+    text = (run / "report.html").read_text(encoding="utf-8")
+    assert "Fig. 7a" in text and "Fig. 7b" in text and "http" not in text.replace("http-equiv", "")
+    with (run / "report" / "fig-7a-kpi1.csv").open() as file:
+        distances = list(csv.DictReader(file))
+    with (run / "report" / "fig-7b-length.csv").open() as file:
+        lengths = list(csv.DictReader(file))
+    assert [(r["client"], r["step"], float(r["kpi1"])) for r in distances] == [
+        ("a", "10", 0.5), ("a", "20", 0.25), ("a", "30", 0.5), ("b", "15", 0.5),
+    ]  # fmt: skip
+    assert [float(r["mean_of_20"]) for r in lengths] == [10.0, 20.0, pytest.approx(50 / 3, abs=1e-5), 60.0]
+    assert [r["crashed"] for r in lengths] == ["0", "0", "1", "0"]
+    assert (run / "report" / "fig-7a-kpi1.svg").is_file()
+
+
+def test_a_run_of_one_client_is_its_own_client(tmp_path):
+    run = one(tmp_path / "alone")
+    log(run, row(10))
+    assert list(read_training([run]).clients) == ["alone"]
+
+
+def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    group, alone = several(tmp_path / "run", "a", "b"), one(tmp_path / "alone")
+    log(group / "a", *(row(10 * k, kpi1_greedy=1.0 - 0.1 * k) for k in range(1, 11)))
+    log(group / "b", row(15))
+    log(alone, *(row(10 * k, kpi1_greedy=0.1) for k in range(1, 11)), row(110, phase=2))
+    assert main(["report", "run", "alone"]) == 0
+    told = capsys.readouterr().out
+    assert "run/a: KPI 1 never below 0.1768" in told and "alone: KPI 1 below 0.1768 from step 50 on" in told
+    page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
+    assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
+    with (tmp_path / "runs" / "report" / "report" / "clients.csv").open() as file:
+        found = {r["client"]: r["KPI 1 below 0.1768 from step"] for r in csv.DictReader(file)}
+    assert found == {"run/a": "", "run/b": "", "alone": "50"}
+    assert main(["report", "run", "alone", "--out", "other"]) == 0
+    assert (tmp_path / "other" / "report" / "fig-7a-kpi1.svg").is_file()
+
+
+def test_an_episode_whose_greedy_choice_was_not_looked_at_is_no_point_of_its_curve(tmp_path):
+    run = one(tmp_path / "alone")
+    log(run, row(10, kpi1=0.01, kpi1_greedy=""), row(20), row(30, phase=2, kpi1=0.3))
+    (episodes,) = read_training([run]).clients.values()
+    assert [episode.kpi1 for episode in episodes] == [None, 0.5, 0.3]
+
+
+def test_values_that_promise_too_much_are_drawn_where_they_are_known(tmp_path):
+    run = one(tmp_path / "alone")
+    log(run, row(10, overestimate=""), row(20, overestimate=0.25), row(30, overestimate=-0.75))
+    write_training_page(read_training([run]), run)
+    with (run / "report" / "overestimate.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["step"], float(r["overestimate"]), float(r["mean_of_20"])) for r in rows] == [
+        ("20", 0.25, 0.25), ("30", -0.75, -0.25),
+    ]  # fmt: skip
+    log(run, row(10, overestimate=""))
+    assert "value minus return</h3>" not in write_training_page(read_training([run]), run).read_text(encoding="utf-8")
+
+
+def episodes_of(*kpi1):
+    return [
+        TrainedEpisode(step=10 * place, phase=2, length=10, kpi1=value, crashed=False)
+        for place, value in enumerate(kpi1, start=1)
+    ]
+
+
+def test_a_crossing_is_of_the_mean_and_says_when_it_was_left_again():
+    assert crossing(episodes_of(*[0.1] * 4)).step is None  # too few to say
+    assert crossing(episodes_of(*[0.1] * 5)).step == 50
+    assert crossing(episodes_of(0.1, None, *[0.1] * 4)).step == 60
+    assert crossing(episodes_of(*[0.1768] * 5)).step == 50
+    assert crossing(episodes_of(*[0.18] * 50)).step is None
+    late = crossing(episodes_of(*[0.5] * 5, *[0.1] * 100))
+    assert (late.step, late.left, late.last) == (220, None, pytest.approx(0.1))  # three of twenty are 0.5
+    left = crossing(episodes_of(*[0.1] * 20, *[0.9] * 20))
+    assert (left.step, left.left) == (50, 220)
+
+
+def test_a_log_without_episodes_or_with_damage_is_refused(tmp_path):
+    run = several(tmp_path / "run", "a")
+    with pytest.raises(PolicyError, match="no client has finished"):
+        write_training_page(read_training([run]), run)
+    for damage in ({"kpi1_greedy": "x"}, {"length": ""}, {"phase": 2, "kpi1": "inf"}, {"overestimate": "nan"}):
+        log(run / "a", row(10, **damage))
+        with pytest.raises(PolicyError, match="damaged at step"):
+            read_training([run])

@@ -1,0 +1,162 @@
+"""Print `docs/settings.md`, all settings of a run, made from their models: `python tools/settings_page.py`."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import io
+import json
+import sys
+import textwrap
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from wcsim.config import RunConfig
+
+HEAD = """# All settings of a run
+
+Every key of `--set section.key=value`, of a `--config` file and of a preset (`wcsim/config/presets/`), with its
+bounds and its default. An unknown key and a value out of bounds are refused. Names end in their unit; angles are in
+degrees where they end in `_deg`, and nowhere else. A list takes its items by number (`cameras.0.width_px=80`).
+Plants, towns, scenes and lists of episodes have files of their own: `docs/chair.md`, `docs/authoring.md`,
+`docs/suites.md`.
+
+This page is made from the code: `python tools/settings_page.py > docs/settings.md`.
+"""
+_SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
+_LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    return "\n".join([HEAD, *(_section(name, model) for name, model in sections())])
+
+
+def sections() -> list[tuple[str, type[BaseModel]]]:
+    """Every table of a run's configuration: its name in a file, its model."""
+    found: list[tuple[str, type[BaseModel]]] = []
+    for name, field in RunConfig.model_fields.items():
+        found += _below(f"[[{name}]]" if _is_list(field) else f"[{name}]", field)
+    return found
+
+
+def keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo, str]]:
+    """The keys of a table that are no tables themselves, each with its one line of meaning; "" where it has none."""
+    said = meanings(model)
+    return [(name, field, said.get(name, "")) for name, field in model.model_fields.items() if _model_of(field) is None]
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """By field: its description, or the comment on its line."""
+    found = {name: field.description for name, field in model.model_fields.items() if field.description}
+    source = textwrap.dedent(inspect.getsource(model))
+    comments = {
+        token.start[0]: token.string.lstrip("# ").strip()
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT and not token.string.startswith("# fmt")
+    }
+    (told,) = ast.parse(source).body
+    for node in getattr(told, "body", []):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+            found.setdefault(node.target.id, next((comments[line] for line in lines if line in comments), ""))
+    return found
+
+
+def _section(name: str, model: type[BaseModel]) -> str:
+    cells = [
+        (f"`{key}`", _kind(field.annotation), _bounds(field), _default(field), said) for key, field, said in keys(model)
+    ]
+    rows = [f"| {' | '.join(_shown(cell) for cell in row)} |" for row in cells]
+    head = ["| key | type | bounds | default | meaning |", "|---|---|---|---|---|"] if rows else []
+    title = (inspect.getdoc(model) or "").partition("\n")[0]
+    return "\n".join([f"## `{name}`", title, "", *head, *rows, ""])
+
+
+def _below(name: str, field: FieldInfo) -> Iterator[tuple[str, type[BaseModel]]]:
+    model = _model_of(field)
+    if model is None:
+        return
+    yield name, model
+    inner = name.strip("[]")
+    for key, part in model.model_fields.items():
+        yield from _below(f"[{inner}.{key}]", part)
+
+
+def _model_of(field: FieldInfo) -> type[BaseModel] | None:
+    """The model of a table; None for a plain value."""
+    parts = [field.annotation, *_inside(field.annotation)]
+    return next((part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)), None)
+
+
+def _is_list(field: FieldInfo) -> bool:
+    return get_origin(field.annotation) is tuple
+
+
+def _inside(kind: Any) -> Iterator[Any]:
+    for part in get_args(kind):
+        yield part
+        yield from _inside(part)
+
+
+def _kind(kind: Any) -> str:
+    """A type in the words of a file."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _kind(parts[0])
+    if origin is Literal:
+        return ", ".join(f"`{part}`" for part in parts)
+    if origin in (Union, UnionType):
+        return " or ".join(_kind(part) for part in parts if part is not NoneType)
+    if origin is tuple:
+        if Ellipsis in parts:
+            return f"list of {_kind(parts[0])}"
+        return f"[{', '.join(_kind(part) for part in parts)}]"
+    if origin is dict:
+        return f"table of {_kind(parts[1])}"
+    words = {float: "number", int: "integer", str: "text", bool: "true or false"}
+    return words.get(kind, getattr(kind, "__name__", ""))
+
+
+def _bounds(field: FieldInfo) -> str:
+    """Its bounds; of a list or a table those of its items too."""
+    told = list(dict.fromkeys([*_limits(field.metadata), *_inner_limits(field.annotation)]))
+    return ", ".join(told)
+
+
+def _inner_limits(kind: Any) -> Iterator[str]:
+    if get_origin(kind) is Annotated:
+        yield from _limits([note for held in get_args(kind)[1:] for note in (held, *getattr(held, "metadata", ()))])
+    for part in get_args(kind):
+        yield from _inner_limits(part)
+
+
+def _limits(notes: list[Any]) -> Iterator[str]:
+    for note in notes:
+        for name, sign in _SIGNS.items():
+            limit = getattr(note, name, None)
+            if limit is not None and abs(limit) != _LARGEST:
+                yield f"{sign} {limit:g}"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "none"
+    value = field.get_default(call_default_factory=True)
+    return "" if value is None else f"`{json.dumps(value)}`"
+
+
+def _shown(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    print(page(), end="")

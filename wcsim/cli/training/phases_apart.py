@@ -1,0 +1,172 @@
+"""Several clients as in the paper: all learn the first phase in one world, the best of them alone the second.
+
+`learn.select_by` names the suite that says which is the best. What is done is in the run folder (`selection/`), so a
+run that was stopped anywhere goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
+from wcsim.agents.networks.names import is_own
+from wcsim.cli.evaluation.judged_suite import MOST_JOBS, keep_result
+from wcsim.cli.shared.common import in_bounds, write_json
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.training.clients import Client, GroupRun, train_clients
+from wcsim.cli.training.train import Options
+from wcsim.core.files import locked
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError, InterruptedRunError
+from wcsim.server.launch.event_log import RunLog
+from wcsim.towns.scenario.town import Town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.agents.evaluation.suite.list_file import Suite
+    from wcsim.agents.evaluation.suite.records import EpisodeRecord
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """What a suite says of a client."""
+
+    client: str
+    score: float
+    crashes_own: int
+
+
+def train_group(options: Options, run: GroupRun, town: Town) -> int:
+    """Train clients, their phases together or apart; returns the exit code.
+
+    Raises:
+        InterruptedRunError: The user stopped it.
+        NothingKept: ... before anything was done.
+        WcsimError: Something that was asked for cannot be used.
+    """
+    asked = {client.config.learn.select_by for client in run.clients}
+    if len(asked) > 1:
+        told = ", ".join(sorted(map(shown, asked)))
+        raise ConfigError(f"clients have different learn.select_by ({told}); expected one suite")
+    (name,) = asked
+    if not name or len(run.clients) == 1:
+        return train_clients(options, run, town)
+    from wcsim.agents.evaluation.suite.list_file import open_suite
+
+    suite = open_suite(name)
+    in_bounds("--worlds", options.worlds, 1, MOST_JOBS)
+    unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
+    if unled:
+        raise ConfigError(f"learn.select_by compares after a first phase, and {unled[0]} has none: learn.phase1_steps")
+    chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
+    if not chosen:
+        code = train_clients(options, first_phase(run), town)
+        if code != Exit.DONE:
+            return code
+        chosen = _choose(options, run, suite, name)
+    return train_clients(options, second_phase(run, chosen), town)
+
+
+def first_phase(run: GroupRun) -> GroupRun:
+    """The run as far as all learn."""
+    return replace(run, clients=tuple(_until_switch(client) for client in run.clients), last=False)
+
+
+def second_phase(run: GroupRun, best: str) -> GroupRun:
+    """The rest of the run: the best client goes on, the others stay where they are."""
+    clients = tuple(client if client.name == best else _until_switch(client) for client in run.clients)
+    return replace(run, clients=clients, resume=True, best=best)
+
+
+def _until_switch(client: Client) -> Client:
+    learn = client.config.learn
+    return replace(client, until=min(learn.phase1_steps, learn.total_steps))
+
+
+def _choose(options: Options, run: GroupRun, suite: Suite, name: str) -> str:
+    """Drive the suite with what each client learned in its first phase; the best one's name."""
+    log = RunLog(run.out)
+    log.add("first_phase_done", suite=suite.file.set, episodes=suite.episodes)
+    try:
+        with locked(run.out):
+            judged = _judged(options, run, suite, name)
+            best = best_of(judged)
+            choice = {
+                "suite": suite.file.suite,
+                "set": suite.file.set,
+                "list_sha256": suite.sha256,
+                "clients": {each.client: {"score": each.score, "crashes_own": each.crashes_own} for each in judged},
+                "best": best,
+            }
+            write_json(run.out / SELECTION / CHOICE, choice)
+    except KeyboardInterrupt:
+        log.add("comparison_stopped")
+        raise InterruptedRunError(
+            f"stopped while clients were compared; {run.out} holds what was driven so far; continue with --resume"
+        ) from None
+    for each in judged:
+        log.add("compared", who=each.client, score=each.score, crashes_own=each.crashes_own)
+    log.add("chosen", who=best)
+    _show(judged, best, suite.file.set)
+    return best
+
+
+def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
+    from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+
+    order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=options.worlds, forks=0)
+    told = Console(stderr=True, highlight=False)
+    told.print(f"first phase done; {suite.file.suite} {suite.file.set} chooses: {suite.episodes} episodes a client")
+
+    def say(policy: str, done: int, of: int) -> None:
+        told.print(f"{policy}: {done} of {of} blocks", style="dim")
+
+    networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
+    for client in run.clients:
+        network = client.config.learn.network
+        networks[policy_of(run.out, client.name)] = network if is_own(network) else ""
+    found: dict[str, tuple[EpisodeRecord, ...]] = {}
+    for network in dict.fromkeys(networks.values()):
+        policies = [policy for policy, its in networks.items() if its == network]
+        found |= run_suite(replace(order, network=network), policies, say)
+    records = {policy: found[policy] for policy in networks}
+    return judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
+
+
+def policy_of(run: Path, client: str) -> str:
+    """What a client's policy of the first phase is called."""
+    return f"{run / client}:phase1"
+
+
+def judged_of(result: Mapping[str, Any], run: Path, clients: Sequence[str]) -> list[Judged]:
+    """What a result says of the clients, in their order."""
+    rows = {row["policy"]: row for row in result["pooled"]}
+    found = []
+    for client in clients:
+        row = rows[policy_of(run, client)]
+        found.append(Judged(client=client, score=row["score"] or 0.0, crashes_own=row["crashes_own"]))
+    return found
+
+
+def best_of(judged: Sequence[Judged]) -> str:
+    """Who has the highest score, then the fewest own crashes, then the first seat.
+
+    >>> tie = [Judged(client=name, score=0.5, crashes_own=own) for name, own in (("a", 2), ("b", 1), ("c", 1))]
+    >>> best_of(tie)
+    'b'
+    """
+    return max(judged, key=lambda each: (each.score, -each.crashes_own)).client
+
+
+def _show(judged: Sequence[Judged], best: str, suite: str) -> None:
+    table = Table("client", f"score on {suite}", "own crashes", "", box=box.SIMPLE_HEAD, pad_edge=False)
+    for each in judged:
+        goes_on = "learns the second phase" if each.client == best else "stops after the first"
+        table.add_row(each.client, f"{each.score:.3f}", str(each.crashes_own), goes_on)
+    Console(highlight=False).print(table)

@@ -1,0 +1,148 @@
+"""The page of a training: how each client came to follow its user, and to stay alive (Fig. 7a and 7b of the paper)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from wcsim.errors import PolicyError
+from wcsim.view.report.charts import Curve, curve_chart
+from wcsim.view.report.figures import figure
+from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
+from wcsim.view.report.page import Section, facts, page, shown, write_page
+from wcsim.view.report.training.learning_curve import (
+    KPI1_LIMIT,
+    OVER,
+    Crossing,
+    TrainedEpisode,
+    Training,
+    crossing,
+    running_means,
+    switch_step,
+)
+
+_KPI1_SAYS: Final = (
+    f"Joystick distance of user and agent, mean over an episode: KPI 1, with its limit {KPI1_LIMIT}; in the first "
+    "phase of the actions that the agent would have chosen. A triangle: a mean comes below the limit"
+)
+_OVER_SAYS: Final = (
+    "Value of the best action at the start of an episode minus the discounted return that really followed, both in "
+    "units of the scaled reward: what the network promises too much. Without double Q-learning (learn.double_q) it is "
+    "higher. In the first phase the user's action is what followed"
+)
+_Value = Callable[[TrainedEpisode], float | None]
+_FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
+    ("kpi1", "Fig. 7a: ", "KPI 1, mean joystick distance", _KPI1_SAYS, lambda e: e.kpi1),
+    ("length", "Fig. 7b: ", "KPI 2, steps alive", "Steps that an episode lasted, at most its limit: KPI 2",
+     lambda e: float(e.length)),
+    ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
+)  # fmt: skip
+_NAMES: Final = {"kpi1": "fig-7a-kpi1", "length": "fig-7b-length", "overestimate": "overestimate"}
+
+
+def write_training_page(training: Training, folder: Path, more: Sequence[tuple[Section, Exhibit]] = ()) -> Path:
+    """Write the page of a training; where it is.
+
+    Args:
+        training: What the logs hold.
+        folder: Where the page goes.
+        more: Sections between curves and clients.
+
+    Raises:
+        PolicyError: No client has finished an episode.
+        DiskFullError: It cannot be written.
+    """
+    if not any(training.clients.values()):
+        raise PolicyError(f"{folder}: no client has finished an episode; expected some: train on with --resume")
+    drawn = [found for each in _FIGURES if (found := _figure(training, *each)) is not None]
+    clients = _table(training)
+    intro = facts([("clients", ", ".join(training.clients)), *_runs(training)])
+    sections = (
+        Section(name="curves", title="Curves", body=el("div", *map(shown, drawn), class_="charts")),
+        *(section for section, _ in more),
+        Section(name="clients", title="Clients", body=shown(clients)),
+    )
+    exhibits = (*drawn, *(exhibit for _, exhibit in more), clients)
+    return write_page(folder, page(f"Training {folder.resolve().name}", intro, sections), exhibits)
+
+
+def _runs(training: Training) -> list[tuple[str, object]]:
+    """Of one run all that is to be said of it, of several a line each."""
+    said: list[tuple[str, object]] = []
+    for name, manifest in training.manifests.items():
+        state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} steps"
+        town, seed = manifest.get("town", ""), manifest.get("seed", "")
+        if len(training.manifests) == 1:
+            return [("town", town), ("seed", seed), ("status", state)]
+        said.append(("run", f"{name}: town {town}, seed {seed}, {state}"))
+    return said
+
+
+def crossings(training: Training) -> dict[str, Crossing]:
+    """Where each client came below the limit of KPI 1."""
+    return {name: crossing(episodes) for name, episodes in training.clients.items()}
+
+
+def _figure(training: Training, key: str, number: str, label: str, says: str, of: _Value) -> Exhibit | None:
+    """A figure of all clients; None where there is nothing to draw."""
+    curves, plain = [], []
+    for name, episodes in training.clients.items():
+        told = [(episode, value) for episode in episodes if (value := of(episode)) is not None]
+        means = running_means([value for _, value in told])
+        curves.append(
+            Curve(
+                name=name,
+                steps=[episode.step for episode, _ in told],
+                values=[value for _, value in told],
+                means=means,
+                switch=switch_step(episodes),
+                crossing=crossing(episodes).step if key == "kpi1" else None,
+            )
+        )
+        rows: list[list[Cell]] = [
+            [name, e.step, e.phase, value, round(mean, 6), int(e.crashed)]
+            for (e, value), mean in zip(told, means, strict=True)
+        ]
+        plain += rows
+    if not plain:
+        return None
+    limit = {"kpi1": KPI1_LIMIT, "overestimate": 0.0}.get(key)
+    return figure(
+        _NAMES[key],
+        f"{number}{label}",
+        f"{says}. A dot an episode, at the step of its end; lines are means of the last {OVER} episodes. Dashed, in a "
+        "client's colour: the end of its first phase, in which the user's action is executed. Exploration is in it: a "
+        "test says more.",
+        csv_of(("client", "step", "phase", key, f"mean_of_{OVER}", "crashed"), plain),
+        curve_chart(_NAMES[key], label, curves, limit),
+    )
+
+
+def _table(training: Training) -> Exhibit:
+    rows: list[list[Cell]] = []
+    found = crossings(training)
+    for name, episodes in training.clients.items():
+        crossed = found[name]
+        rows.append([
+            name, episodes[-1].step if episodes else 0, len(episodes), sum(e.crashed for e in episodes),
+            crossed.step, crossed.left, *(_last_mean(episodes, of) for *_, of in _FIGURES),
+        ])  # fmt: skip
+    headings = (
+        *("client", "steps", "episodes", "crashes", f"KPI 1 below {KPI1_LIMIT} from step", "above again since step"),
+        *(f"{what}, last {OVER}" for what in ("KPI 1", "KPI 2", "value minus return")),
+    )
+    return Exhibit(
+        name="clients",
+        title="Clients",
+        says="Steps up to the last episode that ended; means over the last episodes of the training. KPI 1 comes below "
+        "its limit where the mean does that the figure draws.",
+        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
+        csv=csv_of(headings, rows),
+    )
+
+
+def _last_mean(episodes: Sequence[TrainedEpisode], of: _Value) -> float | None:
+    values = [value for episode in episodes if (value := of(episode)) is not None][-OVER:]
+    return round(math.fsum(values) / len(values), 4) if values else None
