@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from stable_baselines3.common.type_aliases import GymEnv
 
+from wcsim.agents.learning.guarded.guarded_dqn import Guard, GuardedDQN, GuardedQPolicy
 from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.networks import registry
@@ -55,7 +56,7 @@ def net_spec(config: RunConfig) -> NetSpec:
         reward_scale=learn.reward_scale,
     )
     if learn.head == "danger":
-        raise PolicyError("learn.head='danger' learns in rounds, not by Q-learning; expected residual or plain here")
+        raise PolicyError("learn.head='danger' is no head of Q-learning; expected residual or plain here")
     return NetSpec(
         network=learn.network, head=learn.head, actions=config.env.actions, classes=config.env.classes, prior=prior
     )
@@ -99,6 +100,16 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         raise ConfigError(f"learn.replay_frames={frames} do not fit into the memory; expected fewer") from None
 
 
+def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, Guard]]:
+    """The classes of learner and policy, and what the policy is told beside its network."""
+    learn = config.learn
+    if not learn.danger:
+        return SeqDQN, SeqQPolicy, {}
+    if learn.head != "residual":
+        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers are taken off values")
+    return GuardedDQN, GuardedQPolicy, {"guard": Guard(weight=learn.danger_weight, threshold=config.danger.threshold)}
+
+
 def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     learn, camera = config.learn, config.cameras[0]
     if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
@@ -106,8 +117,9 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
             "because its pictures are mirrored: set learn.mirror=false"
         )
-    return SeqDQN(
-        SeqQPolicy,
+    kind, policy, guard = _kind(config)
+    return kind(
+        policy,
         env,
         settings=SeqSettings(
             actions=config.env.actions,
@@ -145,6 +157,6 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
                 seed=seed,
             )
         },
-        policy_kwargs={"spec": net_spec(config)},
+        policy_kwargs={"spec": net_spec(config), **guard},
         device=learn.device,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from gymnasium import spaces
 from safetensors.torch import save_file
 
 from wcsim.agents.envs.frame_window import newest
+from wcsim.agents.learning.guarded.danger_sense import PART, copy_part
+from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, vector_keys, vector_size, window_size
@@ -67,22 +70,31 @@ class NetPolicy:
         return values
 
 
-def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
-    """Write a policy folder in one step, replacing an older one; returns the folder."""
+def save_policy(
+    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "", danger: Path | None = None
+) -> Path:
+    """Write a policy folder in one step, replacing an older one; returns the folder.
+
+    `danger` is the folder of the danger network that a `GuardedDQN` learned on top of.
+    """
     net = model.q_net
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
 
     def fill(target: Path) -> None:
         save_file(tensors, target / WEIGHTS)
         digest = files.sha256(target / WEIGHTS)
-        files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
+        told = _describe(model, camera, manifest_sha256, digest)
+        if danger is not None and isinstance(model, GuardedDQN):
+            copy_part(danger, target / PART)
+            told["guard"] = {**asdict(model.guard), "danger_sha256": files.sha256(target / PART / WEIGHTS)}
+        files.write_json(target / POLICY_JSON, told)
 
     files.write_folder(folder, fill)
     return folder
 
 
-def load_policy(path: Path, network: str | None = None) -> NetPolicy:
-    """Load a policy folder.
+def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -> NetPolicy:
+    """Load a policy folder; one with a danger network needs it to drive (`guarded`), and is loaded without when `bare`.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
     somebody else must not decide which code runs here.
@@ -90,6 +102,8 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
+    if file.guard is not None and not bare:
+        raise PolicyError(f"{shown(path)} holds a danger network too; expected a caller that drives with both")
     spec = _spec(path, file, network)
     weights = path / WEIGHTS
     if registry.is_own(spec.network):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
@@ -20,6 +20,9 @@ class LearnConfig(Model):
     phase1_steps: StepsOrNone = 5_000
     network: Word = "small"
     head: Literal["residual", "plain", "danger"] = "residual"
+    # A run or policy folder of a danger network that stays as it is; values are learned on top, with head="residual".
+    danger: Annotated[Text, Field(exclude_if=lambda path: not path)] = ""
+    danger_weight: Annotated[NotNegative, Field(exclude_if=lambda weight: weight == 1.0)] = 1.0  # in scaled reward
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
     learning_rate: Positive = 3e-4
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero
