@@ -17,7 +17,7 @@ from wcsim.agents.learning.build import with_window
 from wcsim.agents.learning.callbacks import TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
-from wcsim.agents.online.session import Listeners, train_online
+from wcsim.agents.online.train_online import Listeners, train_online
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import RunConfig

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import torch
 
@@ -15,6 +17,8 @@ from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64
+
+_SURE: Final = 60.0  # a logit beyond it says no more
 
 
 class DangerPolicy:
@@ -91,7 +95,7 @@ def danger_of(net: DangerNet, sight: DangerSight, eye: Eye, name: str) -> F64:
         logits = net(*inputs([sight], eye)).numpy()[0]
     if not np.isfinite(logits).all():
         raise PolicyError(f"policy {name!r} gives dangers that are not finite; train it again")
-    danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+    danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
     return danger
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,6 @@ from gymnasium import spaces
 from safetensors.torch import save_file
 
 from wcsim.agents.envs.frame_window import newest
-from wcsim.agents.learning.guarded.danger_sense import PART, copy_part
-from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, vector_keys, vector_size, window_size
@@ -34,6 +31,7 @@ from wcsim.types import ClassId
 
 WEIGHTS = "weights.safetensors"
 JOYSTICK_SIZE = 2
+Beside = Callable[[Path], dict[str, Any]]
 
 
 class NetPolicy:
@@ -71,11 +69,11 @@ class NetPolicy:
 
 
 def save_policy(
-    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "", danger: Path | None = None
+    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "", beside: Beside | None = None
 ) -> Path:
     """Write a policy folder in one step, replacing an older one; returns the folder.
 
-    `danger` is the folder of the danger network that a `GuardedDQN` learned on top of.
+    `beside` writes further files into it, and returns further entries of policy.json.
     """
     net = model.q_net
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
@@ -84,10 +82,7 @@ def save_policy(
         save_file(tensors, target / WEIGHTS)
         digest = files.sha256(target / WEIGHTS)
         told = _describe(model, camera, manifest_sha256, digest)
-        if danger is not None and isinstance(model, GuardedDQN):
-            copy_part(danger, target / PART)
-            told["guard"] = {**asdict(model.guard), "danger_sha256": files.sha256(target / PART / WEIGHTS)}
-        files.write_json(target / POLICY_JSON, told)
+        files.write_json(target / POLICY_JSON, {**told, **({} if beside is None else beside(target))})
 
     files.write_folder(folder, fill)
     return folder

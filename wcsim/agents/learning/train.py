@@ -20,6 +20,7 @@ from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, Sto
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.guarded.danger_sense import danger_part, with_dangers
+from wcsim.agents.learning.guarded.guarded_policy import guard_beside
 from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
@@ -149,8 +150,8 @@ class _Session:
     def _save(self, stage: str) -> None:
         path = self.run.policy(stage)
         try:
-            danger = danger_part(self.run)
-            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256(), danger)
+            beside = guard_beside(self.model, danger_part(self.run))
+            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256(), beside)
         except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 

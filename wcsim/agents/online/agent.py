@@ -20,7 +20,7 @@ from wcsim.types import F64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turn:
+class DrivingTurn:
     """What a step is done with."""
 
     phase: LearningPhase
@@ -56,7 +56,7 @@ class OnlineAgent:
         self._driver.reset()
         self._held = 0
 
-    def choose(self, observation: Observation, turn: Turn) -> Choice:
+    def choose(self, observation: Observation, turn: DrivingTurn) -> Choice:
         """The action, and for which wish; `would` is what the network would do, -1 where it was not asked."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         wish, driver, self.would = stick, FOLLOW, -1

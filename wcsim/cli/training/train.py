@@ -202,7 +202,7 @@ def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = Fa
             print(f"wcsim: {text}", file=sys.stderr)
 
         if online:
-            from wcsim.agents.online.session import Listeners, train_online
+            from wcsim.agents.online.train_online import Listeners, train_online
 
             return train_online(run, make_env, Listeners(progress=show, say=say))
         return train(run, make_env, show, say=say)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.online.test_session import Sensing
-from tests.agents.online.test_session import config as danger_config
+from tests.agents.online.test_train_online import Sensing
+from tests.agents.online.test_train_online import config as danger_config
 from tests.agents.toy import a_run
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy

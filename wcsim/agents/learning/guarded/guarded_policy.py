@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import WEIGHTS, load_danger
-from wcsim.agents.learning.guarded.danger_sense import PART, codes_of_dangers, dangers_of_codes
-from wcsim.agents.learning.guarded.guarded_dqn import allowed_argmax
-from wcsim.agents.learning.saved_policy import NetPolicy
+from wcsim.agents.learning.guarded.danger_sense import PART, codes_of_dangers, copy_part, dangers_of_codes
+from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN, allowed_argmax
+from wcsim.agents.learning.saved_policy import Beside, NetPolicy
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import Observation
 from wcsim.config import RunConfig
 from wcsim.config.run_file import GuardFile
@@ -51,6 +54,19 @@ class GuardedPolicy(NetPolicy):
         action = allowed_argmax(values, danger, self._threshold)
         self._part.sent(action)
         return action
+
+
+def guard_beside(model: SeqDQN, part: Path | None) -> Beside | None:
+    """What `save_policy` writes beside the values of a `GuardedDQN`: its danger network, and how dangers count."""
+    if part is None or not isinstance(model, GuardedDQN):
+        return None
+    guard = asdict(model.guard)
+
+    def write(folder: Path) -> dict[str, Any]:
+        copy_part(part, folder / PART)
+        return {"guard": {**guard, "danger_sha256": files.sha256(folder / PART / WEIGHTS)}}
+
+    return write
 
 
 def guarded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:

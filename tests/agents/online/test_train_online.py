@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,19 +13,25 @@ import numpy as np
 import pytest
 import torch
 
+from tests.agents.danger.sights import a_segment, small_config
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.collecting.data_folder import read_manifest, read_segment
+from wcsim.agents.collecting.drive_segment import DrivenRow
 from wcsim.agents.collecting.segment import FOLLOW, NETWORK, RECKLESS
+from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.saved import load_danger
+from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.learning.checkpoint_file import step_folders
 from wcsim.agents.learning.metrics import read_metrics
-from wcsim.agents.online.ride import Ride
-from wcsim.agents.online.session import DATA, Listeners, train_online
+from wcsim.agents.learning.phases import LearningPhase
+from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
+from wcsim.agents.online.taught_ride import TaughtRide
+from wcsim.agents.online.train_online import DATA, Listeners, train_online
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files
-from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.errors import InterruptedRunError, PolicyError, ServerGoneError
 
 CAMERA = toy_camera(16, 20)
 WORDS = (
@@ -134,9 +142,6 @@ def test_equal_seeds_give_equal_weights(run, tmp_path):
 
 
 def test_a_run_that_was_stopped_goes_on_in_a_new_world(tmp_path):
-    import os
-    import signal
-
     out = tmp_path / "run"
     asked = a_run(config(), out, 5, town="toy", town_sha256="0" * 64)
     with pytest.raises(InterruptedRunError, match="--resume"):
@@ -154,6 +159,34 @@ def test_a_run_that_was_stopped_goes_on_in_a_new_world(tmp_path):
     assert sum(map(len, (read_segment(p) for p in sorted((out / DATA / "segments").iterdir())))) == 240
 
 
+def test_a_run_whose_world_is_gone_keeps_what_it_has_learned(tmp_path):
+    def fail():
+        raise ServerGoneError("gone")
+
+    with pytest.raises(ServerGoneError):
+        train_online(a_run(config(), tmp_path / "run", 5, town_sha256="0" * 64), lambda: Sensing(at=31, call=fail))
+    assert [folder.name for folder in step_folders(tmp_path / "run" / "checkpoints")] == ["step-00000030"]
+
+
+def test_exploration_lasts_and_some_of_it_is_executed_as_it_is():
+    own = config("learn.epsilon_hold=4", "collect.reckless_share=0.5", "danger.threshold=0.01")
+    net = DangerLearner(own, 1, 1).net  # it takes all for more dangerous than allowed
+    agent, street = OnlineAgent(own, net, np.random.default_rng(2)), Sensing()
+    seen, _ = street.reset(seed=1)
+    agent.begin(0)
+    found = [agent.choose(seen, DrivingTurn(phase=LearningPhase.AGENT_DRIVEN, epsilon=0.4)) for _ in range(200)]
+    stick = np.asarray(seen["joystick"], np.float64)
+    explores = np.array([not np.array_equal(choice.wish, stick) for choice in found])
+    assert 0.25 < explores.mean() < 0.55
+    lengths = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], explores, [0]]))))[::2]
+    assert (lengths[:-1] % 4 == 0).all()
+    reckless = [choice for choice in found if choice.driver == RECKLESS]
+    assert 0 < len(reckless) < explores.sum()
+    assert all(choice.action == street.unwrapped.actions.nearest(choice.wish) for choice in reckless)
+    still = [agent.choose(seen, DrivingTurn(phase=LearningPhase.AGENT_DRIVEN)) for _ in range(8)][4:]
+    assert all(np.array_equal(choice.wish, stick) for choice in still)
+
+
 def test_an_environment_that_tells_no_truth_is_refused(tmp_path):
     class Silent(Sensing):
         def _told(self, seen, info):
@@ -166,20 +199,13 @@ def test_an_environment_that_tells_no_truth_is_refused(tmp_path):
 
 def test_lessons_of_a_ride_are_those_of_its_segments(run, tmp_path):
     """What is learned while it drives is what is learned from the files, pictures of the window and labels too."""
-    from wcsim.agents.collecting.drive_segment import DrivenRow
-    from wcsim.agents.envs.episode_view import EpisodeStep
-    from wcsim.agents.learning.phases import LearningPhase
-    from wcsim.agents.online.agent import OnlineAgent, Turn
-
     own = config("danger.eye=both", "learn.network=gru", "env.window=3", "danger.ahead=2")
-    from wcsim.agents.danger.learner import DangerLearner
-
     agent = OnlineAgent(own, DangerLearner(own, 1, 1).net, np.random.default_rng(0))
-    ride, street = Ride(own, tmp_path, 1), Sensing()
+    ride, street = TaughtRide(own, tmp_path, 1), Sensing()
     seen, info = street.reset(seed=4)
     agent.begin(0)
     for _ in range(100):
-        choice = agent.choose(seen, Turn(phase=LearningPhase.ACTION_DRIVEN))
+        choice = agent.choose(seen, DrivingTurn(phase=LearningPhase.ACTION_DRIVEN))
         after, reward, crashed, truncated, told = street.step(choice.action)
         step = EpisodeStep(after, float(reward), crashed, truncated, told)
         ride.add(agent.sight, DrivenRow(seen=seen, said=info["truth"], choice=choice, step=step, delay=0))
@@ -188,7 +214,7 @@ def test_lessons_of_a_ride_are_those_of_its_segments(run, tmp_path):
             seen, info = street.reset()
             agent.begin(0)
     ride.write()
-    again = Ride(own, tmp_path, 1)
+    again = TaughtRide(own, tmp_path, 1)
     again.restore(ride.segments)
     live, written = (lectures._rows for lectures in (ride.lectures, again.lectures))
     assert 60 < len(live) <= len(written) == 100
@@ -200,8 +226,6 @@ def test_lessons_of_a_ride_are_those_of_its_segments(run, tmp_path):
 
 
 def test_only_the_newest_steps_are_kept_in_memory():
-    from tests.agents.danger.sights import a_segment, small_config
-
     lessons = Lectures(small_config())
     for seed in range(4):
         lessons.add(lessons_of(a_segment(10, seed), small_config()))

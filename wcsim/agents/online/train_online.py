@@ -29,9 +29,9 @@ from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, torch_settings
-from wcsim.agents.online.agent import OnlineAgent, Turn
-from wcsim.agents.online.checkpoint import Counters, OnlineState, load_online, save_online
-from wcsim.agents.online.ride import Ride
+from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
+from wcsim.agents.online.online_checkpoint import Counters, OnlineState, load_online, save_online
+from wcsim.agents.online.taught_ride import TaughtRide
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder
@@ -93,7 +93,7 @@ class _OnlineSession:
         config, seed = run.config, run.manifest.seed
         self._config, self._learn, self._plan = config, config.learn, phase_plan(config.learn)
         self._learner = DangerLearner(config, seed, planned_updates(config.learn))
-        self._ride = Ride(config, run.path / DATA, seed)
+        self._ride = TaughtRide(config, run.path / DATA, seed)
         self._agent = OnlineAgent(config, self._learner.net, seeding.generator(seed, "agent", "explore"))
         self._lectures_rng = seeding.generator(seed, "agent", "lectures")
         self._world_seed, self._now = seed, Counters()
@@ -141,13 +141,13 @@ class _OnlineSession:
                 self._between()
             seen, said = self._step(seen, said)
             due = self._now.step % learn.train_every == 0 and self._now.step > learn.learning_starts
-            if due and len(self._ride.lectures):
+            if due and self._ride.lectures.tight_share > 0.0:  # from safe steps alone it would learn that all is safe
                 self._teach(self._ride.lectures, learn.gradient_steps)
 
     def _step(self, seen: Observation, said: Truth) -> tuple[Observation, Truth]:
         """One step of the environment; what is seen after it, of the next episode where one has ended."""
         step, plan = self._now.step, self._plan
-        turn = Turn(phase=plan.phase(step), epsilon=plan.epsilon(step), greedy=step % GREEDY_EVERY == 0)
+        turn = DrivingTurn(phase=plan.phase(step), epsilon=plan.epsilon(step), greedy=step % GREEDY_EVERY == 0)
         choice = self._choose(seen, turn)
         if turn.phase is LearningPhase.ACTION_DRIVEN and self._agent.would >= 0:
             self._sums.greedy.append(self._points.distance(self._agent.would, seen[JOYSTICK_KEY]))
@@ -171,7 +171,7 @@ class _OnlineSession:
         self._agent.begin(self._delay)
         return seen, truth_of(info)
 
-    def _note(self, after: EpisodeStep, turn: Turn) -> None:
+    def _note(self, after: EpisodeStep, turn: DrivingTurn) -> None:
         """A row of metrics.csv."""
         now = self._now = replace(
             self._now, episodes=self._now.episodes + 1, crashes=self._now.crashes + int(after.terminated)

@@ -22,7 +22,7 @@ _BLOCK: Final = 32  # steps that become lessons together
 _LEAST_ROWS, _MOST_ROWS = 200, 1000  # of a segment: it ends with an episode, or when it is full
 
 
-class Ride:
+class TaughtRide:
     """One chair's driving, kept in a data folder and learned from.
 
     Args:
