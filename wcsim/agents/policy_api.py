@@ -12,6 +12,7 @@ from wcsim.types import Truth
 Observation = Mapping[str, npt.NDArray[Any]]
 
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
+DANGER_KEY: Final = "danger"  # what a danger network said, beside what was seen; not of an environment's own
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 
 

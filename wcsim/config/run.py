@@ -70,14 +70,14 @@ class RunConfig(Model):
                 f"{sizes_px[0] * self.env.frames}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
                 "width_px and height_px smaller, or env.window"
             )
-        batch = max(self.learn.batch_size, self.learn.aid_batch)
+        batch = max(self.learn.batch_size, self.learn.aid_batch, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
             batch = max(batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step))
         if sizes_px[0] * self.env.frames * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
-                f"{_MAX_BATCH_PX}: make learn.batch_size or learn.aid_batch smaller, or the pictures"
+                f"{_MAX_BATCH_PX}: make learn.batch_size, learn.aid_batch or danger.batch smaller, or the pictures"
             )
         return self
 

@@ -49,6 +49,14 @@ class NetFile(Model):
     stateful: bool = False  # carries a state from tick to tick
 
 
+class GuardFile(Model):
+    """How the dangers of the network beside it count in a policy of values."""
+
+    weight: NotNegative
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)]
+    danger_sha256: Sha256  # of its weights
+
+
 class PolicyFile(Model):
     """`policy.json`: everything about a trained policy but its weights."""
 
@@ -61,6 +69,7 @@ class PolicyFile(Model):
         default_factory=dict
     )  # numbers of each sensor of [sensors] among them
     window: Window = 1
+    guard: GuardFile | None = None
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]
@@ -93,6 +102,11 @@ class DangerNetFile(Model):
     context: bool
     width: Annotated[int, Field(ge=4, le=256)]
     actions: Literal["square81", "disc69"]
+    eye: Literal["map", "picture", "both"] = "map"
+    network: Name = "small"
+    window: Window = 1
+    memory: bool = True
+    odometry: bool = True
 
 
 class RuleFile(Model):

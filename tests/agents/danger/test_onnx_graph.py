@@ -21,7 +21,7 @@ CONFIG = with_overrides(RunConfig(cameras=(CameraConfig(width_px=48, height_px=3
 POINTS = torch.as_tensor(action_set("square81").points)
 
 
-def network(**parts: bool) -> DangerNet:
+def network(**parts: object) -> DangerNet:
     torch.manual_seed(0)
     net = DangerNet(DangerSpec(**{"rival": False, "gaps": False, **parts}), POINTS)
     with torch.no_grad():
@@ -87,6 +87,12 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
         same += int(values.argmax()) == action
         assert bool(warning) in (True, False)
     assert same == len(actions) and len(set(actions)) > 1
+
+
+@pytest.mark.parametrize("part", [{"eye": "both"}, {"memory": False}, {"odometry": False}], ids=str)
+def test_what_looks_elsewhere_or_forgets_cannot_be_exported(part):
+    with pytest.raises(PolicyError, match=r"danger\.eye=map"):
+        DangerGraph(network(**part), CONFIG, DangerRule())
 
 
 @pytest.mark.parametrize("part", ["rival", "gaps"])

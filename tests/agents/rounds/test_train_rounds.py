@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import quick_config
-from wcsim.agents.collecting.data_folder import SEGMENTS, read_manifest
+from wcsim.agents.collecting.data_folder import SEGMENTS, read_manifest, read_segment
 from wcsim.agents.collecting.segment import NETWORK
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.rounds.run_of_rounds import train_danger
@@ -67,9 +67,17 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corne
     assert 0 <= policy.act({**seen, "joystick": np.array([0.0, 1.0], np.float32)}) < 81
 
 
-def test_the_network_drives_from_the_third_round_on(straight: Path):
-    from wcsim.agents.collecting.data_folder import read_segment
+def test_a_network_of_pictures_without_memory_or_odometry_is_trained_in_rounds(corner: Path, tmp_path: Path):
+    words = ("danger.eye=both", "danger.memory=false", "danger.odometry=false", "learn.network=gru", "env.window=2")
+    run = run_in(corner, tmp_path / "seen", *words, "collect.segments=1")
+    train_danger(run, find_town(str(corner)))
+    policy = load_danger(run.out / "policies" / "final", "own", run.config)
+    assert policy.senses == ("gyro",)
+    last = sorted((run.out / DATA / SEGMENTS).iterdir())[-1]
+    assert NETWORK in read_segment(last).driver
 
+
+def test_the_network_drives_from_the_third_round_on(straight: Path):
     drivers = [set(read_segment(path).driver.tolist()) for path in sorted((straight / DATA / SEGMENTS).iterdir())]
     assert [NETWORK in who for who in drivers] == [False, False, False, False, True, True]
 

@@ -13,10 +13,11 @@ from pathlib import Path
 from wcsim.agents.clients.clients_folder import has_work
 from wcsim.agents.clients.time_shares import TimeShares
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.learning.build import net_spec, with_window
+from wcsim.agents.learning.build import with_window
 from wcsim.agents.learning.callbacks import TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
+from wcsim.agents.online.train_online import Listeners, train_online
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import RunConfig
@@ -95,7 +96,7 @@ def learn(
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
     config = with_window(RunConfig.model_validate_json(order.config_json))
-    find_network(net_spec(config).network)
+    find_network(config.learn.network)
     terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
@@ -106,16 +107,18 @@ def learn(
     env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()
     pipe = StatusPipe(order.join.name, status_fd, env, shares)
+    run = ResolvedRun(config=config, out=out, info=order.info, resume=goes_on)
+
+    def alive() -> None:  # else a server that hears nothing gives the seat away
+        env.beat(next(beats))
+
     try:
-        train(
-            ResolvedRun(config=config, out=out, info=order.info, resume=goes_on),
-            lambda: env,
-            pipe.show,
-            progress_every=1,
-            callbacks=(shares,),
-            alive=lambda: env.beat(next(beats)),  # else a server that hears nothing gives the seat away
-            say=say,
-        )
+        if config.learn.head == "danger":
+            around = {"deciding": shares.inference.around, "learning": shares.learning.around}
+            listeners = Listeners(progress=pipe.show, progress_every=1, alive=alive, say=say, **around)
+            train_online(run, lambda: env, listeners)
+        else:
+            train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), alive=alive, say=say)
     finally:
         env.close()
         _write_times(out, pipe.last, time.monotonic() - begun_s)

@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from wcsim.agents.danger.lessons import Lectures
-from wcsim.agents.danger.network import DangerNet, DangerSpec
+from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -28,17 +28,18 @@ class DangerLearner:
     Args:
         config: Of the run.
         seed: Of the run.
+        total: Updates of the whole run, over which the learning rate rises and falls.
     """
 
-    def __init__(self, config: RunConfig, seed: int) -> None:
+    def __init__(self, config: RunConfig, seed: int, total: int) -> None:
         danger, self._seed = config.danger, seed
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
         points = torch.as_tensor(action_set(config.env.actions).points)
-        self.net = DangerNet(spec_of(config), points).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.net = laid_out(DangerNet(spec_of(config), points))
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
         )
-        self._total, self._rate = danger.updates * config.collect.rounds, danger.learning_rate
+        self._total, self._rate = max(total, 1), danger.learning_rate
         self.updates, self.loss = 0, float("nan")
 
     def learn(self, lectures: Lectures, updates: int) -> float:
@@ -67,7 +68,7 @@ class DangerLearner:
     def moments(self) -> dict[str, torch.Tensor]:
         """What the optimiser remembers of each weight, by name."""
         state = self._optimizer.state
-        names = {parameter: name for name, parameter in self.net.named_parameters()}
+        names: dict[object, str] = {parameter: name for name, parameter in self.net.named_parameters()}
         return {
             f"{names[parameter]}.{key}": value.detach().clone().contiguous()
             for parameter, held in state.items()
@@ -76,8 +77,9 @@ class DangerLearner:
 
     def restore(self, moments: dict[str, torch.Tensor], updates: int, loss: float) -> None:
         """Go on after so many updates with what `moments` gave then. Raises KeyError when it is of another network."""
-        for name, parameter in self.net.named_parameters():
-            self._optimizer.state[parameter] = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
+        parameters = dict(self.net.named_parameters())
+        for name in sorted({name.rpartition(".")[0] for name in moments}):
+            self._optimizer.state[parameters[name]] = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
         self.updates, self.loss = updates, loss
 
 
@@ -87,19 +89,7 @@ def rate_share(done: float) -> float:
     >>> [round(rate_share(done), 3) for done in (0.0, 0.05, 0.525, 1.0)]
     [0.04, 1.0, 0.5, 0.0]
     """
+    done = min(done, 1.0)
     if done < _WARM_UP:
         return _LEAST + (1.0 - _LEAST) * done / _WARM_UP
     return 0.5 * (1.0 + math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP)))
-
-
-def spec_of(config: RunConfig) -> DangerSpec:
-    """The network that a run's configuration asks for."""
-    danger = config.danger
-    return DangerSpec(
-        roll_out=danger.roll_out,
-        gaps=danger.gaps,
-        rival=danger.rival,
-        context=danger.context,
-        width=danger.width,
-        actions=config.env.actions,
-    )

@@ -5,19 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from wcsim.agents.collecting.labels import unsafe_ahead
 from wcsim.agents.collecting.segment import Segment
-from wcsim.agents.danger.roll_outs import EACH_SLICE, NUMBERS, SLICES, sweep
-from wcsim.agents.danger.sight import MIRRORED, VECTOR, Eye
+from wcsim.agents.danger.network import spec_of
+from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
+from wcsim.agents.danger.sight import MIRRORED, DangerSight, Eye
 from wcsim.agents.danger.street_map import PLANES, SIDE
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.replay.frame_store import pack_each, unpack_each
 from wcsim.config import DangerConfig, RunConfig
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F32, U8, Bool
+from wcsim.types import F32, F64, U8, Bool
 
+I64 = npt.NDArray[np.int64]
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
 
 
@@ -26,6 +29,8 @@ class Lessons:
     """Sights of N steps and what is unsafe in each."""
 
     pictures: list[bytes]  # zstd, (PLANES, SIDE, SIDE) uint8 each
+    frames: list[bytes]  # zstd, (2, H, W) uint8 each: class ids and depth; empty for an eye that looks at the map alone
+    windows: I64  # (N, T) which of the frames are seen in a step, the newest last
     actions: U8  # (N, A, NUMBERS)
     vectors: F32  # (N, VECTOR)
     starts: F32  # (N, 6)
@@ -38,17 +43,15 @@ class Lessons:
 
 def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
     """Look at a segment again, step by step, as a chair that drives would."""
-    count, danger = len(segment), config.danger
-    pictures: list[bytes] = []
-    actions = np.empty((count, len(action_set(config.env.actions)), NUMBERS), np.uint8)
-    vectors, starts = np.empty((count, VECTOR), np.float32), np.empty((count, 6), np.float32)
+    looks = spec_of(config).looks
+    sights: list[KeptSight] = []
     eyes: dict[int, Eye] = {}
     begins = True
-    for row in range(count):
+    for row in range(len(segment)):
         delay = int(segment.delay[row])
         if begins:
             if delay not in eyes:
-                eyes[delay] = Eye(config, delay)
+                eyes[delay] = Eye(config, delay, looks)
             eye = eyes[delay]
             eye.forget()
         sight = eye.look(
@@ -61,19 +64,69 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
             }
         )
         eye.command(int(segment.action[row]))
-        pictures += pack_each(sight.picture.reshape(1, -1))
-        actions[row], vectors[row], starts[row] = sight.actions, sight.vector, sight.start
+        sights.append(kept(sight))
         begins = bool(segment.ended[row])
-    codes = segment.truth if danger.teacher == "truth" else segment.visible
-    unsafe = unsafe_ahead(codes, segment.ended, danger.ahead)
-    return Lessons(pictures=pictures, actions=actions, vectors=vectors, starts=starts, unsafe=unsafe)
+    codes = segment.truth if config.danger.teacher == "truth" else segment.visible
+    unsafe = unsafe_ahead(codes, segment.ended, config.danger.ahead)
+    return lessons_from(sights, windows_of(segment.ended, looks.window), unsafe)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KeptSight:
+    """A sight, kept small."""
+
+    picture: bytes
+    frame: bytes  # the newest one, empty where there is none
+    actions: U8
+    vector: F32
+    start: F32
+
+
+def kept(sight: DangerSight) -> KeptSight:
+    """Its pictures packed."""
+    frame = pack_each(sight.frames[-1:].reshape(1, -1))[0] if len(sight.frames) else b""
+    picture = pack_each(sight.picture.reshape(1, -1))[0]
+    return KeptSight(picture=picture, frame=frame, actions=sight.actions, vector=sight.vector, start=sight.start)
+
+
+def lessons_from(sights: list[KeptSight], windows: I64, unsafe: Bool, before: list[KeptSight] | None = None) -> Lessons:
+    """What is learned from successive sights.
+
+    Args:
+        sights: N of them.
+        windows: (N, T) see `Lessons`; counted from the first of `before` on.
+        unsafe: (N, A).
+        before: Sights of the steps before, whose frames the windows reach back to.
+    """
+    return Lessons(
+        pictures=[sight.picture for sight in sights],
+        frames=[sight.frame for sight in (*(before or ()), *sights)] if windows.shape[1] else [],
+        windows=windows,
+        actions=np.stack([sight.actions for sight in sights]),
+        vectors=np.stack([sight.vector for sight in sights]),
+        starts=np.stack([sight.start for sight in sights]),
+        unsafe=unsafe,
+    )
+
+
+def windows_of(ended: Bool, frames: int) -> I64:
+    """(N, frames) the rows whose pictures are seen in each of N successive steps; none is of an episode before.
+
+    >>> windows_of(np.array([False, False, True, False]), 2).tolist()
+    [[0, 0], [0, 1], [1, 2], [3, 3]]
+    """
+    rows = np.arange(len(ended))
+    begins = np.concatenate([[True], ended[:-1]])
+    first = np.maximum.accumulate(np.where(begins, rows, 0))
+    seen: I64 = np.maximum(rows[:, None] - np.arange(frames - 1, -1, -1), first[:, None])
+    return seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
     """What a step of learning gets; see `DangerNet.forward`."""
 
-    inputs: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+    inputs: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
     unsafe: torch.Tensor  # (B, A) float32
 
 
@@ -86,18 +139,29 @@ class Lectures:
 
     def __init__(self, config: RunConfig) -> None:
         self._danger: DangerConfig = config.danger
-        self._rng, self._eye = np.random.default_rng(0), Eye(config)
+        self._rng, self._eye = np.random.default_rng(0), Eye(config, looks=spec_of(config).looks)
+        self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
-        self._parts: list[Lessons] = []
+        self._parts: dict[int, Lessons] = {}  # by number
+        self._added, self._oldest = 0, 0
         self._rows = np.zeros((0, 2), np.int64)  # part and row
         self._tight = np.zeros((0, 2), np.int64)
 
     def add(self, lessons: Lessons) -> None:
         """Learn from these, too."""
-        rows = np.stack([np.full(len(lessons), len(self._parts)), np.arange(len(lessons))], 1)
-        self._parts.append(lessons)
+        rows = np.stack([np.full(len(lessons), self._added), np.arange(len(lessons))], 1)
+        self._parts[self._added] = lessons
+        self._added += 1
         self._rows = np.concatenate([self._rows, rows])
         self._tight = np.concatenate([self._tight, rows[lessons.unsafe.any(axis=1)]])
+
+    def keep_newest(self, count: int) -> None:
+        """Forget the oldest lessons, as long as so many steps are left without them."""
+        while self._oldest in self._parts and len(self._rows) - len(self._parts[self._oldest]) >= count:
+            del self._parts[self._oldest]
+            self._oldest += 1
+            self._rows = self._rows[self._rows[:, 0] >= self._oldest]
+            self._tight = self._tight[self._tight[:, 0] >= self._oldest]
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""
@@ -130,22 +194,37 @@ class Lectures:
         pictures = unpack_each([part.pictures[row] for part, row in chosen], PLANES * SIDE * SIDE)
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
         numbers = np.stack([part.actions[row] for part, row in chosen])
+        frames = self._frames(chosen)
         vector = np.stack([part.vectors[row] for part, row in chosen])
         start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
         unsafe = np.stack([part.unsafe[row] for part, row in chosen])
         if mirror:
             picture, numbers, unsafe = picture[..., ::-1].copy(), numbers[:, self._mirror], unsafe[:, self._mirror]
+            frames = frames[..., ::-1].copy()
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
-        around = self._eye.around
-        swept = np.empty((len(picks), len(around.commands), SLICES * EACH_SLICE * len(self._eye.chair)), np.int32)
-        sweep(start, around.commands, around.limits, self._eye.chair, swept)
         return Batch(
             inputs=(
                 torch.from_numpy(picture).float().div_(255.0).contiguous(memory_format=torch.channels_last),
                 torch.from_numpy(numbers).float().div_(255.0),
                 torch.from_numpy(vector),
-                torch.from_numpy(swept).long(),
+                torch.from_numpy(swept_by(self._eye, start)).long(),
+                torch.from_numpy(frames),
             ),
             unsafe=torch.from_numpy(unsafe).float(),
         )
+
+    def _frames(self, chosen: list[tuple[Lessons, int]]) -> U8:
+        """The windows of these rows, (B, T, 2, H, W)."""
+        blobs = [part.frames[at] for part, row in chosen for at in part.windows[row].tolist()]
+        return unpack_each(blobs, int(np.prod(self._size))).reshape(len(chosen), -1, *self._size)
+
+
+def swept_by(eye: Eye, starts: F64) -> npt.NDArray[np.int32]:
+    """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 for an eye that need not know."""
+    around = eye.around
+    if not eye.looks.swept:
+        return np.zeros((len(starts), len(around.commands), 0), np.int32)
+    swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(eye.chair)), np.int32)
+    sweep(starts, around.commands, around.limits, eye.chair, swept)
+    return swept

@@ -1,23 +1,28 @@
 """The danger network: 81 logits, one for each joystick position, of "this ends badly"; the user's wish is no input.
 
-Three parts are added up, each of which can be left out: a roll-out head, which paints cost maps of the street and reads
-them where each position would bring the chair; a gap head, which looks at the numbers of each position with the same
-weights; and a context head on the street map as a whole.
+Parts are added up, each of which can be left out. On the street map (eye `map`): a roll-out head, which paints cost
+maps of the street and reads them where each position would bring the chair; a gap head, which looks at the numbers of
+each position with the same weights; and a context head on the street map as a whole. On the camera's pictures (eye
+`picture`): a network of the registry, then a dense layer. `both` has all of them.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
+import numpy as np
 import torch
+from gymnasium import spaces
 from torch import nn
 from torch.nn import functional
 
 from wcsim.agents.danger.roll_outs import NUMBERS, SLICES
-from wcsim.agents.danger.sight import VECTOR
+from wcsim.agents.danger.sight import VECTOR, Looks
 from wcsim.agents.danger.street_map import OWN_PLANES, PLANES, SIDE
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.config import RunConfig
 
 _MAPS: Final = 2 * SLICES  # hull and wheels, by slice of time
 _BASE: Final = -3.0  # so rare are dangers before anything is learned
@@ -33,6 +38,56 @@ class DangerSpec:
     context: bool = True
     width: int = 20
     actions: str = "square81"
+    eye: Literal["map", "picture", "both"] = "map"
+    network: str = "small"  # of the registry, for the pictures
+    window: int = 1  # pictures that it sees
+    memory: bool = True  # see `sight.Looks`
+    odometry: bool = True
+    height_px: int = 60
+    width_px: int = 80
+    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+
+    @property
+    def street(self) -> bool:
+        """Whether it looks at the street map."""
+        return self.eye != "picture"
+
+    @property
+    def looks(self) -> Looks:
+        """What its eye has to look at."""
+        return Looks(
+            street=self.street,
+            swept=self.street and self.roll_out,
+            window=0 if self.eye == "map" else self.window,
+            memory=self.memory,
+            odometry=self.odometry,
+        )
+
+
+def spec_of(config: RunConfig) -> DangerSpec:
+    """The network that a run's configuration asks for. Raises PolicyError when there is no such network."""
+    danger, learn, camera = config.danger, config.learn, config.cameras[0]
+    network, window = "small", 1
+    if danger.eye != "map":
+        from wcsim.agents.networks.registry import preferred_window
+
+        network, window = learn.network, config.env.window or preferred_window(learn.network)
+    return DangerSpec(
+        roll_out=danger.roll_out,
+        gaps=danger.gaps,
+        rival=danger.rival,
+        context=danger.context,
+        width=danger.width,
+        actions=config.env.actions,
+        eye=danger.eye,
+        network=network,
+        window=window,
+        memory=danger.memory,
+        odometry=danger.odometry,
+        height_px=camera.height_px,
+        width_px=camera.width_px,
+        classes=config.env.classes,
+    )
 
 
 class DangerNet(nn.Module):
@@ -50,22 +105,32 @@ class DangerNet(nn.Module):
         self.planes = PLANES if spec.rival else OWN_PLANES
         self.register_buffer("points", points.to(torch.float32), persistent=False)
         self.points: torch.Tensor
-        self.down = nn.Sequential(
-            *(nn.Conv2d(self.planes, width, 4, stride=2, padding=1), nn.ReLU()),
-            *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
-        )
-        self.deep = nn.Sequential(
-            *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
-            *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
-        )
-        self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
-        self.context = Context(count) if spec.context else None
-        self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR) if spec.gaps else None
+        self.roll_out, self.context, self.gaps, self.pictures = None, None, None, None
+        if spec.street and (spec.roll_out or spec.context):
+            self.down = nn.Sequential(
+                *(nn.Conv2d(self.planes, width, 4, stride=2, padding=1), nn.ReLU()),
+                *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
+            )
+            self.deep = nn.Sequential(
+                *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
+                *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
+            )
+            self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
+            self.context = Context(count) if spec.context else None
+        if spec.street and spec.gaps:
+            self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR)
+        if spec.eye != "map":
+            self.pictures = PictureHead(spec, count)
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), faint(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
     def forward(
-        self, picture: torch.Tensor, numbers: torch.Tensor, vector: torch.Tensor, swept: torch.Tensor
+        self,
+        picture: torch.Tensor,
+        numbers: torch.Tensor,
+        vector: torch.Tensor,
+        swept: torch.Tensor,
+        frames: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """Logits (B, A).
 
@@ -74,6 +139,7 @@ class DangerNet(nn.Module):
             numbers: (B, A, NUMBERS) float32 in 0..1.
             vector: (B, VECTOR) float32.
             swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at without a roll-out head.
+            frames: (B, T, 2, H, W) uint8, class ids and depth; not looked at with the eye `map`.
         """
         picture = picture[:, : self.planes]
         logit = self.base + self.direct(vector)
@@ -89,7 +155,17 @@ class DangerNet(nn.Module):
         if self.gaps is not None:
             points = self.points[None].expand(len(numbers), -1, -1)
             logit = logit + self.gaps(torch.cat([numbers, points], 2), told)
+        if self.pictures is not None and frames is not None:
+            logit = logit + self.pictures(frames, vector)
         return torch.as_tensor(logit)
+
+
+def laid_out(net: DangerNet) -> DangerNet:
+    """The same network, the weights of its two-dimensional convolutions with channels last in memory."""
+    for value in net.parameters():
+        if value.dim() == 4:
+            value.data = value.data.contiguous(memory_format=torch.channels_last)
+    return net
 
 
 def faint(layer: nn.Linear) -> nn.Linear:
@@ -138,6 +214,32 @@ class Context(nn.Module):
         """(B, SIZE) and (B, A)."""
         told = self.dense(torch.cat([self.squeeze(far), vector], 1))
         return told, self.out(told)
+
+
+class PictureHead(nn.Module):
+    """The camera's last pictures through a network of the registry.
+
+    It is given the sight's vector in the place of the IMU's, and nothing in that of the joystick.
+
+    Raises:
+        PolicyError: There is no such network, or it cannot see so many pictures.
+    """
+
+    def __init__(self, spec: DangerSpec, count: int) -> None:
+        super().__init__()
+        from wcsim.agents.networks.encoder import ObservationEncoder  # and with it Stable-Baselines3
+
+        image = spaces.Box(0, 255, (spec.window, spec.height_px, spec.width_px), np.uint8)
+        vector, none = (spaces.Box(-2.0, 2.0, (size,), np.float32) for size in (VECTOR, 0))
+        space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
+        self.encoder = ObservationEncoder(space, spec.network, spec.classes)
+        self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
+        self.out = faint(nn.Linear(64, count))
+
+    def forward(self, frames: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+        """(B, A)."""
+        seen = {CLASS_KEY: frames[:, :, 0], DEPTH_KEY: frames[:, :, 1], IMU_KEY: vector, JOYSTICK_KEY: vector[:, :0]}
+        return torch.as_tensor(self.out(self.dense(torch.cat([self.encoder(seen), vector], 1))))
 
 
 class Gaps(nn.Module):

@@ -71,6 +71,11 @@ class DangerGraph(nn.Module):
                 "a network that looks at what the rival remembers cannot be exported; train with danger.rival=false "
                 "and danger.gaps=false"
             )
+        if net.spec.eye != "map" or not (net.spec.memory and net.spec.odometry):
+            raise PolicyError(
+                "only a network that looks at the remembered street map, with odometry, can be exported; train with "
+                "danger.eye=map, danger.memory=true and danger.odometry=true"
+            )
         camera, actions = config.cameras[0], action_set(config.env.actions)
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
         self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import torch
 
+from wcsim.agents.danger.lessons import swept_by
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
-from wcsim.agents.danger.rule import DangerRule, choose
+from wcsim.agents.danger.rule import Alarm, DangerRule, choose, next_alarm
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64
+
+_SURE: Final = 60.0  # a logit beyond it says no more
 
 
 class DangerPolicy:
@@ -28,16 +32,21 @@ class DangerPolicy:
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
-    senses = SENSES
-
     def __init__(
         self, name: str, net: DangerNet, config: RunConfig, rule: DangerRule, delay_ticks: int | None = None
     ) -> None:
-        self.name, self.warning = name, False
-        self._net, self._rule = net, rule
+        self.name, self.senses = name, SENSES if net.spec.odometry else (GYRO,)
+        self.rule, self._net, self._alarm = rule, net, Alarm()
         self._actions = action_set(config.env.actions)
-        self._eye = Eye(config, delay_ticks)
+        self._eye = Eye(config, delay_ticks, net.spec.looks)
         self._last = -1
+        self.sight: DangerSight  # of the newest observation
+        self.told: F64  # the newest dangers
+
+    @property
+    def warning(self) -> bool:
+        """Whether the user's own stick is about to end badly, see `rule.next_alarm`."""
+        return self._alarm.on
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -45,7 +54,7 @@ class DangerPolicy:
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self._eye.forget()
-        self.warning, self._last = False, -1
+        self._alarm, self._last = Alarm(), -1
 
     def act(self, observation: Observation) -> int:
         """The action nearest to the user's stick that is safe enough."""
@@ -56,13 +65,19 @@ class DangerPolicy:
     def choose(self, observation: Observation) -> int:
         """The same, while another action may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
-        danger = self.danger(self._eye.look(observation))
-        self.warning = bool(danger[self._actions.nearest(stick)] > self._rule.warn)
-        return choose(danger, stick, self._actions, self._rule, self._last)
+        danger = self.dangers(observation)
+        self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule)
+        return choose(danger, stick, self._actions, self.rule, self._last)
 
     def watch(self, observation: Observation) -> None:
         """See what there is to see, and choose nothing."""
-        self._eye.look(observation)
+        self.sight = self._eye.look(observation)
+
+    def dangers(self, observation: Observation) -> F64:
+        """How bad each action is (A,), while any action may still be sent."""
+        self.watch(observation)
+        self.told = self.danger(self.sight)
+        return self.told
 
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
@@ -71,22 +86,26 @@ class DangerPolicy:
 
     def danger(self, sight: DangerSight) -> F64:
         """How bad each action is, (A,) in 0..1. Raises PolicyError when the network leaves the finite numbers."""
-        with torch.inference_mode():
-            logits = self._net(*inputs([sight], self._eye)).numpy()[0]
-        if not np.isfinite(logits).all():
-            raise PolicyError(f"policy {self.name!r} gives dangers that are not finite; train it again")
-        danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
-        return danger
+        return danger_of(self._net, sight, self._eye, self.name)
 
 
-def inputs(sights: list[DangerSight], eye: Eye) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def danger_of(net: DangerNet, sight: DangerSight, eye: Eye, name: str) -> F64:
+    """How bad each action is, (A,) in 0..1. Raises PolicyError when the network leaves the finite numbers."""
+    with torch.inference_mode():
+        logits = net(*inputs([sight], eye)).numpy()[0]
+    if not np.isfinite(logits).all():
+        raise PolicyError(f"policy {name!r} gives dangers that are not finite; train it again")
+    danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
+    return danger
+
+
+def inputs(sights: list[DangerSight], eye: Eye) -> tuple[torch.Tensor, ...]:
     """What the network is called with, for a batch of sights of chairs like that of `eye`."""
-    around, starts = eye.around, np.stack([sight.start for sight in sights]).astype(np.float64)
-    swept = np.empty((len(sights), len(around.commands), SLICES * EACH_SLICE * len(eye.chair)), np.int32)
-    sweep(starts, around.commands, around.limits, eye.chair, swept)
+    starts = np.stack([sight.start for sight in sights]).astype(np.float64)
     return (
         torch.from_numpy(np.stack([sight.picture for sight in sights])).float() / 255.0,
         torch.from_numpy(np.stack([sight.actions for sight in sights])).float() / 255.0,
         torch.from_numpy(np.stack([sight.vector for sight in sights])),
-        torch.from_numpy(swept).long(),
+        torch.from_numpy(swept_by(eye, starts)).long(),
+        torch.from_numpy(np.stack([sight.frames for sight in sights])),
     )

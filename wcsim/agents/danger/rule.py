@@ -14,6 +14,8 @@ from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
+_NEWEST = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
+_CALM = 0.7  # times the level of the warning: below it a warning ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +26,34 @@ class DangerRule:
     keep: float = 0.06  # joystick distance by which the last action is taken for nearer
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth
-    warn: float = 0.5  # of the user's own stick's danger: above it, warn
+    warn: float = 0.5  # of the user's own stick's danger, smoothed: above it, warn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alarm:
+    """Whether the user is warned, and the smoothed danger of the own stick that it follows from; 0 before anything."""
+
+    level: float = 0.0
+    on: bool = False
+
+
+def next_alarm(before: Alarm, danger: float, rule: DangerRule) -> Alarm:
+    """The alarm a tick later: on above `rule.warn`, off again below 0.7 of it; a single tick of danger is not enough.
+
+    Args:
+        before: The alarm of the tick before.
+        danger: Of the user's own stick, if it is held, in 0..1.
+        rule: See there.
+
+    >>> alarm, told = Alarm(), []
+    >>> for danger in (0.9, 0.0, 0.9, 0.9, 0.4, 0.3, 0.1):
+    ...     alarm = next_alarm(alarm, danger, DangerRule(warn=0.5))
+    ...     told.append(alarm.on)
+    >>> told
+    [False, False, True, True, True, True, False]
+    """
+    level = before.level + _NEWEST * (danger - before.level)
+    return Alarm(level=level, on=level > rule.warn or (before.on and level > _CALM * rule.warn))
 
 
 def rule_of(danger: DangerConfig) -> DangerRule:

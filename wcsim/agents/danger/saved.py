@@ -9,17 +9,20 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-from wcsim.agents.danger.network import DangerNet, DangerSpec
+from wcsim.agents.danger.network import DangerNet, DangerSpec, laid_out
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.runs.policy_file import POLICY_JSON, read_danger_file
 from wcsim.config import RunConfig
 from wcsim.core import files
+from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 WEIGHTS = "weights.safetensors"
+_ELSEWHERE = ("height_px", "width_px", "classes")  # of the network's shape, in other places of policy.json
 _CAMERA_KEYS = ("width_px", "height_px", "hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 
 
@@ -32,7 +35,7 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
         data = {
             "schema_version": 1,
             "algorithm": "danger",
-            "net": asdict(net.spec),
+            "net": {key: value for key, value in asdict(net.spec).items() if key not in _ELSEWHERE},
             "rule": asdict(rule),
             "camera": config.cameras[0].model_dump(mode="json"),
             "classes": config.env.classes,
@@ -47,18 +50,33 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
     return folder
 
 
-def load_net(folder: Path) -> tuple[DangerNet, DangerRule]:
-    """The network of a policy folder, and its rule. Raises PolicyError when a file is missing, damaged or unfit."""
+def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRule]:
+    """The network of a policy folder, and its rule.
+
+    Args:
+        folder: Of the policy.
+        network: Somebody's own class that may be loaded to look at pictures, `module:Class`.
+
+    Raises:
+        PolicyError: A file is missing, damaged or unfit, or the policy has a class of its own that was not named.
+    """
     file = read_danger_file(folder)
-    net = DangerNet(DangerSpec(**file.net.model_dump()), torch.as_tensor(action_set(file.net.actions).points))
+    if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
+        require_named(shown(folder), file.net.network, network)
+    camera = file.camera
+    told = {**file.net.model_dump(), "height_px": camera.height_px, "width_px": camera.width_px}
+    spec = DangerSpec(**told, classes=file.classes)
+    net = DangerNet(spec, torch.as_tensor(action_set(file.net.actions).points))
     weights = folder / WEIGHTS
     data = read_weights(weights, file.weights_sha256, net.state_dict())
     net.load_state_dict(checked_weights(weights, data, net.state_dict()))
     net.train(False)
-    return net.to(memory_format=torch.channels_last), DangerRule(**file.rule.model_dump())  # type: ignore[call-overload]
+    return laid_out(net), DangerRule(**file.rule.model_dump())
 
 
-def load_danger(folder: Path, name: str, config: RunConfig, level: float | None = None) -> DangerPolicy:
+def load_danger(
+    folder: Path, name: str, config: RunConfig, level: float | None = None, network: str | None = None
+) -> DangerPolicy:
     """A policy for one chair.
 
     Args:
@@ -66,10 +84,18 @@ def load_danger(folder: Path, name: str, config: RunConfig, level: float | None 
         name: How tables call it.
         config: Of the run in which it drives.
         level: Of assistance, a threshold of danger; None for the policy's own.
+        network: See `load_net`.
 
     Raises:
         PolicyError: It cannot be loaded, or was trained with another camera, class form or action set.
     """
+    require_same_senses(folder, name, config)
+    net, rule = load_net(folder, network)
+    return DangerPolicy(name, net, config, rule if level is None else replace(rule, threshold=level))
+
+
+def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
+    """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
     file = read_danger_file(folder)
     camera = config.cameras[0]
     other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
@@ -80,5 +106,3 @@ def load_danger(folder: Path, name: str, config: RunConfig, level: float | None 
             f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
             "test it on its own"
         )
-    net, rule = load_net(folder)
-    return DangerPolicy(name, net, config, rule if level is None else replace(rule, threshold=level))

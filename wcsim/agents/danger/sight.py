@@ -10,7 +10,7 @@ import numpy as np
 from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
-from wcsim.agents.policy_api import IMU_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
@@ -24,6 +24,17 @@ VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
 MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change their sign when left and right change places
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looks:
+    """What an eye looks at, and what it keeps; what nobody reads is not made."""
+
+    street: bool = True  # the street map, and the numbers of each action
+    swept: bool = True  # over which cells each action sweeps
+    window: int = 0  # pictures of the last ticks that are shown as they are
+    memory: bool = True  # False: the street is forgotten every tick, and who moves in it
+    odometry: bool = True  # False: speed is reckoned from the commands, and the motion that is told is zero
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DangerSight:
     """One tick of one chair."""
@@ -32,6 +43,7 @@ class DangerSight:
     actions: U8  # (A, NUMBERS) see `roll_outs.profile`
     vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
     start: F32  # (6,) where roll-outs begin, see `sweep`
+    frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
 
 
 class Eye:
@@ -40,11 +52,14 @@ class Eye:
     Args:
         config: Of the run: its first camera is seen, and its chair driven.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
+        looks: What it looks at.
     """
 
     senses = SENSES
 
-    def __init__(self, config: RunConfig, delay_ticks: int | None = None) -> None:
+    def __init__(self, config: RunConfig, delay_ticks: int | None = None, looks: Looks | None = None) -> None:
+        self.looks = looks or Looks()
+        self._shape = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
         self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
@@ -59,21 +74,25 @@ class Eye:
         self.around.forget()
         self._map.forget()
         self._sent = np.zeros((COMMANDS, 2))
+        self._frames: U8 = np.empty((0, *self._shape), np.uint8)
 
     def look(self, observation: Observation) -> DangerSight:
         """Take the observation of a new tick."""
-        around = self.around
-        around.observe(observation)
-        pose = around.ego.pose_O
-        self._map.see(around.depth_m, around.classes(observation), pose)
-        points = around.in_the_way(0.0)
-        picture = np.empty((PLANES, SIDE, SIDE), np.uint8)
-        self._map.picture(pose, around.memory.cells, points, picture)
-        start, later_s = around.start()
-        numbers = np.empty((len(self._actions), NUMBERS), np.uint8)
-        profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        if not self.looks.odometry:
+            observation = {key: value for key, value in observation.items() if key != ODOMETRY_KEY}
+        picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
+        numbers = np.zeros((len(self._actions), NUMBERS), np.uint8)
+        if self.looks.street:
+            self._look_around(observation, picture, numbers)
+        else:
+            self.around.feel(observation)
+        start, later_s = self.around.start()
         return DangerSight(
-            picture=picture, actions=numbers, vector=self._vector(observation, later_s), start=start.astype(np.float32)
+            picture=picture,
+            actions=numbers,
+            vector=self._vector(observation, later_s),
+            start=start.astype(np.float32),
+            frames=self._seen(observation),
         )
 
     def command(self, action: int) -> None:
@@ -82,8 +101,32 @@ class Eye:
         self._sent = np.roll(self._sent, 1, axis=0)
         self._sent[0] = self._actions.points[action]
 
+    def _look_around(self, observation: Observation, picture: U8, numbers: U8) -> None:
+        """Take in the street, and write the map and the numbers."""
+        around = self.around
+        if not self.looks.memory:
+            around.memory.forget()
+            around.tracker.forget()
+            self._map.forget()
+        around.observe(observation)
+        pose = around.ego.pose_O
+        self._map.see(around.depth_m, around.classes(observation), pose)
+        points = around.in_the_way(0.0)
+        self._map.picture(pose, around.memory.cells, points, picture)
+        start, later_s = around.start()
+        profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+
+    def _seen(self, observation: Observation) -> U8:
+        """The window of pictures with this one in it."""
+        frames = self.looks.window
+        if frames:
+            now = np.stack([observation[key][-1] for key in (CLASS_KEY, DEPTH_KEY)]).reshape(1, *self._shape)
+            before = self._frames if len(self._frames) else np.repeat(now, frames - 1, axis=0)
+            self._frames = np.concatenate([before, now])[-frames:]
+        return self._frames
+
     def _vector(self, observation: Observation, later_s: float) -> F32:
-        imu, motion = observation[IMU_KEY], self.around.ego.motion
+        imu, motion = observation[IMU_KEY], self.around.ego.motion if self.looks.odometry else np.zeros(3)
         said: F64 = np.concatenate(
             [10.0 * imu[_TILT], imu[_GYRO], motion / (1.67, 1.5, 2.0), [later_s], self._sent.reshape(-1)]
         )

@@ -17,6 +17,7 @@ from rich.text import Text
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
+from wcsim.agents.learning.guarded.guarded_policy import guarded
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
@@ -167,8 +168,8 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
     torch.set_num_threads(1)
     path = policy_path(name)
     if is_danger(path):
-        return load_danger(path, name, config, split_level(name)[1])
-    policy = load_policy(path, network)
+        return load_danger(path, name, config, split_level(name)[1], network)
+    policy = load_policy(path, network, bare=True)
     camera, file = config.cameras[0], policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
         raise PolicyError(
@@ -195,7 +196,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"({', '.join(other) or 'env.classes'} differ): test it on its own"
         )
     policy.name = name
-    return policy
+    return guarded(path, policy, config, split_level(name)[1])
 
 
 def window_for(policies: Sequence[Policy]) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from stable_baselines3.common.type_aliases import GymEnv
 
+from wcsim.agents.learning.guarded.guarded_dqn import Guard, GuardedDQN, GuardedQPolicy
 from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.networks import registry
@@ -62,7 +63,7 @@ def net_spec(config: RunConfig) -> NetSpec:
         reward_scale=learn.reward_scale,
     )
     if learn.head == "danger":
-        raise PolicyError("learn.head='danger' learns in rounds, not by Q-learning; expected residual or plain here")
+        raise PolicyError("learn.head='danger' is no head of Q-learning; expected residual or plain here")
     return NetSpec(
         network=learn.network,
         head=learn.head,
@@ -131,6 +132,16 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
         )
 
 
+def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, Guard]]:
+    """The classes of learner and policy, and what the policy is told beside its network."""
+    learn = config.learn
+    if not learn.danger:
+        return SeqDQN, SeqQPolicy, {}
+    if learn.head != "residual":
+        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers are taken off values")
+    return GuardedDQN, GuardedQPolicy, {"guard": Guard(weight=learn.danger_weight, threshold=config.danger.threshold)}
+
+
 def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
     learn, camera = config.learn, config.cameras[0]
     if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
@@ -138,8 +149,9 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
             "because its pictures are mirrored: set learn.mirror=false"
         )
-    return SeqDQN(
-        SeqQPolicy,
+    kind, policy, guard = _kind(config)
+    return kind(
+        policy,
         env,
         settings=SeqSettings(
             actions=config.env.actions,
@@ -169,7 +181,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
         gradient_steps=learn.gradient_steps,
         max_grad_norm=learn.clip_norm,
         replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
-        policy_kwargs={"spec": net_spec(config)},
+        policy_kwargs={"spec": net_spec(config), **guard},
         device=learn.device,
     )
 

@@ -48,6 +48,32 @@ class EpisodeSums:
     greedy: list[float] = field(default_factory=list)
     values: ValueWatch = field(default_factory=lambda: ValueWatch(gamma=1.0, scale=1.0))
 
+    def add(self, reward: float, info: dict[str, Any]) -> None:
+        """One step, as an environment's `info` tells it."""
+        self.reward += reward
+        self.values.add(reward)
+        self.steps += 1
+        self.distance += float(info.get("joystick_distance", 0.0))
+        self.speed += float(info.get("speed_mps", 0.0))
+        self.progress_m += float(info.get("progress_m", 0.0))
+        events = info.get("events")
+        self.arrivals += int(events is not None and events.arrived)
+
+    def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
+        """What metrics.csv says of an episode that ended with this step."""
+        events = info.get("events")
+        return {
+            "return": self.reward,
+            "length": self.steps,
+            "kpi1": self.distance / self.steps,
+            "kpi1_greedy": sum(self.greedy) / len(self.greedy) if self.greedy else None,
+            "crashed": int(crashed),
+            "crash_reason": "" if events is None else events.crash_reason,
+            "speed_mps": self.speed / self.steps,
+            "progress_m": self.progress_m,
+            "arrivals": self.arrivals,
+        }
+
 
 class SeqCallback(BaseCallback):
     """A callback of a SeqDQN."""
@@ -95,21 +121,10 @@ class EpisodeMetrics(SeqCallback):
         self._look_greedy()
         self._look_at_starts()
         for seat, info in enumerate(self.locals["infos"]):
-            self._add(seat, float(self.locals["rewards"][seat]), info)
+            self.sums[seat].add(float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
                 self._finish(seat, info)
         return True
-
-    def _add(self, seat: int, reward: float, info: dict[str, Any]) -> None:
-        sums = self.sums[seat]
-        sums.reward += reward
-        sums.values.add(reward)
-        sums.steps += 1
-        sums.distance += float(info.get("joystick_distance", 0.0))
-        sums.speed += float(info.get("speed_mps", 0.0))
-        sums.progress_m += float(info.get("progress_m", 0.0))
-        events = info.get("events")
-        sums.arrivals += int(events is not None and events.arrived)
 
     def _look_greedy(self) -> None:
         """KPI 1 of the first phase is about what the agent would choose; executed is the user's action."""
@@ -140,7 +155,6 @@ class EpisodeMetrics(SeqCallback):
     def _finish(self, seat: int, info: dict[str, Any]) -> None:
         sums, learner = self.sums[seat], self.learner
         crashed = not info.get("TimeLimit.truncated", False)
-        events = info.get("events")
         self.episodes += 1
         self.crashes += int(crashed)
         self.kpi1 = sums.distance / sums.steps
@@ -151,15 +165,7 @@ class EpisodeMetrics(SeqCallback):
                 "step": self.num_timesteps,
                 "episode": self.episodes,
                 "phase": int(learner.phase),
-                "return": sums.reward,
-                "length": sums.steps,
-                "kpi1": self.kpi1,
-                "kpi1_greedy": sum(sums.greedy) / len(sums.greedy) if sums.greedy else None,
-                "crashed": int(crashed),
-                "crash_reason": "" if events is None else events.crash_reason,
-                "speed_mps": sums.speed / sums.steps,
-                "progress_m": sums.progress_m,
-                "arrivals": sums.arrivals,
+                **sums.row(info, crashed),
                 "epsilon": learner.exploration_rate,
                 "margin_weight": 0.0 if plan is None else plan.margin_weight(self.num_timesteps),
                 "loss": learner.last_loss,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.agents.policy_api import CLASS_KEY, DANGER_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.supervisor.observation import imu_size
 
@@ -26,19 +26,21 @@ _SIGNS = {
 def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
-        observations=_mirrored(batch.observations, signs),
+        observations=_mirrored(batch.observations, actions, signs),
         actions=actions[batch.actions.long()],
-        next_observations=_mirrored(batch.next_observations, signs),
+        next_observations=_mirrored(batch.next_observations, actions, signs),
     )
 
 
 def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
     """The same for a batch of the training aid."""
-    return AdviceBatch(observations=_mirrored(batch.observations, signs), safe=batch.safe[:, actions])
+    return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
 
 
-def _mirrored(observations: Tensors, further: Signs = ()) -> Tensors:
+def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
     out = dict(observations)
+    if DANGER_KEY in observations:
+        out[DANGER_KEY] = observations[DANGER_KEY][..., actions]
     for key in (CLASS_KEY, DEPTH_KEY):
         out[key] = observations[key].flip(-1)
     imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from wcsim.types import ClassId
 
 WEIGHTS = "weights.safetensors"
 JOYSTICK_SIZE = 2
+Beside = Callable[[Path], dict[str, Any]]
 
 
 class NetPolicy:
@@ -81,22 +82,28 @@ class NetPolicy:
         return values, after
 
 
-def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
-    """Write a policy folder in one step, replacing an older one; returns the folder."""
+def save_policy(
+    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "", beside: Beside | None = None
+) -> Path:
+    """Write a policy folder in one step, replacing an older one; returns the folder.
+
+    `beside` writes further files into it, and returns further entries of policy.json.
+    """
     net = model.q_net
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
 
     def fill(target: Path) -> None:
         save_file(tensors, target / WEIGHTS)
         digest = files.sha256(target / WEIGHTS)
-        files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
+        told = _describe(model, camera, manifest_sha256, digest)
+        files.write_json(target / POLICY_JSON, {**told, **({} if beside is None else beside(target))})
 
     files.write_folder(folder, fill)
     return folder
 
 
-def load_policy(path: Path, network: str | None = None) -> NetPolicy:
-    """Load a policy folder.
+def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -> NetPolicy:
+    """Load a policy folder; one with a danger network needs it to drive (`guarded`), and is loaded without when `bare`.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
     somebody else must not decide which code runs here.
@@ -104,6 +111,8 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
+    if file.guard is not None and not bare:
+        raise PolicyError(f"{shown(path)} holds a danger network too; expected a caller that drives with both")
     spec = _spec(path, file, network)
     weights = path / WEIGHTS
     if registry.is_own(spec.network):

@@ -242,11 +242,8 @@ class SeqDQN(DQN):
     def targets(self, batch: DictReplayBufferSamples) -> torch.Tensor:
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
-        if self.settings.double_q:
-            best = self.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
-            value = after.gather(1, best)
-        else:
-            value = after.max(dim=1, keepdim=True).values
+        chooser = self.q_net(batch.next_observations) if self.settings.double_q else after
+        value = after.gather(1, self.q_net.choice(chooser, batch.next_observations)[:, None])
         discounts = self.gamma if batch.discounts is None else batch.discounts
         return torch.as_tensor(self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value)
 

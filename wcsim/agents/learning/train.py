@@ -20,6 +20,8 @@ from wcsim.agents.learning.build import build_model, checked_device, with_window
 from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import set_aside
+from wcsim.agents.learning.guarded.danger_sense import danger_part, with_dangers
+from wcsim.agents.learning.guarded.guarded_policy import guard_beside
 from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
@@ -72,8 +74,8 @@ def train(
     if run.config.learn.tensorboard:
         require_tensorboard()
     folder = folder_of(run, with_window)
-    with files.locked(folder.path), _torch_settings(run.config), StopRequest() as request:
-        env = DummyVecEnv([make_env])
+    with files.locked(folder.path), torch_settings(run.config), StopRequest() as request:
+        env = DummyVecEnv([with_dangers(make_env, folder.config, danger_part(folder))])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
             with contextlib.closing(_replay(model)) as memory:
@@ -175,7 +177,8 @@ class _Session:
     def _save(self, stage: str) -> None:
         path = self.run.policy(stage)
         try:
-            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+            beside = guard_beside(self.model, danger_part(self.run))
+            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256(), beside)
         except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 
@@ -248,7 +251,7 @@ def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Load
 
 
 @contextmanager
-def _torch_settings(config: RunConfig) -> Iterator[None]:
+def torch_settings(config: RunConfig) -> Iterator[None]:
     """Threads and determinism for the run, and what was set before after it."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(config.learn.threads)

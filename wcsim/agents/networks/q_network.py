@@ -98,6 +98,11 @@ class QNet(BasePolicy):
             q = q + self.follow_reward(observations[JOYSTICK_KEY])
         return torch.as_tensor(q)
 
+    def choice(self, values: torch.Tensor, observations: PyTorchObs) -> torch.Tensor:
+        """(B,) the action that is taken for these values (B, A)."""
+        del observations
+        return values.argmax(dim=1)
+
     def distances(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
         """Joystick distance of every action, (B, 2) -> (B, A)."""
         gap = joysticks_xy[:, None, :] - torch.as_tensor(self._points)[None]
@@ -114,7 +119,7 @@ class QNet(BasePolicy):
         return prior.reward_scale * reward
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
-        return self(observation).argmax(dim=1)  # type: ignore[no-any-return]
+        return self.choice(self(observation), observation)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {"observation_space": self.observation_space, "action_space": self.action_space, "spec": self.spec}

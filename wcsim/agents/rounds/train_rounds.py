@@ -80,7 +80,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     torch.set_num_threads(config.learn.threads)
     torch.use_deterministic_algorithms(True)
     seed, total = folder.manifest.seed, config.collect.rounds
-    learner = DangerLearner(config, seed)
+    learner = DangerLearner(config, seed, config.danger.updates * total)
     first = newest_round(folder.checkpoints) + 1
     segments = load_round(folder.checkpoints, first - 1, learner) if first else {}
     lectures = Lectures(config)

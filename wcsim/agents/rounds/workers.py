@@ -152,7 +152,7 @@ def drive_piece(piece: SegmentPiece) -> str:
 
 def learned_of(folder: Path, config: RunConfig) -> MakeLearned:
     """The network of a policy folder as a driver of data; one for each chair, by the delay of its commands."""
-    net, rule = load_net(folder)
+    net, rule = load_net(folder, config.learn.network)
 
     def make(delay_ticks: int) -> DangerPolicy:
         return DangerPolicy(folder.name, net, config, rule, delay_ticks)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from wcsim.agents.networks.names import is_own, require_named
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
-from wcsim.agents.runs.policy_file import is_danger, read_policy_file
+from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
@@ -164,7 +164,7 @@ def _require_policies(options: Options) -> None:
     for name in options.policies:
         if not is_baseline(name):
             path = policy_path(name)
-            network = "" if is_danger(path) else read_policy_file(path).net.network
+            network = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
             if is_own(network):
                 require_named(shown(name), network, options.network)
 

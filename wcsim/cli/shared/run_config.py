@@ -8,7 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.networks.names import is_own, require_network
+from wcsim.agents.policy_api import GYRO, ODOMETRY_KEY
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
@@ -116,9 +118,23 @@ def steps_note(config: RunConfig, steps: int | None) -> str:
 
 
 def learning(config: RunConfig) -> RunConfig:
-    """The configuration as it is learned with: episodes of the learner's length, the truth when it is advised."""
-    env = {"max_steps": config.learn.episode_steps, "truth": config.learn.aid == "oracle"}
-    return config.model_copy(update={"env": config.env.model_copy(update=env)})
+    """The configuration as it is learned with: episodes of the learner's length, the truth when it is advised.
+
+    A danger network that learns or is learned with has the senses that it reads, and its teacher.
+    """
+    learn, taught = config.learn, learns_dangers_online(config)
+    visible = taught and config.danger.teacher == "visible"
+    env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle" or taught, "truth_visible": visible}
+    config = config.model_copy(update={"env": config.env.model_copy(update=env)})
+    if learn.danger:  # a client may be at work elsewhere
+        kept = learn.model_copy(update={"danger": str(Path(learn.danger).absolute())})
+        config = config.model_copy(update={"learn": kept})
+    return with_senses(config, (ODOMETRY_KEY, GYRO)) if taught or learn.danger else config
+
+
+def learns_dangers_online(config: RunConfig) -> bool:
+    """Whether a danger network learns from every step as it drives, and not in rounds."""
+    return config.learn.head == "danger" and config.collect.rounds == 0
 
 
 def require_trained_users(config: RunConfig) -> None:

@@ -18,8 +18,10 @@ from wcsim.agents.clients.clients_folder import (
     open_clients_folder,
     write_client_configs,
 )
+from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
+from wcsim.agents.policy_api import ODOMETRY_KEY
 from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
@@ -139,7 +141,13 @@ def resolved(options: Options) -> tuple[Client, ...]:
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
         config = resolve_config(options, network, files.get(name))
         require_user(config.env.profile)
+        if config.learn.head == "danger" and config.collect.rounds:
+            raise ConfigError(
+                f"client {name}: collect.rounds={config.collect.rounds} drives in worlds of its own; expected 0, a "
+                "network that learns as it drives"
+            )
         clients.append(Client(name=name, seat=seat, config=config))
+    clients = _sensing_alike(clients)
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
@@ -147,6 +155,13 @@ def resolved(options: Options) -> tuple[Client, ...]:
             "IMU and reward for all: only [learn] and what [env] shows may differ (--config-for)"
         )
     return tuple(clients)
+
+
+def _sensing_alike(clients: list[Client]) -> list[Client]:
+    """The same clients, with wheel odometry for all where one reads dangers: a sensor is there for all or none."""
+    if not any(client.config.learn.head == "danger" or client.config.learn.danger for client in clients):
+        return clients
+    return [replace(client, config=with_senses(client.config, (ODOMETRY_KEY,))) for client in clients]
 
 
 def client_names(networks: Sequence[str]) -> tuple[str, ...]:

@@ -15,7 +15,14 @@ from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
-from wcsim.cli.shared.run_config import how_to_test, in_town, resolve_config, resolve_run, steps_note
+from wcsim.cli.shared.run_config import (
+    how_to_test,
+    in_town,
+    learns_dangers_online,
+    resolve_config,
+    resolve_run,
+    steps_note,
+)
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
 from wcsim.config import with_overrides
@@ -183,7 +190,8 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
 
 def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1) -> Path:
     """Train with a progress bar; returns the run folder."""
-    if run.config.learn.head == "danger":
+    online = learns_dangers_online(run.config)
+    if run.config.learn.head == "danger" and not online:
         from wcsim.cli.training.rounds import train_rounds_in
 
         return train_rounds_in(run, town, worlds)
@@ -205,12 +213,17 @@ def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = Fa
             announce()
             bar.show(now)
 
-        return train(
-            run,
-            lambda: WheelchairEnv(town.address, config=config, reward_terms=terms, run=run.out, hook=info.hook),
-            show,
-            say=lambda text: print(f"wcsim: {text}", file=sys.stderr),
-        )
+        def make_env() -> WheelchairEnv:
+            return WheelchairEnv(town.address, config=config, reward_terms=terms, run=run.out, hook=info.hook)
+
+        def say(text: str) -> None:
+            print(f"wcsim: {text}", file=sys.stderr)
+
+        if online:
+            from wcsim.agents.online.train_online import Listeners, train_online
+
+            return train_online(run, make_env, Listeners(progress=show, say=say))
+        return train(run, make_env, show, say=say)
 
 
 def _once(call: Callable[[], None]) -> Callable[[], None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,9 @@ from wcsim.config.base import Model, NotNegative, Positive, Share
 class DangerConfig(Model):
     """The network's parts, its supervised learning, and its rule."""
 
+    eye: Literal["map", "picture", "both"] = "map"  # the street map, the camera's pictures (`learn.network`), or both
+    memory: bool = True  # false: the street map, its trail and the rival's street are forgotten every tick
+    odometry: bool = True  # false: no wheel odometry; speed is reckoned from the commands, turns from the turn rates
     roll_out: bool = True  # cost maps, read along each action's way
     gaps: bool = True  # how near to what each action comes, by the rival's own senses
     rival: bool = True  # what the rival remembers of the street, as planes of the street map
@@ -28,4 +31,4 @@ class DangerConfig(Model):
     keep: NotNegative = 0.06  # joystick distance by which the last action is taken for nearer
     lenient: Positive = 1.3  # times the threshold for the last action
     shy: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth
-    warn: Share = 0.5  # the danger of the user's own stick above which it warns
+    warn: Share = 0.5  # the danger of the user's own stick, over about three ticks, above which it warns

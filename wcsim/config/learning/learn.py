@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
@@ -25,7 +25,13 @@ class LearnConfig(Model):
         ""  # suite or list that chooses which of several clients learns the second phase; none: all do
     )
     network: Word = "small"  # by name (wcsim networks), or module:Class
-    head: Literal["residual", "plain", "danger"] = "residual"  # follow reward and a rest, or values alone
+    head: Literal["residual", "plain", "danger"] = "residual"  # follow reward and a rest, values alone, or dangers
+    danger: Annotated[Text, Field(exclude_if=lambda path: not path)] = (
+        ""  # run or policy folder of a danger network that stays as it is; values are learned on top (head="residual")
+    )
+    danger_weight: Annotated[NotNegative, Field(exclude_if=lambda weight: weight == 1.0)] = (
+        1.0  # of its dangers, in scaled reward
+    )
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97  # above 0.991 crashing pays better than waiting
     learning_rate: Positive = 3e-4  # Adam's
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero

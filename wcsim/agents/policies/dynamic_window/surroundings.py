@@ -71,9 +71,13 @@ class StreetSense:
 
     def observe(self, observation: Observation) -> None:
         """Take the observation of a new tick."""
+        self.feel(observation)
+        self._look(observation)
+
+    def feel(self, observation: Observation) -> None:
+        """Take of it the chair's own motion alone, and look at nothing."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         self.ego.observe(observation, self.shaped(stick))
-        self._look(observation)
 
     def command(self, action: int) -> None:
         """Say which action is sent now."""

@@ -1,0 +1,71 @@
+"""Lessons and settings for tests of danger networks: tiny pictures, streets of noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.support.worlds import quick_config
+from wcsim.agents.collecting.labels import SAFE
+from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.danger.lessons import Lectures, lessons_of
+from wcsim.config import RunConfig
+from wcsim.supervisor.actions import action_set
+
+HEIGHT_PX, WIDTH_PX = 24, 32
+SMALL = ("danger.batch=16", "danger.width=8", "sensors.odometry=typical", "env.observe_gyro=true")
+
+
+def small_config(*overrides: str) -> RunConfig:
+    return quick_config(*SMALL, *overrides)
+
+
+def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Segment:
+    """Steps of one chair after the other through noise; what lies ahead is unsafe where the depth is small."""
+    rng = np.random.default_rng(seed)
+    near = rng.random(rows) < 0.5
+    depth = np.where(near[:, None, None], 90, 200) + rng.integers(-20, 21, (rows, HEIGHT_PX, WIDTH_PX))
+    codes = np.full((rows, 81), SAFE, np.uint8)
+    codes[np.ix_(near, action_set("square81").points[:, 1] > 0.0)] = 3
+    return Segment(
+        depth=depth.astype(np.uint8),
+        seg=rng.choice([7, 8, 11, 24, 26], depth.shape).astype(np.uint8),
+        imu=(0.02 * rng.normal(size=(rows, 8))).astype(np.float32),
+        odometry=np.tile(np.array([0.2, 0.03], np.float32), (rows, 1)),
+        stick=np.tile(np.array([0.1, 0.9], np.float32), (rows, 1)),
+        wish=np.tile(np.array([0.1, 0.9], np.float32), (rows, 1)),
+        action=rng.integers(0, 81, rows).astype(np.uint8),
+        driver=np.zeros(rows, np.uint8),
+        visible=codes,
+        truth=codes.copy(),
+        reward=np.zeros(rows, np.float32),
+        crashed=np.zeros(rows, np.bool_),
+        ended=np.isin(np.arange(rows), (*ends, rows - 1)),
+        delay=np.full(rows, 1, np.uint8),
+    )
+
+
+def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Lectures:
+    """Lessons of such a drive."""
+    found = Lectures(config)
+    found.add(lessons_of(a_segment(rows, seed), config))
+    found.begin(np.random.default_rng(seed))
+    return found
+
+
+def all_of(lessons: Lectures) -> np.ndarray:
+    """Part and row of all there are."""
+    return np.stack([np.zeros(len(lessons), np.int64), np.arange(len(lessons))], 1)
+
+
+def observation(config: RunConfig, tick: int = 0, seed: int = 0) -> dict[str, np.ndarray]:
+    """What a chair of this configuration sees in a street of noise."""
+    camera = config.cameras[0]
+    rng = np.random.default_rng((seed, tick))
+    shape = (1, camera.height_px, camera.width_px)
+    return {
+        "depth": rng.integers(60, 200, shape).astype(np.uint8),
+        "seg": rng.choice([7, 8, 11, 24, 26], shape).astype(np.uint8),
+        "imu": (0.02 * rng.normal(size=8)).astype(np.float32),
+        "odometry": np.array([0.05 + 0.01 * tick, 0.02], np.float32),
+        "joystick": np.array([0.3 * np.sin(tick / 5.0), 0.8], np.float32),
+    }

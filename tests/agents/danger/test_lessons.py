@@ -1,0 +1,128 @@
+"""Recorded driving as lessons: what is seen, what is unsafe, and everything turned where left and right change."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, observation, small_config
+from wcsim.agents.danger.lessons import Lectures, lessons_of, windows_of
+from wcsim.agents.danger.network import spec_of
+from wcsim.agents.danger.roll_outs import SLICES
+from wcsim.agents.danger.sight import MIRRORED, Eye, Looks
+from wcsim.agents.danger.street_map import AGE, SIDE
+from wcsim.supervisor.actions import action_set
+
+ACTIONS = action_set("square81")
+BOTH = ("danger.eye=both", "learn.network=gru", "env.window=3")
+
+
+def test_a_mirror_turns_pictures_numbers_vector_start_and_labels():
+    config = small_config(*BOTH)
+    lessons = lectures(config, 20)
+    rows = all_of(lessons)
+    street, numbers, vector, swept, frames = lessons.batch(rows).inputs
+    turned = lessons.batch(rows, mirror=True)
+    assert torch.equal(turned.inputs[0], street.flip(-1)) and not torch.equal(turned.inputs[0], street)
+    assert torch.equal(turned.inputs[1], numbers[:, ACTIONS.mirror])
+    signs = torch.ones(vector.shape[1])
+    signs[list(MIRRORED)] = -1.0
+    assert torch.equal(turned.inputs[2], vector * signs) and (vector[:, list(MIRRORED)] != 0.0).any()
+    assert torch.equal(turned.inputs[4], frames.flip(-1)) and frames.shape == (20, 3, 2, HEIGHT_PX, WIDTH_PX)
+    assert torch.equal(turned.unsafe, lessons.batch(rows).unsafe[:, ACTIONS.mirror])
+    same = turned.inputs[3] == flipped(swept)[:, ACTIONS.mirror]
+    assert same.float().mean() > 0.97, "the roll-outs begin in the mirrored state, so they sweep the mirrored cells"
+    assert (swept == flipped(swept)[:, ACTIONS.mirror]).float().mean() < 0.9
+
+
+def flipped(swept: torch.Tensor) -> torch.Tensor:
+    """The same cells on the other side, the points of the chair in the order that they have there."""
+    columns = swept % SIDE
+    other = swept - columns + (SIDE - 1 - columns)
+    eye = Eye(small_config())
+    chair = eye.chair
+    order = [int(np.argmin(np.abs(chair - row * (1, -1, 1)).sum(1))) for row in chair]
+    points = other.view(*swept.shape[:2], -1, len(chair))[..., order]
+    return points.reshape(swept.shape)
+
+
+def test_an_action_is_unsafe_already_a_step_before_it_is_and_never_for_another_episode():
+    segment = a_segment(12, ends=(5,))
+    segment.visible[:] = 255
+    segment.visible[4, 7] = segment.visible[6, 8] = 2
+    for ahead, rows in ((0, [4]), (1, [3, 4]), (2, [2, 3, 4])):
+        lessons = lessons_of(segment, small_config(f"danger.ahead={ahead}"))
+        assert np.flatnonzero(lessons.unsafe[:, 7]).tolist() == rows
+        assert np.flatnonzero(lessons.unsafe[:, 8]).tolist() == [6], "row 5 ended its episode"
+
+
+def test_the_teacher_is_the_one_that_was_asked_for():
+    segment = a_segment(6, ends=())
+    segment.visible[:], segment.truth[:] = 255, 0
+    assert not lessons_of(segment, small_config("danger.teacher=visible", "danger.ahead=0")).unsafe.any()
+    assert lessons_of(segment, small_config("danger.teacher=truth", "danger.ahead=0")).unsafe.all()
+
+
+def test_windows_hold_the_pictures_of_their_own_episode():
+    config = small_config(*BOTH)
+    segment, lessons = a_segment(8, ends=(3,)), Lectures(config)
+    lessons.add(lessons_of(segment, config))
+    frames = lessons.batch(all_of(lessons)).inputs[4].numpy()
+    wanted = [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [4, 4, 4], [4, 4, 5], [4, 5, 6], [5, 6, 7]]
+    assert windows_of(segment.ended, 3).tolist() == wanted
+    for row, window in enumerate(wanted):
+        assert np.array_equal(frames[row, :, 0], segment.seg[window])
+        assert np.array_equal(frames[row, :, 1], segment.depth[window])
+
+
+def test_an_eye_sees_the_windows_that_its_lessons_have():
+    config = small_config(*BOTH)
+    segment, eye = a_segment(5, ends=()), Eye(config, 1, spec_of(config).looks)
+    lessons = Lectures(config)
+    lessons.add(lessons_of(segment, config))
+    told = lessons.batch(all_of(lessons)).inputs[4].numpy()
+    for row in range(5):
+        seen = {"depth": segment.depth[row][None], "seg": segment.seg[row][None], "imu": segment.imu[row]}
+        sight = eye.look({**seen, "odometry": segment.odometry[row], "joystick": segment.wish[row]})
+        eye.command(int(segment.action[row]))
+        assert np.array_equal(sight.frames, told[row])
+
+
+def test_without_memory_only_this_ticks_street_is_known():
+    config = small_config()
+    remembers, forgets = Eye(config), Eye(config, looks=Looks(memory=False))
+    for tick in range(5):
+        seen = observation(config, tick)
+        last = [eye.look(seen).picture[AGE] for eye in (remembers, forgets)]
+        for eye in (remembers, forgets):
+            eye.command(0)
+    assert set(np.unique(last[1])) == {0, 255}
+    assert len(np.unique(last[0])) > 2
+
+
+def test_without_odometry_the_motion_that_is_told_is_zero_and_commands_move_the_map():
+    config = small_config()
+    eye, blind = Eye(config), Eye(config, looks=Looks(odometry=False))
+    ahead = ACTIONS.nearest((0.0, 1.0))
+    for tick in range(6):
+        seen = {**observation(config, tick), "odometry": np.array([0.0, 0.0], np.float32)}
+        still, driven = eye.look(seen), blind.look(seen)
+        for one in (eye, blind):
+            one.command(ahead)
+    assert not driven.vector[5:8].any() and still.vector[5:8].any()
+    assert eye.around.ego.way_m == 0.0 and blind.around.ego.way_m > 0.01, "wheels that stand are not looked at"
+
+
+def test_half_of_a_batch_is_tight_where_there_is_tightness():
+    config = small_config("danger.ahead=0", "danger.tight_share=0.5")
+    lessons = lectures(config, 40)
+    assert 0.2 < lessons.tight_share < 0.8
+    shares = [float(lessons.draw().unsafe.any(1).float().mean()) for _ in range(20)]
+    assert np.mean(shares) > lessons.tight_share + 0.1
+    assert all(share >= 0.5 for share in shares)
+
+
+def test_roll_outs_are_swept_for_whom_they_are_read_alone():
+    for words, many in (((), 4 * SLICES), (("danger.roll_out=false",), 0), (("danger.eye=picture",), 0)):
+        swept = lectures(small_config(*words), 6).draw().inputs[3]
+        assert (swept.shape[2] > 0) == (many > 0)

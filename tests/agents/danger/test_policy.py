@@ -1,0 +1,107 @@
+"""A danger network that drives, and warns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tests.agents.danger.sights import observation, small_config
+from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.rule import Alarm, DangerRule, next_alarm
+from wcsim.agents.policy_api import NeedsSenses, Warns
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+ACTIONS = action_set("square81")
+RULE = DangerRule(warn=0.5)
+
+
+def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
+    config = small_config(*words)
+    torch.manual_seed(1)
+    net = laid_out(DangerNet(spec_of(config), torch.as_tensor(ACTIONS.points))).eval()
+    with torch.no_grad():
+        net.base.fill_(base)
+    return DangerPolicy("own", net, config, RULE)
+
+
+@pytest.mark.parametrize(
+    "words", [(), ("danger.eye=picture",), ("danger.eye=both", "learn.network=gru", "env.window=3")], ids=str
+)
+def test_a_policy_acts_and_a_reset_lets_it_drive_the_same_again(words):
+    policy, config = policy_of(*words), small_config()
+    assert isinstance(policy, Warns) and isinstance(policy, NeedsSenses)
+    drives = []
+    for _ in range(2):
+        policy.reset()
+        policy.begin()
+        drives.append([policy.act(observation(config, tick)) for tick in range(6)])
+    assert drives[0] == drives[1]
+    assert all(0 <= action < 81 for action in drives[0])
+
+
+def test_it_follows_where_nothing_is_dangerous_and_brings_down_danger_where_all_is():
+    safe, config = policy_of(base=-30.0), small_config()
+    seen = observation(config)
+    assert safe.act(seen) == ACTIONS.nearest(seen["joystick"])
+    grim = policy_of(base=30.0)
+    assert 0 <= grim.act(seen) < 81
+
+
+def test_dangers_that_are_no_numbers_are_refused():
+    policy = policy_of(base=float("nan"))
+    with pytest.raises(PolicyError, match="not finite"):
+        policy.act(observation(small_config()))
+
+
+def test_a_policy_without_odometry_asks_for_none():
+    assert policy_of().senses == ("odometry", "gyro")
+    assert policy_of("danger.odometry=false").senses == ("gyro",)
+    policy = policy_of("danger.odometry=false")
+    seen = observation(small_config())
+    del seen["odometry"]
+    assert 0 <= policy.act(seen) < 81
+
+
+def test_it_warns_of_the_users_own_stick_after_two_ticks_and_not_after_a_reset():
+    policy, config = policy_of(base=30.0), small_config()
+    told = []
+    for tick in range(3):
+        policy.act(observation(config, tick))
+        told.append(policy.warning)
+    assert told == [False, True, True]
+    policy.reset()
+    assert not policy.warning
+
+
+def alarms(*dangers: float) -> list[bool]:
+    alarm, told = Alarm(), []
+    for danger in dangers:
+        alarm = next_alarm(alarm, danger, RULE)
+        told.append(alarm.on)
+    return told
+
+
+def test_a_single_tick_of_danger_is_no_warning_and_two_are():
+    assert alarms(1.0, 0.0, 0.0) == [False] * 3
+    assert alarms(0.0, 1.0, 0.0, 1.0, 0.0) == [False, False, False, True, False]
+    assert alarms(0.9, 0.9) == [False, True]
+    assert alarms(0.4, 0.6, 0.6, 0.6, 0.6)[-1], "what lies above for longer is warned of, however little"
+
+
+def test_a_warning_does_not_flicker_about_its_level():
+    about = [0.9, 0.9] + [0.45, 0.52, 0.42, 0.5, 0.44] * 4
+    assert all(alarms(*about)[1:])
+    assert not any(alarms(*about[2:])), "the same without a warning before it"
+    assert not alarms(*about, 0.1, 0.1)[-1]
+
+
+def test_a_level_of_one_never_warns_and_zero_always_does():
+    always = DangerRule(warn=0.0)
+    assert next_alarm(Alarm(), 0.01, always).on
+    alarm = Alarm()
+    for _ in range(50):
+        alarm = next_alarm(alarm, 1.0, DangerRule(warn=1.0))
+    assert not alarm.on and np.isclose(alarm.level, 1.0)

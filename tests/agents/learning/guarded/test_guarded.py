@@ -1,0 +1,210 @@
+"""Values on top of a danger network that stays as it is, in the toy street."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.agents.online.test_train_online import Sensing
+from tests.agents.online.test_train_online import config as danger_config
+from tests.agents.toy import a_run
+from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.rule import rule_of
+from wcsim.agents.danger.saved import WEIGHTS, load_net, save_danger
+from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.flip_augmentation import mirrored
+from wcsim.agents.learning.guarded.danger_sense import PART, DangerSense, codes_of_dangers, dangers_of_codes
+from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN
+from wcsim.agents.learning.guarded.guarded_policy import GuardedPolicy
+from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.train import train
+from wcsim.agents.policy_api import DANGER_KEY
+from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.config import RunConfig, with_overrides
+from wcsim.core import files
+from wcsim.errors import ConfigError, PolicyError
+from wcsim.supervisor.actions import action_set
+
+ACTIONS = action_set("square81")
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory) -> Path:
+    """A danger network that fears to drive ahead, whatever it sees."""
+    own = danger_config()
+    net = DangerLearner(own, 1, 1).net
+    with torch.no_grad():
+        net.direct[-1].bias.copy_(torch.as_tensor(8.0 * (ACTIONS.points[:, 1] > 0.5) - 1.0))
+    return save_danger(tmp_path_factory.mktemp("part") / "danger", net, rule_of(own.danger), own)
+
+
+def config(part: Path, *words: str) -> RunConfig:
+    own = (
+        *("learn.head=residual", f"learn.danger={part}", "learn.danger_weight=2", "learn.phase1_steps=40"),
+        *("learn.total_steps=160", "learn.mirror=true", "learn.margin=0", "env.observe_gyro=true"),
+        *("sensors.odometry=typical", "learn.network=patch", *words),
+    )
+    return with_overrides(danger_config(), own)
+
+
+@pytest.fixture(scope="module")
+def run(part, tmp_path_factory) -> Path:
+    torch.set_num_threads(1)
+    return train(a_run(config(part), tmp_path_factory.mktemp("guarded") / "run", 3), Sensing)
+
+
+def weights_of(path: Path) -> bytes:
+    return (path / WEIGHTS).read_bytes()
+
+
+def test_it_trains_and_the_danger_network_stays_as_it_is_to_the_byte(run: Path, part: Path):
+    for stage in ("phase1", "final"):
+        folder = run / "policies" / stage
+        assert weights_of(folder / PART) == weights_of(part) == weights_of(run / PART)
+        assert (folder / PART / POLICY_JSON).read_bytes() == (part / POLICY_JSON).read_bytes()
+    assert weights_of(run / "policies" / "final") != weights_of(run / "policies" / "phase1")
+    rows = read_metrics(run / "metrics.csv")
+    assert all(np.isfinite(float(row["loss"])) for row in rows if int(row["updates"])) and int(rows[-1]["updates"]) > 20
+
+
+def test_in_the_second_phase_nothing_unsafe_is_done_where_something_is_safe(run: Path, part: Path):
+    policy, street = open_policy(str(run), config(part)), Sensing()
+    assert isinstance(policy, GuardedPolicy) and policy.senses == ("odometry", "gyro")
+    seen, _ = street.reset(seed=2)
+    policy.reset()
+    for _ in range(20):
+        action = policy.act(seen)
+        assert ACTIONS.points[action][1] <= 0.5, "the network fears all that lies ahead"
+        seen, _, crashed, *_ = street.step(action)
+        if crashed:
+            break
+    assert isinstance(policy.warning, bool)
+
+
+def test_an_assistance_level_is_the_threshold_of_values_too(run: Path, part: Path):
+    street = Sensing()
+    seen, _ = street.reset(seed=2)
+    bold, own = (open_policy(name, config(part)) for name in (f"{run}@1.0", str(run)))
+    for policy in (bold, own):
+        policy.reset()
+    assert bold._threshold == 1.0 and own._threshold == 0.3
+    assert own.act(seen) in range(81) and bold.act(seen) in range(81)
+
+
+def test_it_goes_on_from_a_checkpoint_with_its_own_copy(part: Path, tmp_path: Path):
+    import shutil
+    from dataclasses import replace
+
+    own = shutil.copytree(part, tmp_path / "own")
+    asked = a_run(config(own, "learn.checkpoint_every=80"), tmp_path / "run", 3)
+    calls = iter([None] * 100 + [KeyboardInterrupt])
+
+    class Stops(Sensing):
+        def step(self, action):
+            if next(calls, None) is not None:
+                raise KeyboardInterrupt
+            return super().step(action)
+
+    with pytest.raises(Exception, match="--resume"):
+        train(asked, Stops)
+    shutil.rmtree(own)
+    out = train(replace(asked, resume=True), Sensing)
+    assert weights_of(out / "policies" / "final" / PART) == weights_of(part)
+
+
+def test_values_are_follow_reward_plus_learned_part_minus_dangers(part: Path):
+    env = DangerSense(Sensing(), config(part), part)
+    model = build_model(config(part), env, 1)
+    assert isinstance(model, GuardedDQN)
+    seen, _ = env.reset(seed=1)
+    batch = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
+    blank = {**batch, DANGER_KEY: torch.zeros_like(batch[DANGER_KEY])}
+    with torch.no_grad():
+        values, without = model.q_net(batch)[0], model.q_net(blank)[0]
+    danger = dangers_of_codes(seen[DANGER_KEY])[0, 0]
+    assert np.allclose((without - values).numpy(), 2.0 * danger, atol=1e-5) and danger.max() > 0.9
+    follow = model.q_net.follow_reward(batch["joystick"])[0]
+    learned = without - follow
+    assert (learned - learned.mean()).abs().max() < 0.05, "F is small at first"
+    action, _ = model.predict(seen, deterministic=True)
+    assert ACTIONS.points[int(action)][1] <= 0.5
+    assert int(blank["joystick"].shape[1]) == 2
+
+
+def test_what_is_explored_is_safe_too(part: Path):
+    env = DangerSense(Sensing(), config(part), part)
+    model = build_model(config(part, "learn.epsilon_start=1", "learn.phase1_steps=0"), env, 1)
+    model.exploration_rate = 1.0
+    seen, _ = env.reset(seed=1)
+    done = {int(model.predict(seen)[0]) for _ in range(60)}
+    assert len(done) > 5 and all(ACTIONS.points[action][1] <= 0.5 for action in done)
+
+
+def test_the_next_value_is_that_of_a_safe_action(part: Path):
+    env = DangerSense(Sensing(), config(part), part)
+    model = build_model(config(part), env, 1)
+    seen, _ = env.reset(seed=1)
+    batch = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
+    values = torch.linspace(0.0, 1.0, 81)[None]
+    danger = torch.full((1, 1, 1, 81), 254, dtype=torch.uint8)
+    danger[..., 7], danger[..., 5] = 10, 20
+    assert int(model.q_net.choice(values, {**batch, DANGER_KEY: danger})) == 7
+    danger[..., 7], danger[..., 5] = 250, 240
+    assert int(model.q_net.choice(values, {**batch, DANGER_KEY: danger})) == 5
+
+
+def test_dangers_are_kept_in_a_byte_each_and_mirrored_with_the_actions(part: Path):
+    dangers = np.linspace(0.0, 1.0, 81)
+    assert np.abs(dangers_of_codes(codes_of_dangers(dangers)) - dangers).max() < 0.002
+    model = build_model(config(part), DangerSense(Sensing(), config(part), part), 1)
+    layout = dict(model.replay_buffer.layout.images)
+    assert layout[DANGER_KEY] == (1, 1, 81)
+    model.learn(12)
+    batch = model.replay_buffer.sample(4)
+    turned = mirrored(batch, torch.as_tensor(ACTIONS.mirror), model.settings.mirror_signs)
+    for before, after in (
+        (batch.observations, turned.observations),
+        (batch.next_observations, turned.next_observations),
+    ):
+        assert torch.equal(after[DANGER_KEY], before[DANGER_KEY][..., torch.as_tensor(ACTIONS.mirror)])
+
+
+def test_the_dangers_of_a_tick_are_those_of_the_network_that_drives(part: Path):
+    own = config(part)
+    env, street = DangerSense(Sensing(), own, part), Sensing()
+    net, rule = load_net(part)
+    alone = DangerPolicy("own", net, own, rule)
+    alone.reset()
+    (seen, _), (plain, _) = env.reset(seed=5), street.reset(seed=5)
+    for action in (40, 50, 60):
+        assert np.array_equal(seen[DANGER_KEY][-1, 0], codes_of_dangers(alone.dangers(plain)))
+        alone.sent(action)
+        seen, plain = env.step(action)[0], street.step(action)[0]
+
+
+def test_another_danger_network_than_the_one_of_training_is_refused(run: Path, part: Path, tmp_path: Path):
+    import shutil
+
+    folder = shutil.copytree(run / "policies" / "final", tmp_path / "copy")
+    other = DangerLearner(danger_config(), 9, 1).net
+    save_danger(folder / PART, other, rule_of(danger_config().danger), danger_config())
+    with pytest.raises(PolicyError, match="another danger network"):
+        open_policy(str(folder), config(part))
+    with pytest.raises(PolicyError, match="drives with both"):
+        load_policy(run / "policies" / "final")
+    told = json.loads((folder / POLICY_JSON).read_text())
+    assert told["guard"]["danger_sha256"] == files.sha256(part / WEIGHTS)
+
+
+def test_a_head_that_is_not_residual_and_a_policy_of_values_are_refused(run: Path, part: Path, tmp_path: Path):
+    with pytest.raises(ConfigError, match="residual"):
+        train(a_run(config(part, "learn.head=plain"), tmp_path / "a", 1), Sensing)
+    with pytest.raises(PolicyError, match="expected a danger network"):
+        train(a_run(config(run / "policies" / "final"), tmp_path / "b", 1), Sensing)

@@ -1,0 +1,127 @@
+"""Dangers beside what is seen: the network is asked once a tick, while driving, and the replay keeps what it said."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.saved import WEIGHTS, load_net, require_same_senses
+from wcsim.agents.policy_api import DANGER_KEY, DEPTH_KEY, Observation
+from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger
+from wcsim.agents.runs.run_folder import RunFolder, policy_path
+from wcsim.config import RunConfig
+from wcsim.core import files
+from wcsim.core.reading import is_folder
+from wcsim.errors import PolicyError
+from wcsim.types import F64, U8
+
+PART: Final = "danger"  # folder of the danger network within a run, and within a policy
+MOST: Final = 254  # the code of a danger of 1; Stable-Baselines3 takes arrays of up to 255 for pictures
+Env = gymnasium.Env[Any, Any]
+
+
+def codes_of_dangers(danger: F64) -> U8:
+    """Dangers (A,) in 0..1 as bytes.
+
+    >>> codes_of_dangers(np.array([0.0, 0.3, 1.0])).tolist()
+    [0, 76, 254]
+    """
+    codes: U8 = np.rint(MOST * danger).astype(np.uint8)
+    return codes
+
+
+def dangers_of_codes(codes: npt.NDArray[np.uint8]) -> F64:
+    """The dangers that such bytes stand for."""
+    return codes.astype(np.float64) / MOST
+
+
+def danger_part(run: RunFolder) -> Path | None:
+    """The folder of the danger network that a run learns on top of, None for one that does not.
+
+    It is copied into the run once, so that the run goes on with the same one whatever becomes of its own run.
+
+    Raises:
+        PolicyError: There is no such policy, or it is no danger network.
+        DiskFullError: There is no room.
+    """
+    name, own = run.config.learn.danger, run.path / PART
+    if not name:
+        return None
+    if not is_folder(own):
+        path = policy_path(name)
+        if not is_danger(path):
+            raise PolicyError(f"learn.danger={name}: gives values for actions; expected a danger network")
+        copy_part(path, own)
+    return own
+
+
+def copy_part(source: Path, target: Path) -> None:
+    """Copy a danger network's policy folder, byte for byte. Raises DiskFullError."""
+
+    def fill(work: Path) -> None:
+        for name in (POLICY_JSON, WEIGHTS):
+            files.write_bytes(work / name, (source / name).read_bytes())
+
+    files.write_folder(target, fill)
+
+
+def with_dangers(make_env: Callable[[], Env], config: RunConfig, part: Path | None) -> Callable[[], Env]:
+    """The environment with dangers beside what is seen; as it is where there is no danger network.
+
+    Raises:
+        PolicyError: The network cannot be loaded, or sees with another camera.
+    """
+    if part is None:
+        return make_env
+    require_same_senses(part, part.name, config)
+    return lambda: DangerSense(make_env(), config, part)
+
+
+class DangerSense(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Adds `danger`, (window, 1, A) uint8, to the observations of an environment with one chair."""
+
+    def __init__(self, env: Env, config: RunConfig, part: Path) -> None:
+        super().__init__(env)
+        inner = env.observation_space
+        if not isinstance(inner, spaces.Dict):
+            raise PolicyError(f"observation space is {inner}; expected wcsim's Dict: set env.observation=compact")
+        self._config, (self._net, self._rule) = config, load_net(part, config.learn.network)
+        self._frames, count = (inner[DEPTH_KEY].shape or (1,))[0], len(self._net.points)
+        self._kept: deque[U8] = deque(maxlen=self._frames)
+        box = spaces.Box(0, MOST, (self._frames, 1, count), np.uint8)
+        self.observation_space = spaces.Dict({**inner.spaces, DANGER_KEY: box})
+        self._drivers: dict[int, DangerPolicy] = {}  # by the delay of the commands
+        self._driver: DangerPolicy
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; nothing of the one before is remembered."""
+        seen, info = self.env.reset(seed=seed, options=options)
+        drawn = info.get("drawn")
+        told = None if drawn is None else drawn.action_delay_ticks
+        delay = self._config.world.action_delay_ticks if told is None else told
+        if delay not in self._drivers:
+            self._drivers[delay] = DangerPolicy(PART, self._net, self._config, self._rule, delay)
+        self._driver = self._drivers[delay]
+        self._driver.reset()
+        self._kept.clear()
+        return self._with_dangers(seen), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One step; the danger network is told what is done."""
+        self._driver.sent(int(action))
+        seen, reward, terminated, truncated, info = self.env.step(action)
+        return self._with_dangers(seen), reward, terminated, truncated, info
+
+    def _with_dangers(self, seen: Observation) -> dict[str, Any]:
+        codes = codes_of_dangers(self._driver.dangers(seen))
+        missing = max(self._frames - len(self._kept), 1)  # the first ones fill the window, as with pictures
+        self._kept.extend([codes] * missing)
+        return {**seen, DANGER_KEY: np.stack(list(self._kept))[:, None]}

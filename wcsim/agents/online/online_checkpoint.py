@@ -1,0 +1,109 @@
+"""Checkpoints of a danger network that learns as it drives: plain arrays, counters, random states, data hashes."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from safetensors.torch import load_file, save_file
+
+from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.learning.checkpoint import KEEP, PassedOver, generator_state, restored_generator
+from wcsim.agents.learning.checkpoint_file import step_folders, step_name
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.errors import PolicyError
+
+_WEIGHTS, _MOMENTS, _STATE = "weights.safetensors", "moments.safetensors", "state.json"
+_KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counters:
+    """How far a run has come."""
+
+    step: int = 0
+    episodes: int = 0
+    crashes: int = 0
+    phase1_done: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OnlineState:
+    """All that a run goes on with, beside the network."""
+
+    counters: Counters
+    segments: dict[str, str]  # SHA-256 by file name
+    explore_rng: np.random.Generator
+    lectures_rng: np.random.Generator
+
+
+def save_online(folder: Path, learner: DangerLearner, state: OnlineState) -> Path:
+    """Write `folder/step-N`, whole or not at all, and drop all but the newest three. Raises DiskFullError."""
+    counters = state.counters
+    target = folder / step_name(counters.step)
+
+    def fill(work: Path) -> None:
+        save_file({key: value.contiguous() for key, value in learner.net.state_dict().items()}, work / _WEIGHTS)
+        save_file(learner.moments(), work / _MOMENTS)
+        values = {
+            "step": counters.step,
+            "episodes": counters.episodes,
+            "crashes": counters.crashes,
+            "phase1_done": counters.phase1_done,
+            "updates": learner.updates,
+            "loss": learner.loss if learner.updates else None,
+            "segments": state.segments,
+            "explore_rng": generator_state(state.explore_rng),
+            "lectures_rng": generator_state(state.lectures_rng),
+            "sha256": {name: files.sha256(work / name) for name in (_WEIGHTS, _MOMENTS)},
+        }
+        files.write_json(work / _STATE, values)
+
+    files.write_folder(target, fill)
+    for old in step_folders(folder)[:-KEEP]:
+        if old != target:
+            shutil.rmtree(old, ignore_errors=True)
+    return target
+
+
+def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | None, tuple[PassedOver, ...]]:
+    """Bring a learner to its newest sound checkpoint; also those that are not sound, newest first.
+
+    None for a run that has no sound checkpoint: it begins again.
+    """
+    passed: list[PassedOver] = []
+    for path in reversed(step_folders(folder)):
+        try:
+            return _restored(path, learner), tuple(passed)
+        except (PolicyError, OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            passed.append(PassedOver(path=path, reason=shown(f"{type(error).__name__}: {error}", 300)))
+    return None, tuple(passed)
+
+
+def _restored(path: Path, learner: DangerLearner) -> OnlineState:
+    told: dict[str, Any] = read_json(path / _STATE, _KIND)
+    for name in (_WEIGHTS, _MOMENTS):
+        if files.sha256(path / name) != told["sha256"][name]:
+            raise PolicyError(f"{name} is damaged")
+    counters = Counters(
+        step=int(told["step"]),
+        episodes=int(told["episodes"]),
+        crashes=int(told["crashes"]),
+        phase1_done=bool(told["phase1_done"]),
+    )
+    state = OnlineState(
+        counters=counters,
+        segments={str(name): str(sha256) for name, sha256 in told["segments"].items()},
+        explore_rng=restored_generator(told["explore_rng"]),
+        lectures_rng=restored_generator(told["lectures_rng"]),
+    )
+    loss = float("nan") if told["loss"] is None else float(told["loss"])
+    weights, moments, updates = load_file(path / _WEIGHTS), load_file(path / _MOMENTS), int(told["updates"])
+    learner.net.load_state_dict(weights)
+    if moments:
+        learner.restore(moments, updates, loss)
+    return state
