@@ -23,8 +23,8 @@ from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.learning.checkpoint_file import step_folders
-from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.phases import LearningPhase
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
 from wcsim.agents.online.taught_ride import TaughtRide
 from wcsim.agents.online.train_online import DATA, Listeners, train_online

@@ -13,7 +13,7 @@ from tests.cli.training.test_clients import SMALL, start, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
 from wcsim.agents.evaluation.suite.list_file import write_list
-from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit

@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.learning.metrics import MetricsFile, Value
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.watching.metrics import MetricsFile, Value
 from wcsim.agents.learning.watching.tensorboard import BoardLog
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY

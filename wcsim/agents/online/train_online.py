@@ -26,9 +26,9 @@ from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.learning.build import phase_plan, with_window
 from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress
 from wcsim.agents.learning.checkpoint_file import set_aside
-from wcsim.agents.learning.metrics import MetricsFile
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, torch_settings
+from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
 from wcsim.agents.online.online_checkpoint import Counters, OnlineState, load_online, save_online
 from wcsim.agents.online.taught_ride import TaughtRide

@@ -22,9 +22,9 @@ from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.guarded.danger_sense import PART, DangerSense, codes_of_dangers, dangers_of_codes
 from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN
 from wcsim.agents.learning.guarded.guarded_policy import GuardedPolicy
-from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.policy_api import DANGER_KEY
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.config import RunConfig, with_overrides

@@ -7,8 +7,8 @@ from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
 from wcsim.agents.learning.callbacks import EpisodeMetrics
-from wcsim.agents.learning.metrics import MetricsFile, read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.watching.metrics import MetricsFile, read_metrics
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy

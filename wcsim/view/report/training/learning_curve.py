@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
 from wcsim.core.reading import is_file, shown_value
 from wcsim.errors import PolicyError
