@@ -28,6 +28,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
+from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.agents.replay.disk_store import DiskFrames
 from wcsim.agents.replay.frame_store import Folded, folded, frame_store, unfolded
 from wcsim.agents.replay.groups import Groups, SequenceBatch, gather_groups
@@ -113,7 +114,9 @@ class FrameReplay(ReplayBuffer):
         if folder is None:
             return frame_store
         layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
-        return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout)
+        first, shape = self.layout.images[0] if self.layout.images else ("", ())
+        smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY else 0
+        return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout, smooth)
 
     @property
     def disk(self) -> DiskFrames | None:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
+from wcsim.agents.replay.blob import BlobCodec
 from wcsim.agents.replay.segment_files import (
     SEGMENT_BLOBS,
     Records,
@@ -38,7 +39,6 @@ from wcsim.types import U8, Bool
 
 STORE_JSON: Final = "store.json"
 VERSION: Final = 1
-LEVEL: Final = 1
 _KIND = FileKind(what="the description of a replay on disk", limit_bytes=1 << 16, error=PolicyError)
 
 I64 = npt.NDArray[np.int64]
@@ -50,7 +50,7 @@ class DiskFrames:
     Frames are numbered in the order in which they are written: step by step, seat by seat.
     """
 
-    def __init__(self, folder: Path, steps: int, seats: int, size: int, layout: str = "") -> None:
+    def __init__(self, folder: Path, steps: int, seats: int, size: int, layout: str = "", smooth: int = 0) -> None:
         """Open the store in `folder`, or make one.
 
         Args:
@@ -59,6 +59,7 @@ class DiskFrames:
             seats: Frames of a step.
             size: Bytes of a frame.
             layout: What a frame is made of, in words; another one's store is refused.
+            smooth: So many bytes at a frame's beginning are of a smooth picture, and packed better as that.
 
         Raises:
             PolicyError: Another process has it, or it is no store, or one of another version or layout.
@@ -68,7 +69,7 @@ class DiskFrames:
         self._most = steps * seats
         self.notes: list[str] = []  # what was found when it was opened
         told = {"format": "wcsim replay", "version": VERSION, "segment_blobs": SEGMENT_BLOBS}
-        self._told = {**told, "seats": seats, "frame_bytes": size, "layout": layout}
+        self._told = {**told, "seats": seats, "frame_bytes": size, "smooth_bytes": smooth, "layout": layout}
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = _locked(folder)
         try:
@@ -76,7 +77,7 @@ class DiskFrames:
             self._offset = np.zeros(self._most, dtype=np.uint64)
             self._length = np.zeros(self._most, dtype=np.uint32)  # 0 where there is none
             self._crc = np.zeros(self._most, dtype=np.uint32)
-            self._pack, self._unpack = zstandard.ZstdCompressor(level=LEVEL), zstandard.ZstdDecompressor()
+            self._codec = BlobCodec(size, smooth)
             self._reader = SegmentReader(folder)
             self._writer: SegmentWriter | None = None
             self._unsynced: set[int] = set()
@@ -129,7 +130,7 @@ class DiskFrames:
             self._writer = SegmentWriter(self._folder, segment)
             self._unsynced.add(segment)
             self._drop_old()
-        blob = self._pack.compress(frame.tobytes())
+        blob = self._codec.pack(frame)
         at = number % self._most
         self._offset[at], self._crc[at] = self._writer.append(number, blob)
         self._length[at] = len(blob)
@@ -194,15 +195,12 @@ class DiskFrames:
             blob = self._reader.read(segment, int(self._offset[at]), int(self._length[at]))
             if zlib.crc32(blob) != int(self._crc[at]):
                 raise ValueError("another checksum")
-            frame = np.frombuffer(self._unpack.decompress(blob, max_output_size=self._size), np.uint8)
-            if len(frame) != self._size:
-                raise ValueError(f"{len(frame)} bytes")
+            return self._codec.unpack(blob)
         except (OSError, ValueError, zstandard.ZstdError) as error:
             raise PolicyError(
                 f"{shown(blobs_path(self._folder, segment))}: frame {number} is damaged ({error}); expected what was "
                 "written: restore the file, or start a new run"
             ) from None
-        return frame
 
     def _listed(self, first: int, stop: int) -> tuple[npt.NDArray[np.uint32], Bool]:
         """Checksums of these frames, and which of them are there, as the files say."""

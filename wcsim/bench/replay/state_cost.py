@@ -48,7 +48,7 @@ def measure_states(
     """
     write_ms, read_ms = [], []
     size = 2 * config.cameras[0].width_px * config.cameras[0].height_px
-    with DiskFrames(folder, states, 1, size) as store:
+    with DiskFrames(folder, states, 1, size, smooth=size // 2) as store:
         for number, frame in enumerate(_frames(town, config, states, seed)):
             began = time.perf_counter()
             store.write(number, 0, frame)
