@@ -45,7 +45,7 @@ def run(words: list[str]) -> int:
     path = policy_path(options.policy)
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
-    from wcsim.agents.danger.onnx_export import export_danger  # torch is loaded here
+    from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
     from wcsim.agents.rounds.reference_ride import reference_ride
 

@@ -1,7 +1,7 @@
 """The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
 
-It makes the street map as `street_map.py` does, with the tensors that ONNX knows; a test holds the two together
-(`tests/agents/danger/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+It makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the two together
+(`tests/agents/danger/export/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from wcsim.agents.danger.drive_law import Drive
+from wcsim.agents.danger.export.drive_law import Drive
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, DangerRule

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.onnx_graph import DangerGraph
+from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import open_session
