@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.learning.danger import Gaps
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -87,7 +88,7 @@ class DangerNetFile(Model):
     """The shape of a danger network."""
 
     roll_out: bool
-    gaps: bool
+    gaps: Gaps
     rival: bool
     context: bool
     width: Annotated[int, Field(ge=4, le=256)]

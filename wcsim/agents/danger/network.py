@@ -28,7 +28,7 @@ class DangerSpec:
     """What the network is made of; plain values, kept in policy.json."""
 
     roll_out: bool = True
-    gaps: bool = True
+    gaps: str = "rival"  # see `DangerConfig`
     rival: bool = True
     context: bool = True
     width: int = 20
@@ -60,7 +60,7 @@ class DangerNet(nn.Module):
         )
         self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
         self.context = Context(count) if spec.context else None
-        self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR) if spec.gaps else None
+        self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR) if spec.gaps != "none" else None
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), faint(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 

@@ -36,7 +36,7 @@ class DangerPolicy:
         self.name, self.warning = name, False
         self._net, self._rule = net, rule
         self._actions = action_set(config.env.actions)
-        self._eye = Eye(config, delay_ticks)
+        self._eye = Eye(config, delay_ticks, net.spec.gaps, net.spec.rival)
         self._last = -1
 
     def begin(self) -> None:

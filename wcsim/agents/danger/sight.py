@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from wcsim.agents.danger.map_gaps import discs_of, map_profile
 from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
@@ -29,7 +30,7 @@ class DangerSight:
     """One tick of one chair."""
 
     picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
-    actions: U8  # (A, NUMBERS) see `roll_outs.profile`
+    actions: U8  # (A, NUMBERS) see `roll_outs.profile`; zeros where the network has no use for them
     vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
     start: F32  # (6,) where roll-outs begin, see `sweep`
 
@@ -40,18 +41,24 @@ class Eye:
     Args:
         config: Of the run: its first camera is seen, and its chair driven.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
+        gaps: From what the numbers of each action are made, see `DangerConfig`; as the configuration says when None.
+        rival: Whether the planes of the rival are drawn; as the configuration says when it is None.
     """
 
     senses = SENSES
 
-    def __init__(self, config: RunConfig, delay_ticks: int | None = None) -> None:
+    def __init__(
+        self, config: RunConfig, delay_ticks: int | None = None, gaps: str | None = None, rival: bool | None = None
+    ) -> None:
+        self._gaps = config.danger.gaps if gaps is None else gaps
+        self._rival = self._gaps == "rival" or (config.danger.rival if rival is None else rival)
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
         self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
         around = self.around
         self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
-        self._tick_s = config.world.tick_s
+        self._discs = discs_of(around.box_B_m)
         self.forget()
 
     def forget(self) -> None:
@@ -63,15 +70,18 @@ class Eye:
     def look(self, observation: Observation) -> DangerSight:
         """Take the observation of a new tick."""
         around = self.around
-        around.observe(observation)
+        (around.observe if self._rival else around.move)(observation)
         pose = around.ego.pose_O
         self._map.see(around.depth_m, around.classes(observation), pose)
-        points = around.in_the_way(0.0)
+        points = around.in_the_way(0.0) if self._rival else np.zeros((0, 5))
         picture = np.empty((PLANES, SIDE, SIDE), np.uint8)
         self._map.picture(pose, around.memory.cells, points, picture)
         start, later_s = around.start()
-        numbers = np.empty((len(self._actions), NUMBERS), np.uint8)
-        profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        numbers = np.zeros((len(self._actions), NUMBERS), np.uint8)
+        if self._gaps == "rival":
+            profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        elif self._gaps == "map":
+            map_profile(start, around.commands, around.limits, self._discs, picture, numbers)
         return DangerSight(
             picture=picture, actions=numbers, vector=self._vector(observation, later_s), start=start.astype(np.float32)
         )
