@@ -7,12 +7,17 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
+from wcsim.errors import PolicyError
 from wcsim.types import Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
+
+
+class NotFinite(PolicyError):
+    """Raised when a policy's numbers are not finite: a guard brings the chair to rest then."""
 
 
 class Policy(Protocol):

@@ -170,6 +170,22 @@ class DataFile(Model):
     data_sha256: Sha256
 
 
+class GuardFile(Model):
+    """`guard` in the `meaning.json` of an exported policy: what its driver trusts."""
+
+    oldest_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    deadline_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    tick_s: Annotated[float, Field(gt=0.0, le=1.0)]
+    stop_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    good_ticks: Annotated[int, Field(ge=1, le=10_000)]
+
+
+class ShippedFile(Model):
+    """`files.json` of the policy that comes with wcsim."""
+
+    sha256: Annotated[dict[Name, Sha256], Field(max_length=64)]  # by file
+
+
 class OnnxPolicyFile(Model):
     """`policy.toml` beside an ONNX model: what it was trained with."""
 

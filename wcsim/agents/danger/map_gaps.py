@@ -3,8 +3,8 @@
 A cell is in the way when it is higher than the ground around it by more than casters climb: a wall, a person, the upper
 edge of a kerb, whether it leads up or down. Of those cells, the ones that somebody who can move has left a trail in
 count as what moves. Two exact distance transforms follow, which are read where discs that fill the chair's outline
-would be. The numbers are those of `roll_outs.profile`. Kernels: plain arrays in and out; `export/map_gaps_graph.py` says
-the same in tensors.
+would be. The numbers are those of `roll_outs.profile`. Kernels: plain arrays in and out; the same in tensors is
+`export/map_gaps_graph.py`.
 """
 
 from __future__ import annotations

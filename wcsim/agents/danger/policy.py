@@ -10,9 +10,8 @@ from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
 from wcsim.agents.danger.rule import DangerRule, choose
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation
 from wcsim.config import RunConfig
-from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64
 
@@ -70,11 +69,11 @@ class DangerPolicy:
         self._last = action
 
     def danger(self, sight: DangerSight) -> F64:
-        """How bad each action is, (A,) in 0..1. Raises PolicyError when the network leaves the finite numbers."""
+        """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         with torch.inference_mode():
             logits = self._net(*inputs([sight], self._eye)).numpy()[0]
         if not np.isfinite(logits).all():
-            raise PolicyError(f"policy {self.name!r} gives dangers that are not finite; train it again")
+            raise NotFinite(f"policy {self.name!r} gives dangers that are not finite; train it again")
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
         return danger
 

@@ -11,8 +11,9 @@ from wcsim.agents.danger.map_gaps import discs_of, map_profile
 from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
-from wcsim.agents.policy_api import IMU_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
+from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8
@@ -58,6 +59,7 @@ class Eye:
         around = self.around
         self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
+        self._size_px = (config.cameras[0].height_px, config.cameras[0].width_px)
         self._discs = discs_of(around.box_B_m)
         self.forget()
 
@@ -68,7 +70,8 @@ class Eye:
         self._sent = np.zeros((COMMANDS, 2))
 
     def look(self, observation: Observation) -> DangerSight:
-        """Take the observation of a new tick."""
+        """Take the observation of a new tick. Raises PolicyError when it lacks a sense, or is of another camera."""
+        self._require(observation)
         around = self.around
         (around.observe if self._rival else around.move)(observation)
         pose = around.ego.pose_O
@@ -91,6 +94,21 @@ class Eye:
         self.around.command(action)
         self._sent = np.roll(self._sent, 1, axis=0)
         self._sent[0] = self._actions.points[action]
+
+    def _require(self, observation: Observation) -> None:
+        lacks = [key for key in (DEPTH_KEY, CLASS_KEY, IMU_KEY, ODOMETRY_KEY, JOYSTICK_KEY) if key not in observation]
+        if lacks or len(observation[IMU_KEY]) < _GYRO.stop:
+            what = f"no {', '.join(lacks)}" if lacks else f"{len(observation[IMU_KEY])} numbers of the IMU"
+            raise PolicyError(
+                f"a danger network got {what}; expected pictures with classes, tilt, turn rates, odometry, joystick: "
+                "set sensors.odometry=typical, env.observe_gyro=true and env.classes as in its training"
+            )
+        shapes = {key: tuple(observation[key].shape[-2:]) for key in (DEPTH_KEY, CLASS_KEY)}
+        if set(shapes.values()) != {self._size_px}:
+            raise PolicyError(
+                f"a danger network got pictures of {shapes}; expected {self._size_px} (rows, columns): test it with "
+                "the camera that it was trained with"
+            )
 
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from wcsim.agents.danger.export.drive_law import Drive
-from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
+from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.sight import Eye

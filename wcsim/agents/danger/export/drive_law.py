@@ -92,9 +92,7 @@ class Drive:
         x, y = (way * torch.cos(heading)).cumsum(0), (way * torch.sin(heading)).cumsum(0)
         return places[0] + x, places[1] + y, yaw
 
-    def advance(
-        self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float
-    ) -> tuple[Places, Motion]:
+    def advance(self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float) -> tuple[Places, Motion]:
         """Places and motion (B,) `dt_s` later, with shaped commands (B, 2)."""
         now = self.follow(motion, self.wanted(command), dt_s)
         turn, way = 0.5 * dt_s * (motion[1] + now[1]), 0.5 * dt_s * (motion[0] + now[0])
