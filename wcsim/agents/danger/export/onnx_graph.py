@@ -118,7 +118,7 @@ class DangerGraph(nn.Module):
             "state_waiting": (1, waiting, 2),
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
-            "state_cells": (1, RASTER * RASTER, 7),
+            "state_cells": (1, 7, RASTER * RASTER),
         }
 
     def forward(
@@ -189,43 +189,41 @@ class DangerGraph(nn.Module):
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
         x, y = _in_O(motion, place[:, 0], place[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(torch.int64)
-        many = RASTER * RASTER + 1
-
-        def most(values: torch.Tensor) -> torch.Tensor:
-            begin = values.new_full((many,), _NOWHERE)
-            return begin.scatter_reduce(0, slot, values, reduce="amax", include_self=True)[:-1]
-
-        high, low = most(place[:, 2]), -most(-place[:, 2])
+        slot = torch.where(used, _slot(ix, iy), torch.zeros_like(ix)).to(torch.int64)
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
-        kinds = most(torch.where(kind > 0, 8.0 * order + kind, torch.full_like(kind, 0.0)))
-        moving = most(may_move * (place[:, 2] > MOVER_M).to(kind.dtype))
-        key_x, key_y = most(ix), most(iy)
+        kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))  # the last one of a cell wins
+        moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
+        said = torch.stack([ix, iy, moving, kinds, place[:, 2], -place[:, 2]])
+        said = torch.where(used, said, torch.full_like(said, _NOWHERE))
+        begin = said.new_full((6 * RASTER * RASTER,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
+        slots = torch.cat([slot + number * RASTER * RASTER for number in range(6)])
+        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(6, -1)
+        key_x, key_y, moving, kinds, high, low = (most[number] for number in range(6))
         old = cells[0]
         seen = high > 0.5 * _NOWHERE
-        same = (old[:, _KEY_X] == key_x) & (old[:, _KEY_Y] == key_y) & (old[:, _TICK] > 0.0)
-        mover = torch.where(moving > 0.5, tick[0].expand_as(high), torch.where(same, old[:, _MOVER], 0.0 * high))
+        same = (old[_KEY_X] == key_x) & (old[_KEY_Y] == key_y) & (old[_TICK] > 0.0)
+        now = tick[0].expand_as(high)
+        mover = torch.where(moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high)))
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
-        fresh = torch.stack([key_x, key_y, tick[0].expand_as(high), mover, kinds, high, low], 1)
-        return torch.where(seen[:, None], fresh, old)[None]
+        return torch.where(seen, torch.stack([key_x, key_y, now, mover, kinds, high, -low]), old)[None]
 
     def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
         """As `StreetMap.picture`, its own planes, (OWN_PLANES, SIDE, SIDE) in 0..255."""
         x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        found = cells[0][_slot(ix, iy).to(torch.int64)]
-        known = (found[:, _TICK] > 0.0) & (found[:, _KEY_X] == ix) & (found[:, _KEY_Y] == iy)
+        found = cells[0].index_select(1, _slot(ix, iy).to(torch.int64))
+        known = (found[_TICK] > 0.0) & (found[_KEY_X] == ix) & (found[_KEY_Y] == iy)
         tick = motion[0, 1]
-        age, trail = tick - found[:, _TICK], tick - found[:, _MOVER]
+        age, trail = tick - found[_TICK], tick - found[_MOVER]
         fresh = (known & (age <= KEEP_TICKS)).to(x.dtype)
-        moved = (known & (found[:, _MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
+        moved = (known & (found[_MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
         planes = torch.stack(
             [
-                fresh * _height_code(found[:, _HIGH]),
-                fresh * _height_code(found[:, _LOW]),
+                fresh * _height_code(found[_HIGH]),
+                fresh * _height_code(found[_LOW]),
                 fresh * (255.0 - 5.0 * age),
                 moved * (255.0 - 12.0 * trail),
-                fresh * 60.0 * found[:, _CLASS],
+                fresh * 60.0 * found[_CLASS],
             ]
         )
         return planes.reshape(OWN_PLANES, SIDE, SIDE)
