@@ -295,3 +295,10 @@ def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
     assert refused.code == 2
     assert "itself" in refused.err
     assert not Path("runs/demo-2").exists()
+
+
+def test_a_video_of_a_policy_holds_all_its_frames(wcsim, folder, corner):
+    words = ("--seconds", "0.8", "--width", "80", "--policy", "follow", "--out", "film.webm")
+    told = wcsim("video", corner, *words)
+    assert told.code == 0 and "follow for a user inattentive" in told.out
+    assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.agents.runs.shipped import FILES, HELD
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
@@ -54,3 +55,20 @@ def test_every_file_that_is_no_code_is_inside(unpacked):
 def test_a_shipped_town_opens(unpacked, tmp_path):
     load_street(find_town("manhattan"), lambda told: None)  # once, so that the command has not to say it
     assert "faults in the mesh" in run(unpacked, tmp_path, "town", "check", "manhattan")
+
+
+def test_a_shipped_policy_goes_into_the_wheel(tmp_path):
+    """What `tools/ship_policy.py` writes, in a copy of the project with nothing else."""
+    held = (*HELD, FILES)
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore", "wcsim/__init__.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    (tmp_path / "scenarios" / "sumo").mkdir(parents=True)
+    place = tmp_path / "wcsim" / "agents" / "shipped"
+    place.mkdir(parents=True)
+    for name in held:
+        (place / name).write_text(name)
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(tmp_path)]
+    subprocess.run(build, check=True, capture_output=True)
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        assert {f"wcsim/agents/shipped/{name}" for name in held} <= set(wheel.namelist())

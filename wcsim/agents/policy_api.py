@@ -7,6 +7,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
+from wcsim.errors import PolicyError
 from wcsim.types import Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
@@ -14,6 +15,10 @@ Observation = Mapping[str, npt.NDArray[Any]]
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
 DANGER_KEY: Final = "danger"  # what a danger network said, beside what was seen; not of an environment's own
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
+
+
+class NotFinite(PolicyError):
+    """Raised when a policy's numbers are not finite: a guard brings the chair to rest then."""
 
 
 class Policy(Protocol):

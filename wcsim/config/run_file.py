@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.learning.danger import Gaps
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -97,7 +98,7 @@ class DangerNetFile(Model):
     """The shape of a danger network."""
 
     roll_out: bool
-    gaps: bool
+    gaps: Gaps
     rival: bool
     context: bool
     width: Annotated[int, Field(ge=4, le=256)]
@@ -182,6 +183,22 @@ class DataFile(Model):
     towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
     segments: Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # by file
     data_sha256: Sha256
+
+
+class GuardFile(Model):
+    """`guard` in the `meaning.json` of an exported policy: what its driver trusts."""
+
+    oldest_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    deadline_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    tick_s: Annotated[float, Field(gt=0.0, le=1.0)]
+    stop_s: Annotated[float, Field(gt=0.0, le=10.0)]
+    good_ticks: Annotated[int, Field(ge=1, le=10_000)]
+
+
+class ShippedFile(Model):
+    """`files.json` of the policy that comes with wcsim."""
+
+    sha256: Annotated[dict[Name, Sha256], Field(max_length=64)]  # by file
 
 
 class OnnxPolicyFile(Model):

@@ -121,7 +121,7 @@ class Film:
     """A video of a stage: the camera beside a map; a context manager."""
 
     def __init__(self, stage: FilmedDrive, path: Path) -> None:
-        self._stage = stage
+        self._stage, self.tick_s = stage, stage.tick_s
         height = stage.camera.height_px
         self._map = stage.open_map(height)
         try:

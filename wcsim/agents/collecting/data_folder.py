@@ -31,6 +31,10 @@ _SETTINGS: Final = (
     *("cameras.0.width_px", "cameras.0.height_px", "cameras.0.hfov_deg"),
     *("chair", "env.actions", "env.classes"),
 )
+_ALSO: Final = (  # of the world that was seen; not in the digest, so that older folders keep theirs
+    *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m", "cameras.0.yaw_deg", "cameras.0.pitch_deg"),
+    "world.tick_s",
+)
 _KIND: Final = FileKind(what="a segment of recorded driving", limit_bytes=_MOST_BYTES, error=PolicyError)
 _MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
@@ -97,10 +101,10 @@ def read_manifest(folder: Path) -> DataFile:
 
 
 def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> None:
-    """Refuse data of another camera, chair or action set. Raises PolicyError."""
-    wanted = settings_digest(config)
-    if file.settings_sha256 != wanted:
-        other = [name for name in _SETTINGS if _part(file.config, name) != _part(config.model_dump(mode="json"), name)]
+    """Refuse data of another camera, chair, action set or tick. Raises PolicyError."""
+    wanted = config.model_dump(mode="json")
+    other = [name for name in (*_SETTINGS, *_ALSO) if _part(file.config, name) != _part(wanted, name)]
+    if other or file.settings_sha256 != settings_digest(config):
         raise PolicyError(
             f"{shown(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
@@ -121,7 +125,10 @@ def data_digest(segments: dict[str, str]) -> str:
 def _part(dumped: dict[str, Any], name: str) -> Any:
     here: Any = dumped
     for word in name.split("."):
-        here = here[int(word)] if word.isdecimal() else here.get(word)
+        if word.isdecimal():
+            here = here[int(word)] if isinstance(here, list) and int(word) < len(here) else None
+        else:
+            here = here.get(word) if isinstance(here, dict) else None
     return here
 
 

@@ -33,7 +33,7 @@ class DangerSpec:
     """What the network is made of; plain values, kept in policy.json."""
 
     roll_out: bool = True
-    gaps: bool = True
+    gaps: str = "rival"  # see `DangerConfig`
     rival: bool = True
     context: bool = True
     width: int = 20
@@ -58,6 +58,8 @@ class DangerSpec:
         return Looks(
             street=self.street,
             swept=self.street and self.roll_out,
+            gaps=self.gaps if self.street else "none",
+            rival=self.rival,
             window=0 if self.eye == "map" else self.window,
             memory=self.memory,
             odometry=self.odometry,
@@ -117,7 +119,7 @@ class DangerNet(nn.Module):
             )
             self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
             self.context = Context(count) if spec.context else None
-        if spec.street and spec.gaps:
+        if spec.street and spec.gaps != "none":
             self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR)
         if spec.eye != "map":
             self.pictures = PictureHead(spec, count)

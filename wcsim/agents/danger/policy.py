@@ -12,9 +12,8 @@ from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import Alarm, DangerRule, choose, next_alarm
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation
 from wcsim.config import RunConfig
-from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64
 
@@ -85,16 +84,16 @@ class DangerPolicy:
         self._last = action
 
     def danger(self, sight: DangerSight) -> F64:
-        """How bad each action is, (A,) in 0..1. Raises PolicyError when the network leaves the finite numbers."""
+        """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         return danger_of(self._net, sight, self._eye, self.name)
 
 
 def danger_of(net: DangerNet, sight: DangerSight, eye: Eye, name: str) -> F64:
-    """How bad each action is, (A,) in 0..1. Raises PolicyError when the network leaves the finite numbers."""
+    """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
     with torch.inference_mode():
         logits = net(*inputs([sight], eye)).numpy()[0]
     if not np.isfinite(logits).all():
-        raise PolicyError(f"policy {name!r} gives dangers that are not finite; train it again")
+        raise NotFinite(f"policy {name!r} gives dangers that are not finite; train it again")
     danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
     return danger
 

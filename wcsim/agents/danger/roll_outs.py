@@ -19,9 +19,11 @@ from wcsim.types import F64, U8
 I32 = npt.NDArray[np.int32]
 
 HOLD_S: Final = 0.5
-_STEP_S, _STEPS = 0.1, 16
+STEP_S, STEPS = 0.1, 16
 NEAR_M: Final = 0.6  # farther away nothing matters
-_TOUCH_M: Final = 0.03
+INSIDE_M: Final = 0.2  # deeper inside nothing matters
+TOUCH_M: Final = 0.03
+WAY_M: Final = 2.0  # farther a chair does not come
 # numbers for each action, uint8
 GAP, TOUCH, MOVER_GAP, MOVER_TOUCH, WAY = range(5)
 NUMBERS: Final = 5
@@ -47,13 +49,13 @@ def profile(start: F64, later_s: float, commands: F64, limits: F64, box: F64, po
     rest, now = np.zeros(2), np.empty(6)
     for k in range(len(commands)):
         now[:] = start
-        gap, mover_gap, touch, mover_touch = NEAR_M, NEAR_M, _STEPS, _STEPS
-        for i in range(_STEPS):
-            held = i * _STEP_S < HOLD_S - 1e-9
+        gap, mover_gap, touch, mover_touch = NEAR_M, NEAR_M, STEPS, STEPS
+        for i in range(STEPS):
+            held = i * STEP_S < HOLD_S - 1e-9
             if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
                 break
-            advance(now, commands[k] if held else rest, limits, _STEP_S)
-            cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + (i + 1) * _STEP_S
+            advance(now, commands[k] if held else rest, limits, STEP_S)
+            cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + (i + 1) * STEP_S
             for n in range(len(points)):
                 dx = points[n, 0] + at_s * points[n, 2] - now[0]
                 dy = points[n, 1] + at_s * points[n, 3] - now[1]
@@ -62,21 +64,21 @@ def profile(start: F64, later_s: float, commands: F64, limits: F64, box: F64, po
                 away = box_gap(dx, dy, cos, sin, box)
                 if points[n, 2] != 0.0 or points[n, 3] != 0.0:
                     mover_gap = min(mover_gap, away)
-                    if away < _TOUCH_M:
+                    if away < TOUCH_M:
                         mover_touch = min(mover_touch, i)
                 else:
                     gap = min(gap, away)
-                    if away < _TOUCH_M:
+                    if away < TOUCH_M:
                         touch = min(touch, i)
-        out[k, GAP], out[k, TOUCH] = _gap_code(gap), 255 * touch // _STEPS
-        out[k, MOVER_GAP], out[k, MOVER_TOUCH] = _gap_code(mover_gap), 255 * mover_touch // _STEPS
-        out[k, WAY] = int(255.0 * min(math.hypot(now[0] - start[0], now[1] - start[1]) / 2.0, 1.0))
+        out[k, GAP], out[k, TOUCH] = gap_code(gap), 255 * touch // STEPS
+        out[k, MOVER_GAP], out[k, MOVER_TOUCH] = gap_code(mover_gap), 255 * mover_touch // STEPS
+        out[k, WAY] = int(255.0 * min(math.hypot(now[0] - start[0], now[1] - start[1]) / WAY_M, 1.0))
 
 
 @exact_kernel
-def _gap_code(gap_m: float) -> int:
+def gap_code(gap_m: float) -> int:
     """From -0.2 m, inside, to 0.6 m."""
-    return int(255.0 * min(max((gap_m + 0.2) / (NEAR_M + 0.2), 0.0), 1.0))
+    return int(255.0 * min(max((gap_m + INSIDE_M) / (NEAR_M + INSIDE_M), 0.0), 1.0))
 
 
 def hull_and_wheels(box: F64, wheels_m: F64) -> F64:
@@ -106,8 +108,8 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
             now[:] = starts[b]
             place = 0
             for i in range(SLICES * EACH_SLICE):
-                held = i * _STEP_S < HOLD_S - 1e-9
-                advance(now, commands[k] if held else rest, limits, _STEP_S)
+                held = i * STEP_S < HOLD_S - 1e-9
+                advance(now, commands[k] if held else rest, limits, STEP_S)
                 cos, sin = math.cos(now[2]), math.sin(now[2])
                 for p in range(len(chair)):
                     x = now[0] + cos * chair[p, 0] - sin * chair[p, 1]

@@ -7,11 +7,13 @@ from typing import Final
 
 import numpy as np
 
+from wcsim.agents.danger.map_gaps import discs_of, map_profile
 from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, ODOMETRY_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
+from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8
@@ -29,6 +31,8 @@ class Looks:
     """What an eye looks at, and what it keeps; what nobody reads is not made."""
 
     street: bool = True  # the street map, and the numbers of each action
+    gaps: str = "rival"  # from what these numbers are made, see `DangerConfig`
+    rival: bool = True  # what the rival remembers of the street, too
     swept: bool = True  # over which cells each action sweeps
     window: int = 0  # pictures of the last ticks that are shown as they are
     memory: bool = True  # False: the street is forgotten every tick, and who moves in it
@@ -40,7 +44,7 @@ class DangerSight:
     """One tick of one chair."""
 
     picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
-    actions: U8  # (A, NUMBERS) see `roll_outs.profile`
+    actions: U8  # (A, NUMBERS) see `roll_outs.profile`; zeros where the network has no use for them
     vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
     start: F32  # (6,) where roll-outs begin, see `sweep`
     frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
@@ -52,13 +56,13 @@ class Eye:
     Args:
         config: Of the run: its first camera is seen, and its chair driven.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
-        looks: What it looks at.
+        looks: What it looks at; None for the street map, as the configuration says.
     """
 
     senses = SENSES
 
     def __init__(self, config: RunConfig, delay_ticks: int | None = None, looks: Looks | None = None) -> None:
-        self.looks = looks or Looks()
+        self.looks = looks or Looks(gaps=config.danger.gaps, rival=config.danger.rival)
         self._shape = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
@@ -66,7 +70,7 @@ class Eye:
         around = self.around
         self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
-        self._tick_s = config.world.tick_s
+        self._discs = discs_of(around.box_B_m)
         self.forget()
 
     def forget(self) -> None:
@@ -77,7 +81,8 @@ class Eye:
         self._frames: U8 = np.empty((0, *self._shape), np.uint8)
 
     def look(self, observation: Observation) -> DangerSight:
-        """Take the observation of a new tick."""
+        """Take the observation of a new tick. Raises PolicyError when it lacks a sense, or is of another camera."""
+        self._require(observation)
         if not self.looks.odometry:
             observation = {key: value for key, value in observation.items() if key != ODOMETRY_KEY}
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
@@ -103,18 +108,22 @@ class Eye:
 
     def _look_around(self, observation: Observation, picture: U8, numbers: U8) -> None:
         """Take in the street, and write the map and the numbers."""
-        around = self.around
-        if not self.looks.memory:
+        around, looks = self.around, self.looks
+        if not looks.memory:
             around.memory.forget()
             around.tracker.forget()
             self._map.forget()
-        around.observe(observation)
+        with_rival = looks.rival or looks.gaps == "rival"
+        (around.observe if with_rival else around.move)(observation)
         pose = around.ego.pose_O
         self._map.see(around.depth_m, around.classes(observation), pose)
-        points = around.in_the_way(0.0)
+        points = around.in_the_way(0.0) if with_rival else np.zeros((0, 5))
         self._map.picture(pose, around.memory.cells, points, picture)
         start, later_s = around.start()
-        profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        if looks.gaps == "rival":
+            profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
+        elif looks.gaps == "map":
+            map_profile(start, around.commands, around.limits, self._discs, picture, numbers)
 
     def _seen(self, observation: Observation) -> U8:
         """The window of pictures with this one in it."""
@@ -124,6 +133,22 @@ class Eye:
             before = self._frames if len(self._frames) else np.repeat(now, frames - 1, axis=0)
             self._frames = np.concatenate([before, now])[-frames:]
         return self._frames
+
+    def _require(self, observation: Observation) -> None:
+        keys = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, *((ODOMETRY_KEY,) if self.looks.odometry else ()))
+        lacks = [key for key in keys if key not in observation]
+        if lacks or len(observation[IMU_KEY]) < _GYRO.stop:
+            what = f"no {', '.join(lacks)}" if lacks else f"{len(observation[IMU_KEY])} numbers of the IMU"
+            raise PolicyError(
+                f"a danger network got {what}; expected pictures with classes, tilt, turn rates, odometry, joystick: "
+                "set sensors.odometry=typical, env.observe_gyro=true and env.classes as in its training"
+            )
+        shapes = {key: tuple(observation[key].shape[-2:]) for key in (DEPTH_KEY, CLASS_KEY)}
+        if set(shapes.values()) != {self._shape[1:]}:
+            raise PolicyError(
+                f"a danger network got pictures of {shapes}; expected {self._shape[1:]} (rows, columns): test it with "
+                "the camera that it was trained with"
+            )
 
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion if self.looks.odometry else np.zeros(3)

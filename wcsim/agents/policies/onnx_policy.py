@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import Observation
+from wcsim.agents.policy_api import NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import is_file, shown
@@ -88,7 +88,8 @@ class OnnxPolicy:
             raise PolicyError(f"{self.name}: its model refuses the observation: {error}") from None
         values = np.asarray(found[self._outputs[0]]).reshape(-1)
         if values.shape != (self._actions,) or not np.isfinite(values).all():
-            raise PolicyError(
+            kind = PolicyError if values.shape != (self._actions,) else NotFinite
+            raise kind(
                 f"{self.name}: the model gives {values.shape[0]} values, {int(np.isnan(values).sum())} of them NaN; "
                 f"expected {self._actions} finite ones: set env.actions in {ABOUT_FILE} as in its training"
             )

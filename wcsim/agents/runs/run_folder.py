@@ -26,6 +26,7 @@ from typing import Any, Literal
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
+from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
@@ -185,11 +186,13 @@ def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
 
 
 def policy_path(name: str) -> Path:
-    """The policy folder that `name` means: a policy folder itself, a run (its final policy), or `RUN:phase1`.
+    """The policy folder that `name` means: `shipped`, a policy folder, a run (its final policy), or `RUN:phase1`.
 
     A level of assistance behind it (`RUN@0.2`) is left out. Raises PolicyError when there is no such policy.
     """
     name, _ = split_level(name)
+    if name == SHIPPED:
+        return shipped_folder()
     path = Path(name)
     if is_file(path / POLICY_JSON):
         return path

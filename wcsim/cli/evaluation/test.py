@@ -33,7 +33,7 @@ MAX_STEPS = 1_000_000  # as in env.max_steps
 
 @dataclass
 class Options:
-    """Test policies: run folders (RUN, RUN:phase1), policy folders, or names of baselines.
+    """Test policies: run folders (RUN, RUN:phase1), policy folders, shipped, or names of baselines.
 
     --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`),
     --make-suite TOWN makes one.

@@ -1,24 +1,34 @@
-"""`wcsim video TOWN --out x.webm`: ten seconds from a chair's camera, beside a map."""
+"""`wcsim video TOWN --policy NAME --out x.webm`: ten seconds from a chair's camera, beside a map."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import tyro
 from rich.console import Console
 from rich.progress import track
 
+from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.onnx_policy import is_onnx_folder
+from wcsim.agents.policies.served_policy import is_served
+from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
-from wcsim.towns.scenario.town import find_town
+from wcsim.cli.shared.run_config import require_user
+from wcsim.towns.scenario.town import Town, find_town
 
 _MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
 
 @dataclass
 class Options:
-    """Film a chair that does what its user asks for: its camera beside a map."""
+    """Film a chair, driven by its user alone or by a policy: its camera beside a map.
+
+    With --policy the picture shows the user's stick, the one that was driven, and warnings.
+    """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name or folder."""
@@ -30,6 +40,10 @@ class Options:
     """How long."""
     width: int = 480
     """Width of the camera image in pixels."""
+    policy: str = ""
+    """Who drives: a run, a policy folder, shipped, or a baseline; "" gives the user what the stick says."""
+    profile: str = "inattentive"
+    """The simulated user whose stick a policy sees."""
 
 
 def run(words: list[str]) -> int:
@@ -39,15 +53,45 @@ def run(words: list[str]) -> int:
     in_bounds("--seconds", options.seconds, _MIN_SECONDS, MAX_SECONDS)
     town = find_town(options.town)
 
-    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
-
+    if options.policy:
+        require_policy(options.policy)
+        require_user(options.profile)
     console = Console(stderr=True)
-    quiet = not console.is_terminal
     missing = missing_folder(options.out)
-    with open_stage(town, options.seed, options.width) as stage, stage.film(options.out) as film:
-        frames = range(round(options.seconds / stage.tick_s))
+    with _opened(options, town) as film:
+        frames = range(round(options.seconds / film.tick_s))
+        quiet = not console.is_terminal
         for _ in track(frames, description="filming", console=console, transient=True, disable=quiet):
             film.add()
     tell_made(missing)
-    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s")
+    who = f", {options.policy} for a user {options.profile}" if options.policy else ""
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{who}")
     return 0
+
+
+def require_policy(name: str) -> None:
+    """Refuse what names no policy before the simulators are loaded. Raises PolicyError."""
+    if not is_baseline(name) and not is_served(name) and not is_onnx_folder(Path(name)):
+        policy_path(name)
+
+
+class _Filmed(Protocol):
+    tick_s: float
+
+    def add(self) -> object:
+        """Drive one tick and add its picture."""
+
+
+@contextmanager
+def _opened(options: Options, town: Town) -> Iterator[_Filmed]:
+    """What drives and films; the simulators are loaded here, which --help must not."""
+    if options.policy:
+        from wcsim.view.driven_film import DrivenFilm
+
+        with DrivenFilm(town, options.seed, options.width, options.policy, options.profile, options.out) as driven:
+            yield driven
+        return
+    from wcsim.view.filming import open_stage
+
+    with open_stage(town, options.seed, options.width) as stage, stage.film(options.out) as film:
+        yield film

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.agents.runs.policy_file import is_danger
-from wcsim.agents.runs.run_folder import config_of, policy_path
+from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.errors import ConfigError, PolicyError
@@ -21,7 +21,7 @@ class Options:
     """Write a policy as an ONNX model with its state, its rule, its meaning and reference steps."""
 
     policy: Annotated[str, tyro.conf.Positional]
-    """A run of a danger network, or its policy folder; RUN@0.2 sets the assistance level."""
+    """A run of a danger network, its policy folder, or shipped; RUN@0.2 sets the assistance level."""
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder to make."""
     town: str = "helsinki"
@@ -45,18 +45,24 @@ def run(words: list[str]) -> int:
     path = policy_path(options.policy)
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
-    from wcsim.agents.danger.onnx_export import export_danger  # torch is loaded here
+    from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
     from wcsim.agents.rounds.reference_ride import reference_ride
 
     config = config_of(options.policy, "laptop", ())
     ride = reference_ride(options.town, config, options.steps)
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
-    facts = export_danger(path, options.onnx, config, ride, limit_ms)
+    facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1])
+    small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
+    within = "within" if cost.p99_ms <= facts.bar_ms else "over"
     print(
-        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, {facts.p50_ms:.2f} ms a step (p99 {facts.p99_ms:.2f})"
-        f"; dangers off by {facts.most_off:.1g} at most, {facts.same_actions:.1%} of {facts.steps} actions the same\n"
-        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {facts.int8_p50_ms:.2f} ms, dangers off by "
+        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most, "
+        f"{facts.same_actions:.1%} of {facts.steps} actions the same ({facts.same_as_wcsim:.1%} as in wcsim)\n"
+        f"one thread: {cost.p50_ms:.2f} ms a step (p99 {cost.p99_ms:.2f}, {within} the bar of {facts.bar_ms:g} ms; "
+        f"{cost.cpu_p50_ms:.2f} ms of the processor), {cost.peak_mb:.0f} MB of memory\n"
+        f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
+        f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})\n"
+        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers off by "
         f"{facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} the same"
     )
     if options.json is not None:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from wcsim.config.base import Model, NotNegative, Positive, Share
+
+
+def _named_gaps(value: Any) -> Any:
+    """What files of before said with true and false."""
+    return {True: "rival", False: "none"}[value] if isinstance(value, bool) else value
+
+
+Gaps = Annotated[Literal["rival", "map", "none"], BeforeValidator(_named_gaps)]
+"""From what the numbers of each action are made: the rival's senses, the network's own street map, or not at all."""
 
 
 class DangerConfig(Model):
@@ -16,7 +25,7 @@ class DangerConfig(Model):
     memory: bool = True  # false: the street map, its trail and the rival's street are forgotten every tick
     odometry: bool = True  # false: no wheel odometry; speed is reckoned from the commands, turns from the turn rates
     roll_out: bool = True  # cost maps, read along each action's way
-    gaps: bool = True  # how near to what each action comes, by the rival's own senses
+    gaps: Gaps = "rival"  # how near to what each action comes
     rival: bool = True  # what the rival remembers of the street, as planes of the street map
     context: bool = True  # the street map as a whole
     width: Annotated[int, Field(ge=4, le=256)] = 20  # channels of its first layer

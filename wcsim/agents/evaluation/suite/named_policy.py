@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from wcsim.agents.danger.export.guard_file import guard_of
+from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
+from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.plugins import find_class
 from wcsim.supervisor.actions import action_set
@@ -41,7 +44,7 @@ def _files(folder: Path) -> list[list[str]]:
 
 def is_onnx(name: str) -> bool:
     """Whether a policy's name is a folder with an ONNX model."""
-    return is_onnx_folder(Path(name))
+    return name != SHIPPED and is_onnx_folder(Path(name))
 
 
 def is_own_class(policy: str) -> bool:
@@ -56,7 +59,8 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     if is_served(name):
         return ServedPolicy(name, actions.points)
     if is_onnx(name):
-        return OnnxPolicy(Path(name), name, len(actions))
+        alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
+        return alone if rule is None else GuardedPolicy(alone, actions, rule)
     if is_own_class(name):
         policy: Policy = find_class(name, "policy")(config)
         return policy

@@ -79,6 +79,11 @@ class StreetSense:
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         self.ego.observe(observation, self.shaped(stick))
 
+    def move(self, observation: Observation) -> None:
+        """The same for who looks at the street itself: only how the chair moves, and the depths of the pixels."""
+        self.ego.observe(observation, self.shaped(np.asarray(observation[JOYSTICK_KEY], np.float64)))
+        self.depth_m = self._looked_at(depth_metres(observation[DEPTH_KEY], self._range_m))
+
     def command(self, action: int) -> None:
         """Say which action is sent now."""
         self.ego.command(self.commands[action])

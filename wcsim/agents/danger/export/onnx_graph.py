@@ -1,7 +1,8 @@
 """The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
 
-It makes the street map as `street_map.py` does, with the tensors that ONNX knows; a test holds the two together
-(`tests/agents/danger/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+It makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the two together
+(`tests/agents/danger/export/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+Each operation costs a machine more than the numbers in it, so there are as few as can be.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from wcsim.agents.danger.drive_law import Drive
+from wcsim.agents.danger.export.drive_law import Drive, Motion, Places
+from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, hull_and_wheels
+from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, DangerRule
 from wcsim.agents.danger.sight import COMMANDS
 from wcsim.agents.danger.street_map import (
@@ -25,6 +27,7 @@ from wcsim.agents.danger.street_map import (
     KEEP_TICKS,
     LOW_M,
     MOVER_M,
+    OWN_PLANES,
     REACH_M,
     SIDE,
     SPAN_M,
@@ -44,7 +47,6 @@ from wcsim.supervisor.observation import decode_depth
 RASTER: Final = 160
 _KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(7)
 _NOWHERE: Final = -1.0e6
-_STEP_S: Final = 0.1
 _GYRO_Z: Final = 7
 
 State = dict[str, tuple[int, ...]]
@@ -66,10 +68,10 @@ class DangerGraph(nn.Module):
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        if net.spec.rival or net.spec.gaps:
+        if net.spec.rival or net.spec.gaps == "rival":
             raise PolicyError(
                 "a network that looks at what the rival remembers cannot be exported; train with danger.rival=false "
-                "and danger.gaps=false"
+                "and danger.gaps=map"
             )
         if net.spec.eye != "map" or not (net.spec.memory and net.spec.odometry):
             raise PolicyError(
@@ -86,6 +88,7 @@ class DangerGraph(nn.Module):
         half_m = 0.5 * outline.length_m
         box = np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
         self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
+        self.gaps = MapGaps(box) if net.spec.gaps == "map" else None
         chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
         kept = {
             "rays": rays,
@@ -97,6 +100,7 @@ class DangerGraph(nn.Module):
             "commands": shaped_rows(actions.points, config.chair).astype(np.float32),
             "chair": chair.astype(np.float32),
             "cells_B": _cells_B(),
+            "plane": _planes(chair).astype(np.float32),
         }
         self.rays: torch.Tensor
         self.eye: torch.Tensor
@@ -107,6 +111,7 @@ class DangerGraph(nn.Module):
         self.commands: torch.Tensor
         self.chair: torch.Tensor
         self.cells_B: torch.Tensor
+        self.plane: torch.Tensor
         for name, array in kept.items():
             self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)), persistent=False)
 
@@ -118,7 +123,7 @@ class DangerGraph(nn.Module):
             "state_waiting": (1, waiting, 2),
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
-            "state_cells": (1, RASTER * RASTER, 7),
+            "state_cells": (1, 7, RASTER * RASTER),
         }
 
     def forward(
@@ -135,10 +140,13 @@ class DangerGraph(nn.Module):
         asked = self.drive.shaped(joystick)
         motion, waiting = self._moved(imu, odometry, asked, motion, waiting)
         cells = self._seen(depth, seg, motion, cells)
-        picture = self._picture(motion, cells)
-        start = self._start(motion, waiting)
+        codes = self._codes(motion, cells)
+        places, start = self._start(motion, waiting)
+        holds = [step * STEP_S < HOLD_S - 1e-9 for step in range(STEPS)]
+        rolled = self.drive.roll(places, start, self.commands, holds, STEP_S)
+        told = codes.new_zeros(1, 1) if self.gaps is None else self.gaps(codes, rolled, places)
         vector = self._vector(imu, motion, sent)
-        danger = torch.sigmoid(self.net(picture, picture.new_zeros(1, 1, 1), vector, self._swept(start)))
+        danger = torch.sigmoid(self.net(codes[None] / 255.0, told[None], vector, self._swept(rolled)))
         values = self._values(danger, joystick, last)
         action = values.argmax(dim=1)
         wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
@@ -159,11 +167,10 @@ class DangerGraph(nn.Module):
         """As `EgoMotion.observe`."""
         begun = motion[:, 0:1] > 0.5
         measured = torch.cat([odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, _GYRO_Z : _GYRO_Z + 1] * TURN_FULL_SCALE], 1)
-        before = motion[:, 5:8]
-        command = waiting[:, 0]
-        after = self.drive.follow(before, command, self.tick_s)
-        mean = 0.5 * (before[:, :2] + after[:, :2])
-        now = torch.cat([after[:, :2] + TRUST * (measured - mean), after[:, 2:]], 1)
+        v, w, a = (motion[:, part] for part in (5, 6, 7))
+        after = self.drive.follow((v, w, a), self.drive.wanted(waiting[:, 0]), self.tick_s)
+        mean = 0.5 * torch.stack([v + after[0], w + after[1]], 1)
+        now = torch.cat([torch.stack(after[:2], 1) + TRUST * (measured - mean), after[2][:, None]], 1)
         way, turn = measured[:, 0:1] * self.tick_s, measured[:, 1:2] * self.tick_s
         heading = motion[:, 4:5] + 0.5 * turn
         pose = motion[:, 2:5] + torch.cat([way * torch.cos(heading), way * torch.sin(heading), turn], 1)
@@ -187,53 +194,52 @@ class DangerGraph(nn.Module):
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
         x, y = _in_O(motion, place[:, 0], place[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(torch.int64)
-        many = RASTER * RASTER + 1
-
-        def most(values: torch.Tensor) -> torch.Tensor:
-            begin = values.new_full((many,), _NOWHERE)
-            return begin.scatter_reduce(0, slot, values, reduce="amax", include_self=True)[:-1]
-
-        high, low = most(place[:, 2]), -most(-place[:, 2])
+        slot = torch.where(used, _slot(ix, iy), torch.zeros_like(ix)).to(torch.int64)
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
-        kinds = most(torch.where(kind > 0, 8.0 * order + kind, torch.full_like(kind, 0.0)))
-        moving = most(may_move * (place[:, 2] > MOVER_M).to(kind.dtype))
-        key_x, key_y = most(ix), most(iy)
+        kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))  # the last one of a cell wins
+        moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
+        said = torch.stack([ix, iy, moving, kinds, place[:, 2], -place[:, 2]])
+        said = torch.where(used, said, torch.full_like(said, _NOWHERE))
+        begin = said.new_full((6 * RASTER * RASTER,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
+        slots = torch.cat([slot + number * RASTER * RASTER for number in range(6)])
+        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(6, -1)
+        key_x, key_y, moving, kinds, high, low = (most[number] for number in range(6))
         old = cells[0]
         seen = high > 0.5 * _NOWHERE
-        same = (old[:, _KEY_X] == key_x) & (old[:, _KEY_Y] == key_y) & (old[:, _TICK] > 0.0)
-        mover = torch.where(moving > 0.5, tick[0].expand_as(high), torch.where(same, old[:, _MOVER], 0.0 * high))
+        same = (old[_KEY_X] == key_x) & (old[_KEY_Y] == key_y) & (old[_TICK] > 0.0)
+        now = tick[0].expand_as(high)
+        mover = torch.where(moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high)))
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
-        fresh = torch.stack([key_x, key_y, tick[0].expand_as(high), mover, kinds, high, low], 1)
-        return torch.where(seen[:, None], fresh, old)[None]
+        return torch.where(seen, torch.stack([key_x, key_y, now, mover, kinds, high, -low]), old)[None]
 
-    def _picture(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
-        """As `StreetMap.picture`, its own planes, (1, 5, SIDE, SIDE) in 0..1."""
+    def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
+        """As `StreetMap.picture`, its own planes, (OWN_PLANES, SIDE, SIDE) in 0..255."""
         x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        found = cells[0][_slot(ix, iy).to(torch.int64)]
-        known = (found[:, _TICK] > 0.0) & (found[:, _KEY_X] == ix) & (found[:, _KEY_Y] == iy)
+        found = cells[0].index_select(1, _slot(ix, iy).to(torch.int64))
+        known = (found[_TICK] > 0.0) & (found[_KEY_X] == ix) & (found[_KEY_Y] == iy)
         tick = motion[0, 1]
-        age, trail = tick - found[:, _TICK], tick - found[:, _MOVER]
+        age, trail = tick - found[_TICK], tick - found[_MOVER]
         fresh = (known & (age <= KEEP_TICKS)).to(x.dtype)
-        moved = (known & (found[:, _MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
+        moved = (known & (found[_MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
         planes = torch.stack(
             [
-                fresh * _height_code(found[:, _HIGH]),
-                fresh * _height_code(found[:, _LOW]),
+                fresh * _height_code(found[_HIGH]),
+                fresh * _height_code(found[_LOW]),
                 fresh * (255.0 - 5.0 * age),
                 moved * (255.0 - 12.0 * trail),
-                fresh * 60.0 * found[:, _CLASS],
+                fresh * 60.0 * found[_CLASS],
             ]
         )
-        return planes.reshape(1, 5, SIDE, SIDE) / 255.0
+        return planes.reshape(OWN_PLANES, SIDE, SIDE)
 
-    def _start(self, motion: torch.Tensor, waiting: torch.Tensor) -> torch.Tensor:
-        """As `StreetSense.start`: (1, 6)."""
-        state = torch.cat([torch.zeros_like(motion[:, :3]), motion[:, 5:8]], 1)
+    def _start(self, motion: torch.Tensor, waiting: torch.Tensor) -> tuple[Places, Motion]:
+        """As `StreetSense.start`: (1,) each."""
+        here = torch.zeros_like(motion[:, 0])
+        places, now = (here, here, here), (motion[:, 5], motion[:, 6], motion[:, 7])
         for number in range(self.delay):
-            state = self.drive.advance(state, waiting[:, number], self.tick_s)
-        return state
+            places, now = self.drive.advance(places, now, waiting[:, number], self.tick_s)
+        return places, now
 
     def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
         """As `Eye` has it."""
@@ -242,22 +248,16 @@ class DangerGraph(nn.Module):
         said = torch.cat([10.0 * imu[:, 3:5], imu[:, 5:8], scaled, later, sent.reshape(1, -1)], 1)
         return said.clamp(-2.0, 2.0)
 
-    def _swept(self, start: torch.Tensor) -> torch.Tensor:
+    def _swept(self, rolled: Places) -> torch.Tensor:
         """As `roll_outs.sweep`: (1, A, n) int64."""
-        state = start.expand(len(self.commands), -1)
-        found = []
-        for step in range(SLICES * EACH_SLICE):
-            held = step * _STEP_S < HOLD_S - 1e-9
-            command = self.commands if held else torch.zeros_like(self.commands)
-            state = self.drive.advance(state, command, _STEP_S)
-            cos, sin = torch.cos(state[:, 2:3]), torch.sin(state[:, 2:3])
-            x = state[:, 0:1] + cos * self.chair[:, 0] - sin * self.chair[:, 1]
-            y = state[:, 1:2] + sin * self.chair[:, 0] + cos * self.chair[:, 1]
-            row = (SIDE - 1 - torch.floor((x + BEHIND_M) / CELL_M)).clamp(0, SIDE - 1)
-            column = torch.floor((HALF_M - y) / CELL_M).clamp(0, SIDE - 1)
-            plane = step // EACH_SLICE + SLICES * self.chair[:, 2]
-            found.append(plane * SIDE * SIDE + row * SIDE + column)
-        return torch.cat(found, 1)[None].to(torch.int64)
+        x, y, yaw = (part[: SLICES * EACH_SLICE, :, None] for part in rolled)
+        cos, sin = torch.cos(yaw), torch.sin(yaw)
+        x = x + cos * self.chair[:, 0] - sin * self.chair[:, 1]
+        y = y + sin * self.chair[:, 0] + cos * self.chair[:, 1]
+        row = (SIDE - 1 - torch.floor((x + BEHIND_M) / CELL_M)).clamp(0, SIDE - 1)
+        column = torch.floor((HALF_M - y) / CELL_M).clamp(0, SIDE - 1)
+        found = self.plane + row * SIDE + column
+        return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
     def _values(self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
         """The highest one is what `rule.choose` takes."""
@@ -284,6 +284,12 @@ def _slot(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
 
 def _height_code(height_m: torch.Tensor) -> torch.Tensor:
     return 1.0 + torch.floor(254.0 * ((height_m - LOW_M) / SPAN_M).clamp(0.0, 1.0))
+
+
+def _planes(chair: np.ndarray) -> np.ndarray:
+    """(steps, 1, n) where in flat cost maps those of each point of the chair begin."""
+    each_slice = np.repeat(np.arange(SLICES), EACH_SLICE)[:, None, None]
+    return SIDE * SIDE * (each_slice + SLICES * (chair[:, 2] > 0.0))
 
 
 def _cells_B() -> np.ndarray:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from wcsim.agents.danger.drive_law import Drive
+from wcsim.agents.danger.export.drive_law import Drive
+from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.network import DangerNet, DangerSpec
-from wcsim.agents.danger.onnx_graph import DangerGraph
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.sight import Eye
@@ -23,7 +23,7 @@ POINTS = torch.as_tensor(action_set("square81").points)
 
 def network(**parts: object) -> DangerNet:
     torch.manual_seed(0)
-    net = DangerNet(DangerSpec(**{"rival": False, "gaps": False, **parts}), POINTS)
+    net = DangerNet(DangerSpec(**{"rival": False, "gaps": "map", **parts}), POINTS)
     with torch.no_grad():
         for value in net.parameters():
             value.add_(0.3 * torch.randn_like(value) * value.abs().mean())
@@ -57,7 +57,7 @@ def test_the_drives_law_is_that_of_the_chair():
     motion = rng.uniform(-1.5, 1.5, (200, 3))
     commands = shaped_rows(rng.uniform(-1.0, 1.0, (200, 2)), chair)
     drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
-    told = drive.follow(torch.as_tensor(motion), torch.as_tensor(commands), 0.1).numpy()
+    told = torch.stack(drive.follow(torch.as_tensor(motion).unbind(1), drive.wanted(torch.as_tensor(commands)), 0.1), 1)
     pairs = zip(motion.tolist(), commands, strict=True)
     true = [driven(*row, *command, limits_of(chair), 0.1) for row, command in pairs]
     assert np.allclose(told, true, atol=1e-9)
@@ -77,8 +77,8 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
             wanted = torch.sigmoid(net(*inputs([sight], eye)))
-        own = graph._picture(state[0], state[4])
-        differ = (own[0] * 255.0 - torch.as_tensor(sight.picture[:5]).float()).abs() > 2.0
+        own = graph._codes(state[0], state[4])
+        differ = (own - torch.as_tensor(sight.picture[:5]).float()).abs() > 2.0
         assert differ.float().mean() < 0.01, "cells at a border may go either way"
         assert (danger - wanted).abs().max() < 0.05
         action = policy.act(seen)
@@ -95,7 +95,7 @@ def test_what_looks_elsewhere_or_forgets_cannot_be_exported(part):
         DangerGraph(network(**part), CONFIG, DangerRule())
 
 
-@pytest.mark.parametrize("part", ["rival", "gaps"])
+@pytest.mark.parametrize("part", [{"rival": True}, {"gaps": "rival"}])
 def test_what_the_rival_knows_cannot_be_exported(part):
-    with pytest.raises(PolicyError, match=r"danger\.rival=false"):
-        DangerGraph(network(**{part: True}), CONFIG, DangerRule())
+    with pytest.raises(PolicyError, match=r"danger\.rival=false and danger\.gaps=map"):
+        DangerGraph(network(**part), CONFIG, DangerRule())

@@ -1,0 +1,88 @@
+"""An exported folder: what it says, what it costs, and that the example drives it as wcsim does."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from tests.agents.danger.test_guard import EXAMPLE
+from wcsim.agents.danger.export.guard_file import guard_of
+from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
+from wcsim.agents.danger.export.onnx_export import MEANING, MOST_OFF, ExportFacts, export_danger
+from wcsim.agents.danger.guard import GuardRule
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.evaluation.suite.named_policy import open_named
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+RIDE = ride(200)
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts]:
+    place = tmp_path_factory.mktemp("export")
+    save_danger(place / "policy", network(), DangerRule(threshold=0.4), CONFIG)
+    return place / "onnx", export_danger(place / "policy", place / "onnx", CONFIG, RIDE, level=0.35)
+
+
+def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
+    folder, facts = made
+    assert facts.steps == 200 and facts.most_off < MOST_OFF and facts.same_actions == 1.0
+    assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
+    meaning = json.loads((folder / MEANING).read_text())
+    assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
+    assert guard_of(folder) == GuardRule()
+
+
+def test_what_it_costs_is_measured_in_a_process_of_its_own(made):
+    _, facts = made
+    cost = facts.cost
+    assert 0.0 < cost.p50_ms <= cost.p99_ms and 0.0 < cost.quota_p50_ms <= cost.quota_p99_ms
+    assert cost.cpu_p50_ms > 0.0 and 20.0 < cost.peak_mb < 400.0, "Python and ONNX Runtime, without torch"
+    assert (facts.quota_share, facts.quota_by) == (0.5, "SIGSTOP and SIGCONT")
+
+
+def test_the_example_drives_the_recorded_ride_again(made):
+    words = [sys.executable, str(ROOT / "examples" / "exported_policy.py"), str(made[0])]
+    for more in ([], [str(made[0] / "reference.npz")]):
+        done = subprocess.run([*words, *more], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (0, "200 of 200 steps as recorded\n"), done.stderr
+
+
+def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
+    """NaN in the odometry, frames that are late or missing, and good ones between them."""
+    folder, _ = made
+    policy = open_named(str(folder), CONFIG, 0)
+    assert isinstance(policy, GuardedPolicy)
+    mine = GuardedPolicy(policy._policy, action_set(CONFIG.env.actions), policy.rule, clock=lambda: 0.0)
+    mine.begin()
+    mine.reset()
+    other = EXAMPLE["Driver"](folder, clock=lambda: 0.0)
+    tripped = 0
+    for tick, seen in enumerate(RIDE[:80]):
+        age_s = 0.4 if 30 <= tick < 33 else 0.1
+        frames = None if tick in (50, 51) else dict(seen)
+        if tick in (10, 11):
+            frames = {**seen, "odometry": np.array([np.nan, 0.0], np.float32)}
+        assert mine.drive(frames, age_s) == tuple(other.step(frames, age_s))
+        assert mine.warning == other.warning
+        tripped += mine.state.tripped
+    assert 30 < tripped < 50
+
+
+def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
+    save_danger(tmp_path / "rival", network(rival=True, gaps="rival"), DangerRule(), CONFIG)
+    with pytest.raises(PolicyError, match=r"danger\.rival=false and danger\.gaps=map"):
+        export_danger(tmp_path / "rival", tmp_path / "out", CONFIG, RIDE[:2])
+    (tmp_path / MEANING).write_text(json.dumps({"guard": {"oldest_s": -1.0}}))
+    with pytest.raises(PolicyError, match="oldest_s"):
+        guard_of(tmp_path)
+    assert not (tmp_path / "out").exists()

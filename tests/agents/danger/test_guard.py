@@ -1,0 +1,79 @@
+"""The guard before a chair, whatever comes; and the same in the example that needs no wcsim."""
+
+from __future__ import annotations
+
+import math
+import runpy
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.agents.danger.guard import FAULTS, GuardRule, GuardState, Tick, fault_of, guarded
+
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
+RULE = GuardRule()
+SIDE = st.floats(-1.0, 1.0)
+AGES = st.sampled_from([0.0, 0.1, 0.3, 0.30001, 5.0, math.inf, math.nan])
+TICKS = st.builds(
+    Tick,
+    wanted=st.one_of(st.none(), st.tuples(SIDE, SIDE)),
+    inputs_finite=st.booleans(),
+    outputs_finite=st.booleans(),
+    age_s=AGES,
+    took_s=st.sampled_from([0.0, 0.002, 0.1, 0.11, math.nan]),
+)
+MOSTLY_GOOD = st.lists(st.one_of(st.builds(Tick, wanted=st.tuples(SIDE, SIDE)), TICKS), max_size=60)
+RULES = st.builds(
+    GuardRule, stop_s=st.sampled_from([0.05, 0.3, 0.5, 2.0]), good_ticks=st.integers(1, 12), tick_s=st.just(0.1)
+)
+
+
+def driven(rule: GuardRule, ticks: list[Tick]) -> list[GuardState]:
+    states = [GuardState()]
+    for tick in ticks:
+        states.append(guarded(rule, states[-1], tick))
+    return states
+
+
+@given(RULES, MOSTLY_GOOD)
+def test_whoever_wants_what_only_good_ticks_drive_and_a_bad_one_never_adds_throttle(rule, ticks):
+    states = driven(rule, ticks)
+    for tick, before, after in zip(ticks, states, states[1:], strict=False):
+        assert all(map(math.isfinite, after.stick)) and after.fault in FAULTS
+        assert after.fault == fault_of(rule, tick)
+        if after.tripped:
+            assert math.hypot(*after.stick) <= math.hypot(*before.stick)
+        else:
+            assert after.fault == "" and after.stick == tick.wanted
+
+
+@given(RULES, MOSTLY_GOOD, st.lists(TICKS.filter(lambda tick: fault_of(RULE, tick)), min_size=25, max_size=25))
+def test_the_stick_is_at_rest_within_the_stated_time(rule, ticks, bad):
+    enough = math.ceil(rule.stop_s / rule.tick_s)
+    assert driven(rule, [*ticks, *bad])[len(ticks) + enough].stick == (0.0, 0.0)
+
+
+@given(RULES, MOSTLY_GOOD)
+def test_it_drives_again_after_so_many_good_ticks_and_not_before(rule, ticks):
+    bad, good = Tick(wanted=None), Tick(wanted=(0.25, 0.75))
+    again = driven(rule, [*ticks, bad, *[good] * rule.good_ticks])[len(ticks) + 1 :]
+    assert [state.tripped for state in again] == [True] * rule.good_ticks + [False]
+    assert again[-1].stick == (0.25, 0.75)
+
+
+@given(RULES, MOSTLY_GOOD)
+def test_the_example_guards_alike(rule, ticks):
+    told = {key: getattr(rule, key) for key in GuardRule.__slots__}
+    guard = EXAMPLE["Guard"](told)
+    for tick, state in zip(ticks, driven(rule, ticks)[1:], strict=True):
+        sure = guard.step(tick.wanted, tick.inputs_finite and tick.outputs_finite, tick.age_s, tick.took_s)
+        assert (guard.stick, guard.tripped, sure) == (state.stick, state.tripped, state.fault == "")
+
+
+def test_each_fault_has_its_name():
+    good = {"wanted": (0.0, 1.0)}
+    found = [fault_of(RULE, Tick(**{**good, **bad})) for bad in (
+        {}, {"wanted": None}, {"inputs_finite": False}, {"age_s": 0.31}, {"took_s": 0.2}, {"outputs_finite": False},
+    )]  # fmt: skip
+    assert tuple(found) == FAULTS

@@ -1,0 +1,87 @@
+"""The policy that comes with wcsim: written by a tool, found by its name, refused when it is not what was shipped."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+
+from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
+from wcsim.agents.runs import run_folder, shipped
+from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
+from wcsim.config import with_overrides
+from wcsim.errors import PolicyError
+from wcsim.server.specs import RunInfo
+
+ROOT = Path(__file__).parents[2]
+TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
+OWN = with_overrides(CONFIG, ("danger.gaps=map", "danger.rival=false", "learn.head=danger"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("shipped")
+    info = RunInfo(seed=3, town="helsinki", town_sha256="a" * 64, command=("wcsim", "train", "--seed", "3"))
+    run = create_run(place / "run", OWN, make_manifest(OWN, info))
+    save_danger(run.policy("final"), network(), DangerRule(), OWN)
+    rows = {"rows": [{"policy": "own", "crashes_own": 2, "km": 1.5}], "pooled": []}
+    (place / "result.json").write_text(json.dumps(rows))
+    (place / "here").mkdir()
+    (place / "here" / "README.md").write_text("kept\n")
+    folder: Path = TOOL["ship"](open_run(place / "run"), ride(4), [place / "result.json"], place / "here")
+    return folder
+
+
+@pytest.fixture
+def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(shipped, "shipped_place", lambda: made)
+    return made
+
+
+def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
+    assert {path.name for path in there.iterdir()} == {*shipped.HELD, shipped.FILES, "README.md"}
+    assert policy_path("shipped") == policy_path("shipped@0.2") == there
+    assert not is_onnx("shipped") and identity_of("shipped@0.2", "quick")[-1] == 0.2
+    policy = open_named("shipped@0.2", config_of("shipped", "quick"), 0)
+    policy.begin()
+    policy.reset()
+    assert 0 <= policy.act(ride(1)[0]) < 81
+
+
+def test_its_card_says_how_it_was_made_and_measured(made):
+    card = (made / "MODEL_CARD.md").read_text()
+    for word in ("helsinki", "wcsim train --seed 3", "gaps map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
+        assert word in card
+    assert "No results" in TOOL["card"](open_run(made.parent / "run"), [], 1.0)
+
+
+@pytest.mark.parametrize("name", shipped.HELD)
+def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
+    kept = (there / name).read_bytes()
+    (there / name).write_bytes(kept[:-1] + b"x")
+    with pytest.raises(PolicyError, match=f"{name} damaged or exchanged"):
+        policy_path("shipped")
+    (there / name).unlink()
+    with pytest.raises(PolicyError, match=f"{name} missing"):
+        policy_path("shipped")
+    (there / name).write_bytes(kept)
+    assert policy_path("shipped") == there
+
+
+def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "shipped_place", lambda: tmp_path)
+    with pytest.raises(PolicyError, match=r"no policy comes with this wcsim.*tools/ship_policy\.py RUN"):
+        run_folder.policy_path("shipped")
+
+
+def test_what_lies_in_this_checkout_is_whole_or_not_there():
+    place = ROOT / "wcsim" / "agents" / "shipped"
+    if (place / shipped.FILES).is_file():
+        assert shipped.shipped_folder(place) == place
+    else:
+        assert [path.name for path in place.iterdir()] == ["README.md"]

@@ -1,0 +1,137 @@
+"""Puts a trained run where `shipped` finds it: python tools/ship_policy.py RUN [--result result.json] [--to FOLDER].
+
+The folder holds policy.json, weights.safetensors, the ONNX model with what it means, and a card made from the run's
+manifest and the rows of the results that are given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, export_danger
+from wcsim.agents.policy_api import Observation
+from wcsim.agents.runs.run_folder import RunFolder, open_run
+from wcsim.agents.runs.shipped import shipped_folder, shipped_place, write_hashes
+from wcsim.core import files
+
+_COLUMNS = (
+    *("policy", "part", "crashes_own", "km", "crashes_per_km"),
+    *("kpi1_free_mean", "kpi1_moving_within", "speed_mps"),
+)
+_LIMITS = """- Simulation only: nothing here says anything about a real street, and nobody has ridden with it.
+- It sees what one depth camera at the place named below sees, with classes for each pixel;
+  those of a real camera err more.
+- It remembers 4 s. What comes from behind or from the side, outside the picture, it does not know.
+- It was trained with the chair, the camera and the delay named below; with others it is another policy.
+- Its dangers are no probabilities: the level of assistance was chosen on towns of the list below alone."""
+
+
+def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path) -> Path:
+    """Write the folder of a shipped policy in one step; returns it."""
+    policy = run.policy("final")
+    with tempfile.TemporaryDirectory() as held:
+        facts = export_danger(policy, Path(held) / "onnx", run.config, ride)
+
+        def fill(target: Path) -> None:
+            for name in ("policy.json", "weights.safetensors"):
+                shutil.copyfile(policy / name, target / name)
+            shutil.copyfile(Path(held) / "onnx" / MODEL, target / "model.onnx")
+            shutil.copyfile(Path(held) / "onnx" / MEANING, target / MEANING)
+            if (to / "README.md").is_file():
+                shutil.copyfile(to / "README.md", target / "README.md")
+            rows = [row for path in results for row in rows_of(path)]
+            (target / "MODEL_CARD.md").write_text(card(run, rows, facts.cost.p50_ms), encoding="utf-8")
+            write_hashes(target)
+
+        files.write_folder(to, fill)
+    return shipped_folder(to)
+
+
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    """The rows of a result that `wcsim test --json` or `--suite` wrote, each with the file's name."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    return [{**row, "from": path.parent.name or path.name} for row in [*data.get("rows", ()), *data.get("pooled", ())]]
+
+
+def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
+    """The model card, as Markdown."""
+    manifest, config = run.manifest, run.config
+    camera, danger, collect = config.cameras[0], config.danger, config.collect
+    parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
+    towns = ", ".join((manifest.town, *collect.towns, f"{collect.made_towns} made for it"))
+    steps = sum(1 for _ in (run.path / "data" / "segments").glob("*")) if (run.path / "data").is_dir() else 0
+    lines = [
+        "# Model card: the policy that comes with wcsim",
+        "It says of each joystick position how surely it ends badly; the nearest safe one is driven: `docs/danger.md`.",
+        "",
+        "| | |",
+        "|---|---|",
+        f"| trained in | {towns} (streets {manifest.town_sha256[:12]}) |",
+        f"| users | {', '.join(collect.profiles)}; ataxic was never met |",
+        f"| data | {collect.rounds} rounds of {collect.segments} segments of {collect.ticks} ticks with "
+        f"{collect.chairs} chairs ({steps} segments kept), teacher {danger.teacher} |",
+        f"| seed | {manifest.seed} |",
+        f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
+        f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
+        f"warn {danger.warn:g} |",
+        f"| camera | {camera.width_px}x{camera.height_px}, {camera.hfov_deg:g} deg, noise {camera.noise}, "
+        f"range {camera.range_m:g} m |",
+        f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
+        f"| a step | {step_ms:.1f} ms on the machine that shipped it, one thread |",
+        f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
+        f"| code | {manifest.git_revision or 'unknown'} |",
+        f"| settings | SHA-256 {manifest.config_sha256} |",
+        "",
+        "Made again by:",
+        "",
+        f"    {shlex.join(manifest.command) or 'unknown'}",
+        "",
+        "## What it was measured at",
+        *table(rows),
+        "",
+        "## Limits",
+        _LIMITS,
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Rows of results as a table; a line when there are none."""
+    if not rows:
+        return ["No results were given when it was shipped."]
+    columns = ["from", *(name for name in _COLUMNS if any(name in row for row in rows))]
+    lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+    return lines + [f"| {' | '.join(cell(row.get(name)) for name in columns)} |" for row in rows]
+
+
+def cell(value: Any) -> str:
+    """A value in a table."""
+    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    """Ship what the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--result", type=Path, action="append", default=[], help="a result.json; several are allowed")
+    parser.add_argument("--to", type=Path, default=None, help="another folder than that of this wcsim")
+    parser.add_argument("--town", default="helsinki", help="of the reference steps")
+    asked = parser.parse_args()
+    from wcsim.agents.rounds.reference_ride import reference_ride  # loads the simulators
+
+    run = open_run(asked.run)
+    folder = ship(run, reference_ride(asked.town, run.config, 200), asked.result, asked.to or shipped_place())
+    sys.stdout.write(f"shipped: {folder}\n")
+
+
+if __name__ == "__main__":
+    main()

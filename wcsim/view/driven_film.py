@@ -1,0 +1,128 @@
+"""A video of a chair that a policy drives: a camera for people beside a map, the user's stick and the one it got."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import cv2
+import numpy as np
+
+from wcsim.agents.envs.episode_view import Chair, HeldLink
+from wcsim.agents.evaluation.suite.forks import users_alone
+from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
+from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
+from wcsim.agents.policy_api import SeesTruth, Warns
+from wcsim.bridge.world import World
+from wcsim.config import CameraConfig
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
+from wcsim.towns.scenario.town import Town
+from wcsim.types import U8, Joystick, SeatSpec
+from wcsim.view.filming import MAP_SPAN_M, SIGHT_M
+from wcsim.view.map import MapView, map_view
+from wcsim.view.pictures import captioned
+from wcsim.view.video import VideoWriter, side_by_side
+
+FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
+_PAD_SHARE: Final = 0.28  # of the picture's height
+_DARK, _RIM = (28, 32, 38), (150, 156, 164)
+ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
+
+
+class DrivenFilm:
+    """A world with one chair and a policy in it, filmed tick by tick; a context manager.
+
+    Args:
+        town: Where.
+        seed: Of the world.
+        width: Of the camera's picture in pixels.
+        policy: As `wcsim test` names it.
+        profile: Of the user whose stick the policy sees.
+        path: The video.
+    """
+
+    def __init__(self, town: Town, seed: int, width: int, policy: str, profile: str, path: Path) -> None:
+        """Raises PolicyError, TownError, or ConfigError for what cannot be."""
+        if not 64 <= width <= 1920:
+            raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
+        own = settings_of(policy, "quick", ())
+        film = CameraConfig(name=FILM_CAMERA, width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
+        own = own.model_copy(update={"cameras": (*own.cameras, film)})
+        self._policy = open_named(policy, own, seed)
+        config = sensing(own, self._policy)
+        self.actions, self.tick_s = action_set(config.env.actions), config.world.tick_s
+        truth = isinstance(self._policy, SeesTruth)
+        spec = SeatSpec(profile=profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
+        self._world = World(town, config, (spec,), seed)
+        self._chair, self._link = Chair(config), HeldLink()
+        try:
+            self._map = MapView(self._world.street.mesh, film.height_px, MAP_SPAN_M)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
+            self._seen, self._info = self._chair.begin(self._world.snapshot.clients[0])
+            self._policy.begin()
+            self._policy.reset()
+        except BaseException as error:
+            self._world.close()
+            if isinstance(error, OSError):
+                raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
+            raise
+
+    def add(self) -> U8:
+        """Drive one tick and add its picture, which is returned."""
+        policy = self._policy
+        if isinstance(policy, SeesTruth):
+            policy.see(self._info["truth"])
+        asked, action = self._seen["joystick"], policy.act(self._seen)
+        warning = isinstance(policy, Warns) and policy.warning
+        self._chair.send(self._link, action)
+        snapshot = self._world.tick(users_alone(self._world.snapshot, self.actions, {0: action}))
+        self._link.now = client = snapshot.clients[0]
+        step = self._chair.receive(self._link)
+        self._seen, self._info = step.observation, step.info
+        ended = client.first is not None
+        rgb = client.sensors.cameras[-1].rgb
+        if rgb is None:
+            raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
+        said = f"{policy.name}   {snapshot.time_s:.1f} s   {step.info['speed_mps']:.2f} m/s"
+        picture = captioned(rgb, said + ("   CRASH" if client.events.crashed else ""))
+        given = Joystick(*self.actions.points[action].tolist())
+        with_sticks(picture, Joystick(float(asked[0]), float(asked[1])), given, warning=warning)
+        frame = side_by_side(picture, map_view(self._map, self._world))
+        self._writer.write(frame)
+        if ended:
+            self._seen, self._info = self._chair.begin_next()
+            policy.reset()
+        return frame
+
+    def __enter__(self) -> Self:
+        self._writer.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._writer.__exit__(kind, error, at)
+        self._world.close()
+
+
+def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
+    """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
+    height, width = image.shape[:2]
+    side = max(24, round(_PAD_SHARE * height))
+    left, top = width - side - 6, height - side - 6
+    pad = image[top : top + side, left : left + side]
+    pad[:] = (0.3 * pad + 0.7 * np.array(_DARK)).astype(np.uint8)
+    middle, reach = side // 2, 0.42 * side
+    cv2.rectangle(pad, (0, 0), (side - 1, side - 1), WARN_RGB if warning else _RIM, 3 if warning else 1)
+    cv2.line(pad, (middle, 4), (middle, side - 5), _RIM, 1)
+    cv2.line(pad, (4, middle), (side - 5, middle), _RIM, 1)
+    for stick, colour, size in ((given, GIVEN_RGB, 0.09), (asked, ASKED_RGB, 0.05)):
+        at = (round(middle + reach * stick.x), round(middle - reach * stick.y))
+        cv2.line(pad, (middle, middle), at, colour, 2, cv2.LINE_AA)
+        cv2.circle(pad, at, max(2, round(size * side)), colour, -1, cv2.LINE_AA)
+    scale = max(0.35, width / 1200.0)
+    for row, (word, colour) in enumerate((("user", ASKED_RGB), ("driven", GIVEN_RGB))):
+        cv2.putText(image, word, (left, top - 6 - round(26 * scale) * row), 0, scale, colour, 1, cv2.LINE_AA)
+    if warning:
+        cv2.putText(image, "WARNING", (8, height - 12), 0, 2.0 * scale, WARN_RGB, 2, cv2.LINE_AA)
