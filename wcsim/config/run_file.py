@@ -50,7 +50,7 @@ class NetFile(Model):
     stateful: bool = False  # carries a state from tick to tick
 
 
-class GuardFile(Model):
+class ShieldFile(Model):
     """How the dangers of the network beside it count in a policy of values."""
 
     weight: NotNegative
@@ -70,7 +70,7 @@ class PolicyFile(Model):
         default_factory=dict
     )  # numbers of each sensor of [sensors] among them
     window: Window = 1
-    guard: GuardFile | None = None
+    shield: ShieldFile | None = None
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]

@@ -17,8 +17,8 @@ from rich.text import Text
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
-from wcsim.agents.learning.guarded.guarded_policy import guarded
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
+from wcsim.agents.learning.shielded.shielded_policy import shielded
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policy_api import Policy
@@ -196,7 +196,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"({', '.join(other) or 'env.classes'} differ): test it on its own"
         )
     policy.name = name
-    return guarded(path, policy, config, split_level(name)[1])
+    return shielded(path, policy, config, split_level(name)[1])
 
 
 def window_for(policies: Sequence[Policy]) -> int:

@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 from stable_baselines3.common.type_aliases import GymEnv
 
-from wcsim.agents.learning.guarded.guarded_dqn import Guard, GuardedDQN, GuardedQPolicy
 from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.shielded.shielded_dqn import Shield, ShieldedDQN, ShieldedQPolicy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import ReplaySettings
@@ -132,14 +132,15 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
         )
 
 
-def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, Guard]]:
+def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, Shield]]:
     """The classes of learner and policy, and what the policy is told beside its network."""
     learn = config.learn
     if not learn.danger:
         return SeqDQN, SeqQPolicy, {}
     if learn.head != "residual":
         raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers are taken off values")
-    return GuardedDQN, GuardedQPolicy, {"guard": Guard(weight=learn.danger_weight, threshold=config.danger.threshold)}
+    shield = Shield(weight=learn.danger_weight, threshold=config.danger.threshold)
+    return ShieldedDQN, ShieldedQPolicy, {"shield": shield}
 
 
 def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
@@ -149,7 +150,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
             "because its pictures are mirrored: set learn.mirror=false"
         )
-    kind, policy, guard = _kind(config)
+    kind, policy, shield = _kind(config)
     return kind(
         policy,
         env,
@@ -181,7 +182,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
         gradient_steps=learn.gradient_steps,
         max_grad_norm=learn.clip_norm,
         replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
-        policy_kwargs={"spec": net_spec(config), **guard},
+        policy_kwargs={"spec": net_spec(config), **shield},
         device=learn.device,
     )
 

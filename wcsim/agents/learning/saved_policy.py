@@ -103,7 +103,7 @@ def save_policy(
 
 
 def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -> NetPolicy:
-    """Load a policy folder; one with a danger network needs it to drive (`guarded`), and is loaded without when `bare`.
+    """Load a policy folder; one with a danger network needs it to drive (`shielded`); `bare` loads it without.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
     somebody else must not decide which code runs here.
@@ -111,7 +111,7 @@ def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
-    if file.guard is not None and not bare:
+    if file.shield is not None and not bare:
         raise PolicyError(f"{shown(path)} holds a danger network too; expected a caller that drives with both")
     spec = _spec(path, file, network)
     weights = path / WEIGHTS

@@ -20,11 +20,11 @@ from wcsim.agents.learning.build import build_model, checked_device, with_window
 from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import set_aside
-from wcsim.agents.learning.guarded.danger_sense import danger_part, with_dangers
-from wcsim.agents.learning.guarded.guarded_policy import guard_beside
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.shielded.danger_sense import danger_part, with_dangers
+from wcsim.agents.learning.shielded.shielded_policy import guard_beside
 from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.replay.buffer import FrameReplay

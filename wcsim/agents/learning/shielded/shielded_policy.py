@@ -10,31 +10,31 @@ import numpy as np
 
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import WEIGHTS, load_danger
-from wcsim.agents.learning.guarded.danger_sense import PART, codes_of_dangers, copy_part, dangers_of_codes
-from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN, allowed_argmax
 from wcsim.agents.learning.saved_policy import Beside, NetPolicy
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.shielded.danger_sense import PART, codes_of_dangers, copy_part, dangers_of_codes
+from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN, allowed_argmax
 from wcsim.agents.policy_api import Observation
 from wcsim.config import RunConfig
-from wcsim.config.run_file import GuardFile
+from wcsim.config.run_file import ShieldFile
 from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 
 
-class GuardedPolicy(NetPolicy):
+class ShieldedPolicy(NetPolicy):
     """Acts greedily among what its danger network allows.
 
     Args:
         values: The network of values; its `net` alone knows no dangers.
         part: The danger network.
-        guard: How dangers count.
+        shield: How dangers count.
         threshold: What is more dangerous is not chosen.
     """
 
-    def __init__(self, values: NetPolicy, part: DangerPolicy, guard: GuardFile, threshold: float) -> None:
+    def __init__(self, values: NetPolicy, part: DangerPolicy, shield: ShieldFile, threshold: float) -> None:
         super().__init__(values.net, values.name, values.file)
-        self._part, self._guard, self._threshold = part, guard, threshold
+        self._part, self._shield, self._threshold = part, shield, threshold
         self.senses = part.senses
 
     @property
@@ -50,26 +50,26 @@ class GuardedPolicy(NetPolicy):
         """The action of the highest value among the safe ones, else the least dangerous one."""
         self._part.choose(observation)
         danger = dangers_of_codes(codes_of_dangers(self._part.told))  # as they were in training
-        values = self.values(observation).astype(np.float64) - self._guard.weight * danger
+        values = self.values(observation).astype(np.float64) - self._shield.weight * danger
         action = allowed_argmax(values, danger, self._threshold)
         self._part.sent(action)
         return action
 
 
 def guard_beside(model: SeqDQN, part: Path | None) -> Beside | None:
-    """What `save_policy` writes beside the values of a `GuardedDQN`: its danger network, and how dangers count."""
-    if part is None or not isinstance(model, GuardedDQN):
+    """What `save_policy` writes beside the values of a `ShieldedDQN`: its danger network, and how dangers count."""
+    if part is None or not isinstance(model, ShieldedDQN):
         return None
-    guard = asdict(model.guard)
+    shield = asdict(model.shield)
 
     def write(folder: Path) -> dict[str, Any]:
         copy_part(part, folder / PART)
-        return {"guard": {**guard, "danger_sha256": files.sha256(folder / PART / WEIGHTS)}}
+        return {"shield": {**shield, "danger_sha256": files.sha256(folder / PART / WEIGHTS)}}
 
     return write
 
 
-def guarded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:
+def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:
     """The policy of a folder with its danger network; `values` as they are where it has none.
 
     Args:
@@ -81,13 +81,13 @@ def guarded(path: Path, values: NetPolicy, config: RunConfig, level: float | Non
     Raises:
         PolicyError: The danger network cannot be loaded, is not the one of the training, or sees with another camera.
     """
-    guard, part = values.file.guard, path / PART
-    if guard is None:
+    shield, part = values.file.shield, path / PART
+    if shield is None:
         return values
     danger = load_danger(part, values.name, config, level)
-    if files.sha256(part / WEIGHTS) != guard.danger_sha256:
+    if files.sha256(part / WEIGHTS) != shield.danger_sha256:
         raise PolicyError(
             f"{shown(part)} is another danger network than the one that {shown(values.name)!r} learned with; copy the "
             "whole policy folder again"
         )
-    return GuardedPolicy(values, danger, guard, guard.threshold if level is None else level)
+    return ShieldedPolicy(values, danger, shield, shield.threshold if level is None else level)

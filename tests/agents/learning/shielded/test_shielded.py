@@ -19,10 +19,10 @@ from wcsim.agents.danger.saved import WEIGHTS, load_net, save_danger
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.flip_augmentation import mirrored
-from wcsim.agents.learning.guarded.danger_sense import PART, DangerSense, codes_of_dangers, dangers_of_codes
-from wcsim.agents.learning.guarded.guarded_dqn import GuardedDQN
-from wcsim.agents.learning.guarded.guarded_policy import GuardedPolicy
 from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.shielded.danger_sense import PART, DangerSense, codes_of_dangers, dangers_of_codes
+from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN
+from wcsim.agents.learning.shielded.shielded_policy import ShieldedPolicy
 from wcsim.agents.learning.train import train
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.policy_api import DANGER_KEY
@@ -57,7 +57,7 @@ def config(part: Path, *words: str) -> RunConfig:
 @pytest.fixture(scope="module")
 def run(part, tmp_path_factory) -> Path:
     torch.set_num_threads(1)
-    return train(a_run(config(part), tmp_path_factory.mktemp("guarded") / "run", 3), Sensing)
+    return train(a_run(config(part), tmp_path_factory.mktemp("shielded") / "run", 3), Sensing)
 
 
 def weights_of(path: Path) -> bytes:
@@ -76,7 +76,7 @@ def test_it_trains_and_the_danger_network_stays_as_it_is_to_the_byte(run: Path, 
 
 def test_in_the_second_phase_nothing_unsafe_is_done_where_something_is_safe(run: Path, part: Path):
     policy, street = open_policy(str(run), config(part)), Sensing()
-    assert isinstance(policy, GuardedPolicy) and policy.senses == ("odometry", "gyro")
+    assert isinstance(policy, ShieldedPolicy) and policy.senses == ("odometry", "gyro")
     seen, _ = street.reset(seed=2)
     policy.reset()
     for _ in range(20):
@@ -122,7 +122,7 @@ def test_it_goes_on_from_a_checkpoint_with_its_own_copy(part: Path, tmp_path: Pa
 def test_values_are_follow_reward_plus_learned_part_minus_dangers(part: Path):
     env = DangerSense(Sensing(), config(part), part)
     model = build_model(config(part), env, 1)
-    assert isinstance(model, GuardedDQN)
+    assert isinstance(model, ShieldedDQN)
     seen, _ = env.reset(seed=1)
     batch = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
     blank = {**batch, DANGER_KEY: torch.zeros_like(batch[DANGER_KEY])}
@@ -200,7 +200,7 @@ def test_another_danger_network_than_the_one_of_training_is_refused(run: Path, p
     with pytest.raises(PolicyError, match="drives with both"):
         load_policy(run / "policies" / "final")
     told = json.loads((folder / POLICY_JSON).read_text())
-    assert told["guard"]["danger_sha256"] == files.sha256(part / WEIGHTS)
+    assert told["shield"]["danger_sha256"] == files.sha256(part / WEIGHTS)
 
 
 def test_a_head_that_is_not_residual_and_a_policy_of_values_are_refused(run: Path, part: Path, tmp_path: Path):

@@ -12,15 +12,15 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from wcsim.agents.learning.guarded.danger_sense import MOST, dangers_of_codes
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.shielded.danger_sense import MOST, dangers_of_codes
 from wcsim.agents.networks.q_network import NetSpec, QNet, SeqQPolicy
 from wcsim.agents.policy_api import DANGER_KEY
 from wcsim.types import F64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Guard:
+class Shield:
     """How dangers count; plain values, kept in policy.json."""
 
     weight: float = 1.0  # of a danger of 1, in units of the scaled reward
@@ -39,28 +39,28 @@ def allowed_argmax(values: F64, danger: F64, threshold: float) -> int:
     return int(np.argmax(np.where(allowed, values, -np.inf)) if allowed.any() else np.argmin(danger))
 
 
-class GuardedQNet(QNet):
+class ShieldedQNet(QNet):
     """The learned part is F alone: dangers come with the observation, and nothing here changes them."""
 
     def __init__(
-        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec, guard: Guard
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec, shield: Shield
     ) -> None:
         super().__init__(observation_space, action_space, spec)
-        self.guard = guard
+        self.shield = shield
 
     def forward(self, observations: PyTorchObs) -> torch.Tensor:
         """Values (B, A), in units of the scaled reward."""
-        return super().forward(observations) - self.guard.weight * _dangers(observations)
+        return super().forward(observations) - self.shield.weight * _dangers(observations)
 
     def choice(self, values: torch.Tensor, observations: PyTorchObs) -> torch.Tensor:
         """(B,) the best action among the safe ones, the least dangerous where there is none."""
         danger = _dangers(observations)
-        allowed = danger < self.guard.threshold
+        allowed = danger < self.shield.threshold
         best = values.masked_fill(~allowed, -torch.inf).argmax(dim=1)
         return torch.where(allowed.any(dim=1), best, danger.argmin(dim=1))
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "guard": self.guard}
+        return {**super()._get_constructor_parameters(), "shield": self.shield}
 
 
 def _dangers(observations: PyTorchObs) -> torch.Tensor:
@@ -69,8 +69,8 @@ def _dangers(observations: PyTorchObs) -> torch.Tensor:
     return observations[DANGER_KEY][:, -1, 0].to(torch.float32) / MOST
 
 
-class GuardedQPolicy(SeqQPolicy):
-    """Online and target network of `GuardedDQN`."""
+class ShieldedQPolicy(SeqQPolicy):
+    """Online and target network of `ShieldedDQN`."""
 
     def __init__(
         self,
@@ -79,32 +79,32 @@ class GuardedQPolicy(SeqQPolicy):
         lr_schedule: Schedule,
         spec: NetSpec | None = None,
         optimizer_kwargs: dict[str, Any] | None = None,
-        guard: Guard | None = None,
+        shield: Shield | None = None,
     ) -> None:
-        self.guard = guard or Guard()
+        self.shield = shield or Shield()
         super().__init__(observation_space, action_space, lr_schedule, spec, optimizer_kwargs)
 
-    def make_q_net(self) -> GuardedQNet:  # type: ignore[override]
+    def make_q_net(self) -> ShieldedQNet:  # type: ignore[override]
         """A fresh network of this policy's specification."""
         space, actions = self.observation_space, self.action_space
         if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
             raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return GuardedQNet(space, actions, self.spec, self.guard).to(self.device)
+        return ShieldedQNet(space, actions, self.spec, self.shield).to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "guard": self.guard}
+        return {**super()._get_constructor_parameters(), "shield": self.shield}
 
 
-class GuardedDQN(SeqDQN):
+class ShieldedDQN(SeqDQN):
     """SeqDQN that explores among the safe actions too; its environment tells dangers (`DangerSense`)."""
 
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"GuardedQPolicy": GuardedQPolicy}
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"ShieldedQPolicy": ShieldedQPolicy}
 
     @property
-    def guard(self) -> Guard:
+    def shield(self) -> Shield:
         """How dangers count."""
         net = self.q_net
-        return net.guard if isinstance(net, GuardedQNet) else Guard()
+        return net.shield if isinstance(net, ShieldedQNet) else Shield()
 
     def predict(
         self,
@@ -121,5 +121,5 @@ class GuardedDQN(SeqDQN):
         dangers = dangers_of_codes(observation[DANGER_KEY])[..., -1, 0, :].reshape(-1, len(points))
         near = -np.linalg.norm(points[np.atleast_1d(actions)][:, None] - points, axis=2)
         pairs = zip(near, dangers, strict=True)
-        safe = np.array([allowed_argmax(row, danger, self.guard.threshold) for row, danger in pairs])
+        safe = np.array([allowed_argmax(row, danger, self.shield.threshold) for row, danger in pairs])
         return (safe if np.ndim(actions) else safe[0]), state
