@@ -17,6 +17,7 @@ from wcsim.types import U8
 
 LEVEL: Final = 1
 _LEAST_MATCH: Final = 7  # bytes; in noise a shorter repetition costs more than it saves
+_HASH_LOG: Final = 12  # a table so small that it is in the cache, though a world was computed in between
 _LENGTHS: Final = struct.Struct("<II")
 
 
@@ -25,7 +26,7 @@ class BlobCodec:
 
     def __init__(self, size: int, smooth: int) -> None:
         self._size, self._smooth = size, smooth
-        settings = zstandard.ZstdCompressionParameters.from_level(LEVEL, min_match=_LEAST_MATCH)
+        settings = zstandard.ZstdCompressionParameters.from_level(LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG)
         self._pack = zstandard.ZstdCompressor(compression_params=settings)
         self._unpack = zstandard.ZstdDecompressor()
 
@@ -35,12 +36,13 @@ class BlobCodec:
         there = smooth != 0
         holes = b""
         if not there.all():
-            holes = self._pack.compress(np.packbits(there).tobytes())
+            holes = self._pack.compress(np.packbits(there).data)
             smooth = smooth[there]
         steps = smooth.copy()
         steps[1:] -= smooth[:-1]
-        packed = self._pack.compress(steps.tobytes())
-        return _LENGTHS.pack(len(holes), len(packed)) + holes + packed + self._pack.compress(others.tobytes())
+        packed = self._pack.compress(steps.data)
+        rest = self._pack.compress(np.ascontiguousarray(others).data)
+        return _LENGTHS.pack(len(holes), len(packed)) + holes + packed + rest
 
     def unpack(self, blob: bytes) -> U8:
         """The frame (size,) of a blob. Raises ValueError or ZstdError when it is of something else."""

@@ -88,5 +88,5 @@ def _table(costs: dict[str, StateCost]) -> Table:
             f"{cost.kb_per_state / 10:.2f} GB",
             f"{cost.memory_mb:.1f} MB",
         )
-    table.caption = f"medians of {min(cost.states for cost in costs.values())} states, wall time"
+    table.caption = f"medians of {min(cost.states for cost in costs.values())} states, CPU time"
     return table
