@@ -9,27 +9,27 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.agents.danger.guard import FAULTS, GuardRule, GuardState, Tick, fault_of, guarded
+from wcsim.agents.danger.guard import FAULTS, GuardRule, GuardState, GuardTick, fault_of, guarded
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
 RULE = GuardRule()
 SIDE = st.floats(-1.0, 1.0)
 AGES = st.sampled_from([0.0, 0.1, 0.3, 0.30001, 5.0, math.inf, math.nan])
 TICKS = st.builds(
-    Tick,
+    GuardTick,
     wanted=st.one_of(st.none(), st.tuples(SIDE, SIDE)),
     inputs_finite=st.booleans(),
     outputs_finite=st.booleans(),
     age_s=AGES,
     took_s=st.sampled_from([0.0, 0.002, 0.1, 0.11, math.nan]),
 )
-MOSTLY_GOOD = st.lists(st.one_of(st.builds(Tick, wanted=st.tuples(SIDE, SIDE)), TICKS), max_size=60)
+MOSTLY_GOOD = st.lists(st.one_of(st.builds(GuardTick, wanted=st.tuples(SIDE, SIDE)), TICKS), max_size=60)
 RULES = st.builds(
     GuardRule, stop_s=st.sampled_from([0.05, 0.3, 0.5, 2.0]), good_ticks=st.integers(1, 12), tick_s=st.just(0.1)
 )
 
 
-def driven(rule: GuardRule, ticks: list[Tick]) -> list[GuardState]:
+def driven(rule: GuardRule, ticks: list[GuardTick]) -> list[GuardState]:
     states = [GuardState()]
     for tick in ticks:
         states.append(guarded(rule, states[-1], tick))
@@ -56,7 +56,7 @@ def test_the_stick_is_at_rest_within_the_stated_time(rule, ticks, bad):
 
 @given(RULES, MOSTLY_GOOD)
 def test_it_drives_again_after_so_many_good_ticks_and_not_before(rule, ticks):
-    bad, good = Tick(wanted=None), Tick(wanted=(0.25, 0.75))
+    bad, good = GuardTick(wanted=None), GuardTick(wanted=(0.25, 0.75))
     again = driven(rule, [*ticks, bad, *[good] * rule.good_ticks])[len(ticks) + 1 :]
     assert [state.tripped for state in again] == [True] * rule.good_ticks + [False]
     assert again[-1].stick == (0.25, 0.75)
@@ -73,7 +73,7 @@ def test_the_example_guards_alike(rule, ticks):
 
 def test_each_fault_has_its_name():
     good = {"wanted": (0.0, 1.0)}
-    found = [fault_of(RULE, Tick(**{**good, **bad})) for bad in (
+    found = [fault_of(RULE, GuardTick(**{**good, **bad})) for bad in (
         {}, {"wanted": None}, {"inputs_finite": False}, {"age_s": 0.31}, {"took_s": 0.2}, {"outputs_finite": False},
     )]  # fmt: skip
     assert tuple(found) == FAULTS

@@ -12,8 +12,8 @@ from safetensors.torch import load_file, save_file
 from tests.agents.danger.sights import all_of, lectures, small_config
 from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
 from wcsim.agents.danger.rule import DangerRule
-from wcsim.agents.danger.saved import WEIGHTS, load_danger, load_net, save_danger
-from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.agents.danger.saved import load_danger, load_net, save_danger
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import PolicyError

@@ -14,10 +14,10 @@ import wcsim.agents
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy, save_policy
+from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import SmallNet
-from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import PolicyError

@@ -32,7 +32,7 @@ def test_what_turns_left_turns_right_in_the_mirror():
         "imu": torch.arange(1.0, 11.0)[None],
         "joystick": torch.ones(1, 2),
     }
-    signs = torch.sign(_mirrored(batch)["imu"][0]).tolist()
+    signs = torch.sign(_mirrored(batch, torch.arange(1), ())["imu"][0]).tolist()
     assert signs == [1, -1, 1, -1, 1, -1, 1, -1, -1, 1]  # ax ay az roll pitch, gx gy gz, sine and cosine of yaw
 
 
@@ -50,4 +50,4 @@ def test_further_rows_of_numbers_come_last_and_nobody_names_them():
 def test_further_numbers_turn_their_signs_in_the_mirror():
     image, stick = torch.zeros(1, 1, 2, 2, dtype=torch.uint8), torch.ones(1, 2)
     batch = {"seg": image, "depth": image, "imu": torch.ones(1, 5), "joystick": stick, "wheels": torch.ones(1, 2)}
-    assert _mirrored(batch, (("wheels", (1.0, -1.0)),))["wheels"].tolist() == [[1.0, -1.0]]
+    assert _mirrored(batch, torch.arange(1), (("wheels", (1.0, -1.0)),))["wheels"].tolist() == [[1.0, -1.0]]

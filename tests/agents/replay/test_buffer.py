@@ -153,9 +153,10 @@ def test_frames_are_kept_once():
     assert not buffer.after_end
 
 
-def test_large_frames_are_packed_and_come_back():
+@pytest.mark.parametrize("smooth", [0, 25_000])
+def test_large_frames_are_packed_and_come_back(smooth):
     g = np.random.default_rng(0)
-    store = frame_store.frame_store(5, 2, 50_000)
+    store = frame_store.frame_store(5, 2, 50_000, smooth)
     assert isinstance(store, PackedFrames)
     frames = g.integers(0, 4, (5, 2, 50_000), dtype=np.uint8)
     for row in range(5):

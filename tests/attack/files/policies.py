@@ -28,8 +28,8 @@ from tests.attack.scenarios.twists import (
     twisted,
 )
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy, save_policy
-from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.agents.learning.saved_policy import load_policy, save_policy
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig
 
 CAMERA = toy_camera(24, 32)

@@ -17,8 +17,8 @@ from rich.console import Console
 from tests.attack.files import files, policies
 from tests.attack.scenarios.twists import json_text
 from wcsim.agents.learning import saved_policy
-from wcsim.agents.learning.saved_policy import WEIGHTS, load_policy
-from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
 from wcsim.bridge.recording import trace_file
 from wcsim.bridge.recording.framing import framed

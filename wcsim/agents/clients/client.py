@@ -17,7 +17,6 @@ from wcsim.agents.learning.build import with_window
 from wcsim.agents.learning.callbacks import TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
-from wcsim.agents.online.train_online import Listeners, train_online
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import RunConfig
@@ -114,6 +113,8 @@ def learn(
 
     try:
         if config.learn.head == "danger":
+            from wcsim.agents.online.train_online import Listeners, train_online  # loads what drives worlds
+
             around = {"deciding": shares.inference.around, "learning": shares.learning.around}
             listeners = Listeners(progress=pipe.show, progress_every=1, alive=alive, say=say, **around)
             train_online(run, lambda: env, listeners)

@@ -32,7 +32,7 @@ class GuardRule:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tick:
+class GuardTick:
     """What came of a tick."""
 
     wanted: Stick | None  # the policy's command; None where no frame came, or the policy was not asked
@@ -52,7 +52,7 @@ class GuardState:
     fault: str = ""  # of the last tick
 
 
-def fault_of(rule: GuardRule, tick: Tick) -> str:
+def fault_of(rule: GuardRule, tick: GuardTick) -> str:
     """Why a tick is bad, "" when it is good."""
     if not tick.inputs_finite:
         return "input"
@@ -65,13 +65,13 @@ def fault_of(rule: GuardRule, tick: Tick) -> str:
     return "" if tick.wanted is not None and all(map(math.isfinite, tick.wanted)) else "missing"
 
 
-def guarded(rule: GuardRule, state: GuardState, tick: Tick) -> GuardState:
+def guarded(rule: GuardRule, state: GuardState, tick: GuardTick) -> GuardState:
     """The state after a tick; its `stick` is the command to send.
 
     >>> rule, state = GuardRule(stop_s=0.2, good_ticks=2), GuardState()
     >>> driven = []
     >>> for age_s in (0.0, 0.4, 0.0, 0.0, 0.0):
-    ...     state = guarded(rule, state, Tick(wanted=(0.0, 1.0), age_s=age_s))
+    ...     state = guarded(rule, state, GuardTick(wanted=(0.0, 1.0), age_s=age_s))
     ...     driven.append(round(state.stick[1], 2))
     >>> driven
     [1.0, 0.29, 0.0, 1.0, 1.0]

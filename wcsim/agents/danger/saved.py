@@ -14,14 +14,13 @@ from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.runs.policy_file import POLICY_JSON, read_danger_file
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_danger_file
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
-WEIGHTS = "weights.safetensors"
 _ELSEWHERE = ("height_px", "width_px", "classes")  # of the network's shape, in other places of policy.json
 _CAMERA_KEYS = ("width_px", "height_px", "hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 

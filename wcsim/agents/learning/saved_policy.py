@@ -20,7 +20,7 @@ from wcsim.agents.networks.names import require_named
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
-from wcsim.agents.runs.policy_file import POLICY_JSON, read_policy_file
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_policy_file
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
 from wcsim.core import files
@@ -29,7 +29,6 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId
 
-WEIGHTS = "weights.safetensors"
 JOYSTICK_SIZE = 2
 Beside = Callable[[Path], dict[str, Any]]
 

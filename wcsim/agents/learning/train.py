@@ -23,8 +23,8 @@ from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.shielded.danger_sense import danger_part, with_dangers
-from wcsim.agents.learning.shielded.shielded_policy import guard_beside
+from wcsim.agents.learning.shielded.danger_part import danger_part
+from wcsim.agents.learning.shielded.shielded_dqn import shield_beside
 from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.replay.buffer import FrameReplay
@@ -75,7 +75,7 @@ def train(
         require_tensorboard()
     folder = folder_of(run, with_window)
     with files.locked(folder.path), torch_settings(run.config), StopRequest() as request:
-        env = DummyVecEnv([with_dangers(make_env, folder.config, danger_part(folder))])
+        env = DummyVecEnv([_shielded(make_env, folder)])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
             with contextlib.closing(_replay(model)) as memory:
@@ -89,6 +89,16 @@ def train(
                     return session.learn()
         finally:
             env.close()
+
+
+def _shielded(make_env: MakeEnv, run: RunFolder) -> MakeEnv:
+    """The environment, with dangers beside what is seen where values are learned on top of a danger network."""
+    part = danger_part(run)
+    if part is None:
+        return make_env
+    from wcsim.agents.learning.shielded.danger_sense import with_dangers  # loads what a chair's plant is checked by
+
+    return with_dangers(make_env, run.config, part)
 
 
 def _replay(model: SeqDQN) -> FrameReplay:
@@ -177,7 +187,7 @@ class _Session:
     def _save(self, stage: str) -> None:
         path = self.run.policy(stage)
         try:
-            beside = guard_beside(self.model, danger_part(self.run))
+            beside = shield_beside(self.model, danger_part(self.run))
             save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256(), beside)
         except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None

@@ -184,6 +184,9 @@ class _OnlineSession:
             "updates": self._learner.updates,
             "max_abs_q": None,
             "margin_weight": 0.0,
+            "value_start": None,
+            "return_start": None,
+            "overestimate": None,
         }
         self._metrics.add({**row, **rest, **learned, "elapsed_s_wall": time.monotonic() - self._begun_s})
         self._sums = EpisodeSums()

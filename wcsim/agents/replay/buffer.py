@@ -111,11 +111,11 @@ class FrameReplay(ReplayBuffer):
 
     def _store(self, settings: ReplaySettings) -> OpenStore:
         folder = settings.folder
-        if folder is None:
-            return frame_store
-        layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
         first, shape = self.layout.images[0] if self.layout.images else ("", ())
         smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY else 0
+        if folder is None:
+            return lambda steps, seats, size: frame_store(steps, seats, size, smooth)
+        layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
         return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout, smooth)
 
     @property

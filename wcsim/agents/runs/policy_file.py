@@ -10,7 +10,7 @@ from wcsim.config.run_file import DangerFile, PolicyFile
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import ConfigError, PolicyError
 
-POLICY_JSON = "policy.json"
+POLICY_JSON, WEIGHTS = "policy.json", "weights.safetensors"
 File = TypeVar("File", PolicyFile, DangerFile)
 _KIND = FileKind(what="the policy.json of a policy folder", limit_bytes=1 << 20, error=PolicyError)
 

@@ -358,17 +358,9 @@ def _told(
         ConfigError: A client or the world could not use what was asked for.
     """
     if folder.fruitless() and not run.resume:
-        if outcome.stopped:
-            raise NothingKept("stopped before anything was learned; nothing is kept")
-        if outcome.code == Exit.REFUSED:
-            raise ConfigError(outcome.message)
+        _nothing_came(outcome)
     steps = sum(client.status.step for client in outcome.clients if client.status is not None)
-    done = all(folder.done(client.name, client.steps) for client in run.clients)
-    try:
-        status: Status = "done" if done and run.last else "interrupted"
-        folder = folder.with_status(status, steps or folder.manifest.steps)
-    except DiskFullError as error:  # the work is there all the same
-        print(f"wcsim: {error}", file=sys.stderr)
+    folder = _with_status(run, folder, steps or folder.manifest.steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, rate)
@@ -387,3 +379,22 @@ def _told(
         tested = folder.path / (run.best or folder.clients[0])
         print(f"run folder: {folder.path}    test one: wcsim test {tested} --town monaco")
     return Exit.DONE
+
+
+def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFolder:
+    """Write down whether the run is done, where there is room."""
+    done = all(folder.done(client.name, client.steps) for client in run.clients)
+    status: Status = "done" if done and run.last else "interrupted"
+    try:
+        return folder.with_status(status, steps)
+    except DiskFullError as error:  # the work is there all the same
+        print(f"wcsim: {error}", file=sys.stderr)
+        return folder
+
+
+def _nothing_came(outcome: LaunchOutcome) -> None:
+    """Raise what a run is told of that ended before anything was learned; go on when it failed otherwise."""
+    if outcome.stopped:
+        raise NothingKept("stopped before anything was learned; nothing is kept")
+    if outcome.code == Exit.REFUSED:
+        raise ConfigError(outcome.message)

@@ -15,8 +15,7 @@ Held = Annotated[int, Field(ge=1, le=1000)]
 class CollectConfig(Model):
     """What is driven, by whom, and how far from the way that a careful user takes."""
 
-    # The network of a round drives in the round after the next; 0: no rounds, it learns from every step as it drives.
-    rounds: Annotated[int, Field(ge=0, le=100_000)] = 0
+    rounds: Annotated[int, Field(ge=0, le=100_000)] = 0  # 0: none, it learns from every step as it drives
     segments: Annotated[int, Field(ge=0, le=100_000)] = 6  # of a round; 0: learn from recorded driving alone
     ticks: Annotated[int, Field(ge=10, le=100_000)] = 400  # of a segment
     chairs: Annotated[int, Field(ge=1, le=12)] = 6  # in its world

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -27,7 +29,7 @@ def sights() -> list[DangerSight]:
         eye.command(tick % 81)
         picture = sight.picture.copy()
         picture[:, :, : 12 + tick % 30] = 0  # leave room, so that the numbers are not all of one kind
-        found.append(DangerSight(picture=picture, actions=sight.actions, vector=sight.vector, start=sight.start))
+        found.append(replace(sight, picture=picture))
     return found
 
 

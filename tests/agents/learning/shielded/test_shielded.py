@@ -15,18 +15,19 @@ from tests.agents.toy import a_run
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import rule_of
-from wcsim.agents.danger.saved import WEIGHTS, load_net, save_danger
+from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
-from wcsim.agents.learning.shielded.danger_sense import PART, DangerSense, codes_of_dangers, dangers_of_codes
+from wcsim.agents.learning.shielded.danger_part import PART, codes_of_dangers, dangers_of_codes
+from wcsim.agents.learning.shielded.danger_sense import DangerSense
 from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN
 from wcsim.agents.learning.shielded.shielded_policy import ShieldedPolicy
 from wcsim.agents.learning.train import train
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.policy_api import DANGER_KEY
-from wcsim.agents.runs.policy_file import POLICY_JSON
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import ConfigError, PolicyError

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.agents.danger.guard import GuardRule, GuardState, Stick, Tick, guarded
+from wcsim.agents.danger.guard import GuardRule, GuardState, GuardTick, Stick, guarded
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.supervisor.actions import ActionSet
 
@@ -61,7 +61,7 @@ class GuardedPolicy:
         self.state = guarded(
             self.rule,
             self.state,
-            Tick(
+            GuardTick(
                 wanted=wanted,
                 inputs_finite=whole or frames is None,
                 outputs_finite=answered,

@@ -1,4 +1,4 @@
-"""What `map_gaps.py` reckons, in tensors that ONNX knows; a test holds the two together."""
+"""What `wcsim/agents/danger/map_gaps.py` reckons, in tensors that ONNX knows; a test holds the two together."""
 
 from __future__ import annotations
 

@@ -5,82 +5,29 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.saved import WEIGHTS, load_net, require_same_senses
+from wcsim.agents.danger.saved import load_net, require_same_senses
+from wcsim.agents.learning.shielded.danger_part import MOST, PART, codes_of_dangers
 from wcsim.agents.policy_api import DANGER_KEY, DEPTH_KEY, Observation
-from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger
-from wcsim.agents.runs.run_folder import RunFolder, policy_path
 from wcsim.config import RunConfig
-from wcsim.core import files
-from wcsim.core.reading import is_folder
 from wcsim.errors import PolicyError
-from wcsim.types import F64, U8
+from wcsim.types import U8
 
-PART: Final = "danger"  # folder of the danger network within a run, and within a policy
-MOST: Final = 254  # the code of a danger of 1; Stable-Baselines3 takes arrays of up to 255 for pictures
 Env = gymnasium.Env[Any, Any]
 
 
-def codes_of_dangers(danger: F64) -> U8:
-    """Dangers (A,) in 0..1 as bytes.
-
-    >>> codes_of_dangers(np.array([0.0, 0.3, 1.0])).tolist()
-    [0, 76, 254]
-    """
-    codes: U8 = np.rint(MOST * danger).astype(np.uint8)
-    return codes
-
-
-def dangers_of_codes(codes: npt.NDArray[np.uint8]) -> F64:
-    """The dangers that such bytes stand for."""
-    return codes.astype(np.float64) / MOST
-
-
-def danger_part(run: RunFolder) -> Path | None:
-    """The folder of the danger network that a run learns on top of, None for one that does not.
-
-    It is copied into the run once, so that the run goes on with the same one whatever becomes of its own run.
-
-    Raises:
-        PolicyError: There is no such policy, or it is no danger network.
-        DiskFullError: There is no room.
-    """
-    name, own = run.config.learn.danger, run.path / PART
-    if not name:
-        return None
-    if not is_folder(own):
-        path = policy_path(name)
-        if not is_danger(path):
-            raise PolicyError(f"learn.danger={name}: gives values for actions; expected a danger network")
-        copy_part(path, own)
-    return own
-
-
-def copy_part(source: Path, target: Path) -> None:
-    """Copy a danger network's policy folder, byte for byte. Raises DiskFullError."""
-
-    def fill(work: Path) -> None:
-        for name in (POLICY_JSON, WEIGHTS):
-            files.write_bytes(work / name, (source / name).read_bytes())
-
-    files.write_folder(target, fill)
-
-
-def with_dangers(make_env: Callable[[], Env], config: RunConfig, part: Path | None) -> Callable[[], Env]:
-    """The environment with dangers beside what is seen; as it is where there is no danger network.
+def with_dangers(make_env: Callable[[], Env], config: RunConfig, part: Path) -> Callable[[], Env]:
+    """The environment with dangers beside what is seen.
 
     Raises:
         PolicyError: The network cannot be loaded, or sees with another camera.
     """
-    if part is None:
-        return make_env
     require_same_senses(part, part.name, config)
     return lambda: DangerSense(make_env(), config, part)
 

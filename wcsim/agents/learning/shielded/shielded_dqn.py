@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,10 +13,13 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
+from wcsim.agents.learning.saved_policy import Beside
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.shielded.danger_sense import MOST, dangers_of_codes
+from wcsim.agents.learning.shielded.danger_part import MOST, PART, copy_part, dangers_of_codes
 from wcsim.agents.networks.q_network import NetSpec, QNet, SeqQPolicy
 from wcsim.agents.policy_api import DANGER_KEY
+from wcsim.agents.runs.policy_file import WEIGHTS
+from wcsim.core import files
 from wcsim.types import F64
 
 
@@ -123,3 +127,16 @@ class ShieldedDQN(SeqDQN):
         pairs = zip(near, dangers, strict=True)
         safe = np.array([allowed_argmax(row, danger, self.shield.threshold) for row, danger in pairs])
         return (safe if np.ndim(actions) else safe[0]), state
+
+
+def shield_beside(model: SeqDQN, part: Path | None) -> Beside | None:
+    """What `save_policy` writes beside the values of a `ShieldedDQN`: its danger network, and how dangers count."""
+    if part is None or not isinstance(model, ShieldedDQN):
+        return None
+    shield = asdict(model.shield)
+
+    def write(folder: Path) -> dict[str, Any]:
+        copy_part(part, folder / PART)
+        return {"shield": {**shield, "danger_sha256": files.sha256(folder / PART / WEIGHTS)}}
+
+    return write

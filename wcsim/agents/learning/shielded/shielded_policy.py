@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.saved import WEIGHTS, load_danger
-from wcsim.agents.learning.saved_policy import Beside, NetPolicy
-from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.shielded.danger_sense import PART, codes_of_dangers, copy_part, dangers_of_codes
-from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN, allowed_argmax
+from wcsim.agents.danger.saved import load_danger
+from wcsim.agents.learning.saved_policy import NetPolicy
+from wcsim.agents.learning.shielded.danger_part import PART, codes_of_dangers, dangers_of_codes
+from wcsim.agents.learning.shielded.shielded_dqn import allowed_argmax
 from wcsim.agents.policy_api import Observation
+from wcsim.agents.runs.policy_file import WEIGHTS
 from wcsim.config import RunConfig
 from wcsim.config.run_file import ShieldFile
 from wcsim.core import files
@@ -54,19 +52,6 @@ class ShieldedPolicy(NetPolicy):
         action = allowed_argmax(values, danger, self._threshold)
         self._part.sent(action)
         return action
-
-
-def guard_beside(model: SeqDQN, part: Path | None) -> Beside | None:
-    """What `save_policy` writes beside the values of a `ShieldedDQN`: its danger network, and how dangers count."""
-    if part is None or not isinstance(model, ShieldedDQN):
-        return None
-    shield = asdict(model.shield)
-
-    def write(folder: Path) -> dict[str, Any]:
-        copy_part(part, folder / PART)
-        return {"shield": {**shield, "danger_sha256": files.sha256(folder / PART / WEIGHTS)}}
-
-    return write
 
 
 def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:

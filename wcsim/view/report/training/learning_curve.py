@@ -40,7 +40,7 @@ class Training:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
+class LimitCrossing:
     """Where smoothed KPI 1 came below the limit."""
 
     step: int | None  # at which it first did; None where it never did
@@ -50,7 +50,7 @@ class Crossing:
     def told(self) -> str:
         """In words.
 
-        >>> Crossing(step=1200, last=0.4, left=9000).told()
+        >>> LimitCrossing(step=1200, last=0.4, left=9000).told()
         'KPI 1 below 0.1768 from step 1200 on, above again since step 9000'
         """
         if self.step is None:
@@ -117,16 +117,16 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
     return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
 
 
-def crossing(episodes: Sequence[TrainedEpisode], limit: float = KPI1_LIMIT) -> Crossing:
+def crossing(episodes: Sequence[TrainedEpisode], limit: float = KPI1_LIMIT) -> LimitCrossing:
     """Where the mean of KPI 1 over the last episodes first was at most the limit; the first few are too few for it."""
     told = [(episode.step, episode.kpi1) for episode in episodes if episode.kpi1 is not None]
     means = running_means([kpi1 for _, kpi1 in told])
     within = [place for place, mean in enumerate(means) if mean <= limit and place + 1 >= LEAST]
     last = means[-1] if means else None
     if not within:
-        return Crossing(step=None, last=last)
+        return LimitCrossing(step=None, last=last)
     left = told[within[-1] + 1][0] if within[-1] + 1 < len(told) else None
-    return Crossing(step=told[within[0]][0], last=last, left=left)
+    return LimitCrossing(step=told[within[0]][0], last=last, left=left)
 
 
 def switch_step(episodes: Sequence[TrainedEpisode]) -> int | None:

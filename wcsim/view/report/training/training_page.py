@@ -15,7 +15,7 @@ from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.training.learning_curve import (
     KPI1_LIMIT,
     OVER,
-    Crossing,
+    LimitCrossing,
     TrainedEpisode,
     Training,
     crossing,
@@ -80,7 +80,7 @@ def _runs(training: Training) -> list[tuple[str, object]]:
     return said
 
 
-def crossings(training: Training) -> dict[str, Crossing]:
+def crossings(training: Training) -> dict[str, LimitCrossing]:
     """Where each client came below the limit of KPI 1."""
     return {name: crossing(episodes) for name, episodes in training.clients.items()}
 
