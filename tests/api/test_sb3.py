@@ -46,12 +46,12 @@ def without_wall_times(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def run(corner, tmp_path_factory) -> Path:
-    config = load_run_config("quick", SMALL)
+    config = load_run_config("dqn", SMALL)
     return train(a_run(config, tmp_path_factory.mktemp("runs") / "first", 3, town="corner"), maker(corner, config))
 
 
 def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
-    config = load_run_config("quick", SMALL)
+    config = load_run_config("dqn", SMALL)
     env, second = maker(corner, config)(), Monitor(maker(corner, config)())
     try:
         model = DQN(
@@ -72,7 +72,7 @@ def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
 
 
 def test_stock_dqn_learns_from_two_worlds_at_once(corner):
-    config = load_run_config("quick", SMALL)
+    config = load_run_config("dqn", SMALL)
     envs = DummyVecEnv([maker(corner, config)] * 2)
     try:
         model = DQN("MultiInputPolicy", envs, buffer_size=100, learning_starts=8, batch_size=8, seed=1)
@@ -89,7 +89,7 @@ def test_a_run_folder_is_complete(run):
     manifest = json.loads((run / "manifest.json").read_text())
     assert (manifest["status"], manifest["steps"], manifest["seed"], manifest["town"]) == ("done", STEPS, 3, "corner")
     assert manifest["versions"]["libsumo"]
-    assert RunConfig.model_validate_json((run / "config.json").read_text()) == load_run_config("quick", SMALL)
+    assert RunConfig.model_validate_json((run / "config.json").read_text()) == load_run_config("dqn", SMALL)
     rows = without_wall_times(run / "metrics.csv")
     assert [row["phase"] for row in rows] == sorted(row["phase"] for row in rows)
     assert {row["phase"] for row in rows} == {"1", "2"}
@@ -100,7 +100,7 @@ def test_a_run_folder_is_complete(run):
 
 
 def test_equal_seeds_give_equal_runs_in_the_real_street(run, corner, tmp_path):
-    config = load_run_config("quick", SMALL)
+    config = load_run_config("dqn", SMALL)
     again = train(a_run(config, tmp_path / "again", 3), maker(corner, config))
     assert without_wall_times(run / "metrics.csv") == without_wall_times(again / "metrics.csv")
     for stage in ("phase1", "final"):

@@ -138,7 +138,7 @@ def learned(town: Path, envs: int = 2) -> tuple[Any, list[Any]]:
         "total_steps": 120, "phase1_steps": 40, "aid_ahead": 2,
     }  # fmt: skip
     words = [f"learn.{key}={value}" for key, value in learn.items()]
-    config = load_run_config("quick", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))
+    config = load_run_config("dqn", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))
     vec = StreetVecEnv(str(town), chairs=envs, config=config)
     try:
         model = build_model(config, vec, seed=2)

@@ -283,13 +283,15 @@ def test_doctor_says_what_fails(wcsim, folder):
 
 
 def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
-    small = ("learn.total_steps=40", "learn.phase1_steps=20", "world.warmup_s=5", "cameras.0.width_px=40")
-    words = [word for text in small for word in ("--set", text)]
+    small = ("collect.segments=1", "collect.ticks=20", "collect.chairs=2", "collect.scene_share=0", "danger.updates=4")
+    words = [word for text in (*small, "world.warmup_s=5", "cameras.0.width_px=40") for word in ("--set", text)]
     told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
     assert told.code == 0
     assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
-        *("runs/demo", "runs/demo:phase1", *BASELINES)
+        *("runs/demo", *BASELINES)
     ]
+    for said in ("rounds of 1 x 20 ticks with 2 chairs", "4 updates", "testing in tiny", "a picture"):
+        assert said in " ".join(told.out.split())
     assert cv2.imread("runs/demo/tiny.png").shape == (480, 3 * 640, 3)
     refused = wcsim("demo", "--train-town", corner, "--test-town", corner)
     assert refused.code == 2

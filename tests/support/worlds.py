@@ -19,6 +19,11 @@ def quick_config(*overrides: str) -> RunConfig:
     return load_run_config("quick", (*QUICK, *overrides))
 
 
+def dqn_config(*overrides: str) -> RunConfig:
+    """The same of preset dqn: for what learns, and chooses its head itself."""
+    return load_run_config("dqn", (*QUICK, *overrides))
+
+
 def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec: SeatSpec | None = None) -> World:
     """A world in a town's folder."""
     return World(find_town(str(town)), quick_config(*overrides), (spec or SeatSpec(),) * seats, seed)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.clients.clients_folder import ClientsFolder, create_clients_folder
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
@@ -15,7 +15,7 @@ from wcsim.server.specs import RunInfo
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ClientsFolder:
-    config = quick_config()
+    config = dqn_config()
     manifest = make_manifest(config, RunInfo(seed=1, town="t"))
     return create_clients_folder(tmp_path / "run", config, manifest, {"a": config, "b": config})
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import (
     data_digest,
     read_manifest,
@@ -85,12 +85,12 @@ def test_numbers_that_are_none_are_refused(tmp_path: Path):
 
 
 def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
-    config = quick_config()
+    config = dqn_config()
     write_manifest(tmp_path, config, {"corner": TOWN}, {"b": "1" * 64, "a": "2" * 64})
     file = read_manifest(tmp_path)
-    require_same_settings(tmp_path, file, quick_config("learn.gamma=0.9"))
+    require_same_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
     assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
     with pytest.raises(PolicyError, match=r"cameras\.0\.width_px"):
-        require_same_settings(tmp_path, file, quick_config("cameras.0.width_px=40"))
+        require_same_settings(tmp_path, file, dqn_config("cameras.0.width_px=40"))
     with pytest.raises(PolicyError, match="chair"):
-        require_same_settings(tmp_path, file, quick_config("chair.v_max_mps=2.0"))
+        require_same_settings(tmp_path, file, dqn_config("chair.v_max_mps=2.0"))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
@@ -20,7 +20,7 @@ ACTIONS = action_set("square81")
 
 
 def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
-    config = quick_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", *overrides)
+    config = dqn_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", *overrides)
     return SegmentOrder(key=key, towns=(str(corner),), config=config, settings=("vary.action_delay_ticks=[0,2]",))
 
 

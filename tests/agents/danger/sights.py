@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import Segment
 from wcsim.agents.danger.lessons import Lectures, lessons_of
@@ -16,7 +16,7 @@ SMALL = ("danger.batch=16", "danger.width=8", "sensors.odometry=typical", "env.o
 
 
 def small_config(*overrides: str) -> RunConfig:
-    return quick_config(*SMALL, *overrides)
+    return dqn_config(*SMALL, *overrides)
 
 
 def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Segment:

@@ -285,7 +285,7 @@ def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
     plan = learner(phase1_steps=30, total_steps=100, aid_weight=3.0).plan
     assert [plan.aid_weight(step) for step in (0, 29, 30, 99)] == [0, 0, 3, 3]
     assert load_run_config("paper").learn.aid == "none"
-    assert load_run_config("quick").learn.aid == "oracle"
+    assert load_run_config("dqn").learn.aid == "oracle"
     assert learner(aid="none").replay_buffer.advice is None
 
 

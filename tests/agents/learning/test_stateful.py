@@ -99,7 +99,7 @@ def test_what_does_not_go_together_is_refused(learn, told):
 )
 def test_settings_have_bounds(key, value):
     with pytest.raises(ConfigError, match=key):
-        load_run_config("quick", (f"learn.{key}={value}",))
+        load_run_config("dqn", (f"learn.{key}={value}",))
 
 
 @pytest.mark.parametrize("memory", ["steps", "groups", "windows"])

@@ -117,10 +117,10 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
     path, _ = run
     for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
         assert run_of(name) == open_run(path).manifest
-        assert config_of(name, "quick", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
+        assert config_of(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
     shutil.copytree(path / "policies" / "final", tmp_path / "copy")
     assert run_of(str(tmp_path / "copy")) is None
-    alone = config_of(str(tmp_path / "copy"), "quick", ("env.max_steps=7",))
+    alone = config_of(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
     assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
     assert open_policy(str(tmp_path / "copy"), alone).name == str(tmp_path / "copy")
     with pytest.raises(PolicyError, match="20x16 images"):

@@ -110,28 +110,28 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
 
 
 def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise():
-    assert with_window(load_run_config("quick")).env.window == 1
-    fig6 = load_run_config("quick", ("learn.network=fig6",))
+    assert with_window(load_run_config("dqn")).env.window == 1
+    fig6 = load_run_config("dqn", ("learn.network=fig6",))
     assert (fig6.env.window, fig6.env.frames) == (None, 1)
     resolved = with_window(fig6)
     assert resolved == fig6.model_copy(update={"env": fig6.env.model_copy(update={"window": 4})})
     assert with_window(resolved) is resolved
-    assert with_window(load_run_config("quick", ("learn.network=fig6", "env.window=2"))).env.window == 2
+    assert with_window(load_run_config("dqn", ("learn.network=fig6", "env.window=2"))).env.window == 2
 
 
 @pytest.mark.parametrize("window", [0, 17, 1.5])
 def test_windows_have_bounds(window):
     with pytest.raises(ConfigError, match="window"):
-        load_run_config("quick", (f"env.window={window}",))
+        load_run_config("dqn", (f"env.window={window}",))
 
 
 def test_the_papers_floats_have_no_window():
     floats = "env.observation=table3"
-    assert load_run_config("quick", (floats, "env.window=1")).env.frames == 1
+    assert load_run_config("dqn", (floats, "env.window=1")).env.frames == 1
     with pytest.raises(ConfigError, match=r"window 2.*set env\.window=1, or env\.observation=compact"):
-        load_run_config("quick", (floats, "env.window=2"))
+        load_run_config("dqn", (floats, "env.window=2"))
     with pytest.raises(ConfigError, match=r"window 4.*set env\.window=1"):
-        with_window(load_run_config("quick", (floats, "learn.network=fig6")))
+        with_window(load_run_config("dqn", (floats, "learn.network=fig6")))
 
 
 # --- replay ---
@@ -323,8 +323,8 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(policy_path(str(run)), folder)
     assert json.loads((folder / POLICY_JSON).read_text())["window"] == 3
-    assert config_of(str(folder), "quick").env.window == 3
-    assert config_of(str(run), "quick").env.window == 3
+    assert config_of(str(folder), "dqn").env.window == 3
+    assert config_of(str(run), "dqn").env.window == 3
     policy, (observation, _) = load_policy(folder), street().reset(seed=1)
     batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
     with torch.inference_mode():

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import SEGMENTS, read_manifest, read_segment
 from wcsim.agents.collecting.segment import NETWORK
 from wcsim.agents.danger.saved import load_danger
@@ -33,7 +33,7 @@ SMALL = (
 
 
 def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:
-    config = quick_config(*SMALL, *overrides)
+    config = dqn_config(*SMALL, *overrides)
     town = find_town(str(corner))
     info = RunInfo(seed=3, town=town.name, town_sha256=streets_hash(town))
     return ResolvedRun(config=config, out=out, info=info, resume=resume)
@@ -41,7 +41,12 @@ def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> Re
 
 def outcome(out: Path) -> tuple[str, str]:
     """SHA-256 of the data and of the weights."""
-    return read_manifest(out / DATA).data_sha256, files.sha256(out / "policies" / "final" / "weights.safetensors")
+    return read_manifest(out / DATA).data_sha256, weights_of(out)
+
+
+def weights_of(out: Path) -> str:
+    """SHA-256 of the weights alone."""
+    return files.sha256(out / "policies" / "final" / "weights.safetensors")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +62,7 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corne
     assert open_run(straight).manifest.status == "done"
     rows = (straight / "metrics.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows] == ["round", "0", "1", "2"]
-    config = quick_config(*SMALL)
+    config = dqn_config(*SMALL)
     policy = load_danger(straight / "policies" / "final", "own", config)
     shape = (1, config.cameras[0].height_px, config.cameras[0].width_px)
     seen = {"depth": np.full(shape, 200, np.uint8), "seg": np.full(shape, 8, np.uint8)}
@@ -123,9 +128,11 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corn
         if now.round == 1 and now.updates:
             raise KeyboardInterrupt
 
-    with pytest.raises(InterruptedRunError, match="--resume"):
+    with pytest.raises(InterruptedRunError, match=r"the policy of the rounds that are done.*--resume"):
         train_danger(run_in(corner, out), find_town(str(corner)), progress=stop)
     assert open_run(out).manifest.status == "interrupted"
+    kept = {name: files.sha256(out / "policies" / name / "weights.safetensors") for name in ("round-001", "final")}
+    assert kept["final"] == kept["round-001"] != weights_of(straight)
     segment = sorted((out / DATA / SEGMENTS).iterdir())[-1]
     if segment.name.split("-")[1] == "002":  # what was being driven may be cut short
         segment.write_bytes(segment.read_bytes()[:100])
@@ -133,8 +140,17 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corn
     assert outcome(out) == outcome(straight)
 
 
+def test_a_run_that_was_stopped_in_its_first_round_has_no_policy(corner: Path, tmp_path: Path):
+    def stop(now: RoundProgress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(InterruptedRunError, match="no policy yet"):
+        train_danger(run_in(corner, tmp_path / "run"), find_town(str(corner)), progress=stop)
+    assert not (tmp_path / "run" / "policies" / "final").exists()
+
+
 def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path):
-    config: RunConfig = quick_config(*SMALL, "danger.width=12")
+    config: RunConfig = dqn_config(*SMALL, "danger.width=12")
     other = ResolvedRun(config=config, out=straight, info=run_in(corner, straight).info, resume=True)
     with pytest.raises(PolicyError, match="resume with its own"):
         train_danger(other, find_town(str(corner)))

@@ -87,7 +87,7 @@ def a_small_run(tmp_path: Path, corner: Path) -> Path:
     from wcsim.config import load_run_config
     from wcsim.towns.scenario.town import find_town, streets_hash
 
-    config = learning(load_run_config("quick", ("learn.total_steps=30", "learn.network=patch")))
+    config = learning(load_run_config("dqn", ("learn.total_steps=30", "learn.network=patch")))
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)

@@ -9,7 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.cli.shared.run_config import learning, learns_dangers_online, overrides_of, resolve_config, resolve_run
+from wcsim.cli.shared.run_config import (
+    learning,
+    learns_dangers_online,
+    overrides_of,
+    preset_of,
+    require_heard,
+    resolve_config,
+    resolve_run,
+)
 from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.train import Options
 from wcsim.config import load_run_config
@@ -72,13 +80,50 @@ def test_a_danger_network_that_learns_as_it_drives_has_its_senses_and_its_teache
     assert learning(taught) == taught
     all_knowing = resolve_config(Options(set=("learn.head=danger", "danger.teacher=truth")), "")
     assert all_knowing.env.truth and not all_knowing.env.truth_visible
-    plain = resolve_config(Options(), "")
+    plain = resolve_config(Options(preset="dqn"), "")
     assert not learns_dangers_online(plain) and not plain.env.observe_gyro and not plain.env.truth_visible
 
 
 def test_the_preset_with_rounds_has_worlds_of_its_own():
-    assert not learns_dangers_online(resolve_config(Options(preset="laptop"), ""))
-    assert learns_dangers_online(resolve_config(Options(preset="laptop", set=("collect.rounds=0",)), ""))
+    for preset in ("laptop", "quick"):
+        config = resolve_config(Options(preset=preset), "")
+        assert config.learn.head == "danger" and not learns_dangers_online(config)
+        assert learns_dangers_online(resolve_config(Options(preset=preset, set=("collect.rounds=0",)), ""))
+
+
+@pytest.mark.parametrize(
+    ("said", "preset"),
+    [
+        ({}, "quick"),
+        ({"set": ("world.warmup_s=0", "danger.updates=9", "collect.rounds=1")}, "quick"),
+        ({"steps": 60}, "dqn"),
+        ({"set": ("learn.gamma=0.5",)}, "dqn"),
+        ({"set": ("learn={gamma=0.5}",)}, "dqn"),
+        ({"steps": 60, "preset": "quick"}, "quick"),
+    ],
+)
+def test_a_training_without_a_preset_takes_what_its_other_options_mean(said, preset):
+    assert preset_of(Options(**said)) == preset
+    assert (preset_of(Options(**said), "gru"), preset_of(Options(**said), "", True)) == (said.get("preset", "dqn"),) * 2
+
+
+def test_a_file_with_settings_of_learning_means_q_learning(tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text("[learn]\ngamma = 0.5\n")
+    assert preset_of(Options(config=file)) == "dqn"
+    file.write_text("[danger]\nupdates = 5\n")
+    assert preset_of(Options(config=file)) == "quick"
+    with pytest.raises(ConfigError, match="nowhere"):
+        preset_of(Options(config=tmp_path / "nowhere.toml"))
+
+
+def test_rounds_refuse_what_they_would_not_hear_of():
+    rounds, said = load_run_config("quick"), {"--steps": True, "--hook": "", "--reward": ("a:B",)}
+    with pytest.raises(ConfigError, match=r"^--steps, --reward: .*--preset dqn"):
+        require_heard(rounds, said)
+    require_heard(rounds, {"--steps": False})
+    require_heard(load_run_config("quick", ("collect.rounds=0",)), said)
+    require_heard(load_run_config("dqn"), said)
 
 
 def test_values_on_top_of_dangers_have_the_senses_of_the_danger_network_wherever_they_are_learned():

@@ -42,7 +42,7 @@ def a_group(*words):
 def test_the_paper_chooses_by_validation_and_trains_figure_6_in_a_supervised_way():
     learn = load_run_config("paper").learn
     assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("validation", "fig6", "supervised", 1.0)
-    assert load_run_config("quick").learn.select_by == ""
+    assert load_run_config("dqn").learn.select_by == ""
 
 
 def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wcsim.agents.rounds.towns_of_rounds import towns_of
-from wcsim.agents.rounds.train_rounds import Progress, Rounds, train_rounds
+from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.core import files
@@ -31,7 +31,7 @@ def train_danger(
         stage: Told what takes long before the first round.
 
     Raises:
-        InterruptedRunError: Ctrl-C; `resume` goes on.
+        InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
         PolicyError, TownError, DiskFullError: See `train_rounds` and `folder_of`.
     """
     folder = folder_of(run)
@@ -43,8 +43,9 @@ def train_danger(
             sha256 = train_rounds(rounds, progress)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
+            kept = "the policy of the rounds that are done" if keep_newest(folder) else "what was driven, no policy yet"
             raise InterruptedRunError(
-                f"stopped; {folder.path} holds the rounds that are done, and can be continued with --resume"
+                f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
             ) from None
         folder.with_status("done", total * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)

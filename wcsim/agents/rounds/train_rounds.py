@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import copytree
 from typing import Final
 
 import torch
@@ -118,6 +119,15 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     write_manifest(folder.path / DATA, config, towns, segments)
     _save(rounds, learner, "final")
     return digest_of(learner.net)
+
+
+def keep_newest(folder: RunFolder) -> bool:
+    """Let the policy of the last round that is done be the run's. Whether there is one. Raises DiskFullError."""
+    done = [folder.policy(f"round-{number:03d}") for number in range(newest_round(folder.checkpoints) + 1)]
+    done = [path for path in done if path.is_dir()]
+    if done:
+        files.write_folder(folder.policy("final"), lambda target: copytree(done[-1], target, dirs_exist_ok=True))
+    return bool(done)
 
 
 def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:

@@ -36,7 +36,7 @@ class ParallelOptions:
     """Steps of each."""
     town: str = "helsinki"
     """Town to train in."""
-    preset: str = "quick"
+    preset: str = "dqn"
     """Settings to begin with."""
     set: Repeated = ()
     """section.key=value, laid over the preset; may be given several times."""

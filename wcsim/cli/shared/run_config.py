@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -15,8 +15,8 @@ from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import RunConfig, load_run_config, with_file, with_overrides
-from wcsim.core import seeding
+from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
+from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
@@ -35,6 +35,48 @@ class Asked(Protocol):
     steps: int | None
 
 
+QUICK, DQN = "quick", "dqn"
+"""The presets that a training begins with where none is named: dangers in rounds, or Q-learning."""
+
+
+def preset_of(asked: Asked, network: str = "", by_steps: bool = False) -> str:
+    """The preset that was asked for, or the one that the other options mean.
+
+    Args:
+        asked: The options; `preset` is "" where none was named.
+        network: That was named, "" for none.
+        by_steps: Something else was asked for that only a network hears of that learns from every step.
+
+    Raises:
+        ConfigError: The file of settings cannot be read.
+    """
+    if asked.preset:
+        return asked.preset
+    file = {} if asked.config is None else reading.read_toml(asked.config, CONFIG_FILE)
+    learns = "learn" in file or any(text.partition("=")[0].strip().split(".")[0] == "learn" for text in asked.set)
+    return DQN if learns or network or by_steps or asked.steps is not None else QUICK
+
+
+def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
+    """Refuse options that a network would not hear of that learns in rounds.
+
+    Args:
+        config: Of the run.
+        asked: What was asked for, by option; what is false was not.
+
+    Raises:
+        ConfigError: There are some.
+    """
+    if config.learn.head != "danger" or learns_dangers_online(config):
+        return
+    found = [name for name, value in asked.items() if value]
+    if found:
+        raise ConfigError(
+            f"{', '.join(found)}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
+            "not use that; expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
+        )
+
+
 def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunConfig:
     """The configuration that was asked for, as it is learned with; the window is left to `resolve_run`.
 
@@ -47,7 +89,7 @@ def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunC
         ConfigError: An option cannot be used, or the user is kept for tests.
     """
     named = (f'learn.network="{network}"',) if network else ()
-    config = load_run_config(asked.preset, (*asked.set, *named), asked.config)
+    config = load_run_config(preset_of(asked, network), (*asked.set, *named), asked.config)
     config = with_steps(config if file is None else with_file(config, file), asked.steps)
     require_trained_users(config)
     return learning(config)

@@ -144,7 +144,7 @@ def resolved(options: Options) -> tuple[Client, ...]:
         if config.learn.head == "danger" and config.collect.rounds:
             raise ConfigError(
                 f"client {name}: collect.rounds={config.collect.rounds} drives in worlds of its own; expected 0, a "
-                "network that learns as it drives"
+                "network that learns as it drives, or --preset dqn, which learns by Q-learning"
             )
         clients.append(Client(name=name, seat=seat, config=config))
     clients = _sensing_alike(clients)

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from wcsim.cli.evaluation import test
 from wcsim.cli.shared.common import OutFolder, Repeated, parse, write_json
-from wcsim.cli.shared.run_config import learning, resolve_run
+from wcsim.cli.shared.run_config import QUICK, learning, learns_dangers_online, resolve_run
 from wcsim.cli.training.train import checked_town, train_in
-from wcsim.config import load_run_config
+from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -50,8 +50,9 @@ def run(words: list[str]) -> int:
     school, tested = _towns(options.train_town, trial)
     stage_town = next(iter(tested.values()))
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
+    config = learning(load_run_config(QUICK, options.set))
     console.print(f"[bold]1/3[/] training in {school.name} (Ctrl-C ends it early and keeps what was learned)")
-    config = learning(load_run_config("quick", options.set))
+    console.print(how_it_learns(config), style="dim", highlight=False)
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
     try:
         folder = train_in(resolve_run(config, info, school, out), school)
@@ -59,7 +60,7 @@ def run(words: list[str]) -> int:
         console.print(f"{stop}", highlight=False)
         folder = out
     console.print(f"[bold]2/3[/] testing in {', '.join(tested)}, which the network has never seen")
-    results = test.test_policies(replace(trial, policies=(str(folder), f"{folder}:phase1")))
+    results = test.test_policies(replace(trial, policies=(str(folder),)))
     for result in results:
         console.print(*result.tables(console.width))
     write_json(folder / "test.json", test.as_json(results))
@@ -75,6 +76,19 @@ def run(words: list[str]) -> int:
     print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}")
     console.print(f"done in {time.monotonic() - started:.0f} s; SIMULATION ONLY, no statement about a real street")
     return 0
+
+
+def how_it_learns(config: RunConfig) -> str:
+    """What is done while a configuration is trained, in a sentence; "" where it learns from every step as it drives."""
+    collect, danger = config.collect, config.danger
+    if config.learn.head != "danger" or learns_dangers_online(config):
+        return ""
+    times = "1 round" if collect.rounds == 1 else f"{collect.rounds} rounds"
+    return (
+        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users drive, and "
+        "an oracle that knows what is about to happen; from this a network learns, in "
+        f"{danger.updates} updates a round, which of all joystick positions end badly"
+    )
 
 
 def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]:

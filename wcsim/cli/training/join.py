@@ -49,8 +49,8 @@ class Options:
     """Name to be known by; default the network's."""
     keys: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder with the server's public key and the secret one of this client."""
-    preset: str = "quick"
-    """Settings to begin with: quick or paper."""
+    preset: str = "dqn"
+    """Settings to begin with: dqn or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()
@@ -75,6 +75,8 @@ def run(words: list[str]) -> int:
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
     config = resolve_config(options, options.network)
+    if config.learn.head == "danger":
+        raise ConfigError("learn.head=danger: a client that joins learns by Q-learning; expected --preset dqn or paper")
     require_known(config.learn.network, options.reward)
     require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]

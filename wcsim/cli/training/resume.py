@@ -10,7 +10,7 @@ from pathlib import Path
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
-from wcsim.cli.shared.run_config import learning, resolve_run
+from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_dangers_online, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.errors import PolicyError, TownError
@@ -79,15 +79,22 @@ def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
     return town
 
 
-def require_same(path: Path, manifest: Manifest, typed: Typed) -> None:
-    """Raise PolicyError for an option that says otherwise than the run was made with."""
+def require_same(path: Path, manifest: Manifest, typed: Typed, meant: str = DQN) -> None:
+    """Raise PolicyError for an option that says otherwise than the run was made with.
+
+    Args:
+        path: Its folder.
+        manifest: Its manifest.
+        typed: The options.
+        meant: The preset where the run's command named none.
+    """
     if typed.seed is not None and typed.seed != manifest.seed:
         raise _another(path, "seed", f"--seed {typed.seed}", manifest.seed)
     if typed.reward and typed.reward != manifest.rewards:
         raise _another(path, "rewards", f"--reward {' '.join(typed.reward)}", ", ".join(manifest.rewards) or "none")
     if typed.hook is not None and typed.hook != manifest.hook:
         raise _another(path, "hook", f"--hook {typed.hook}", manifest.hook or "none")
-    preset = value_of(manifest.command, "preset") or "quick"
+    preset = value_of(manifest.command, "preset") or meant
     if typed.preset is not None and typed.preset != preset:
         raise _another(path, "preset", f"--preset {typed.preset}", preset)
 
@@ -173,7 +180,8 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
     """
     run = open_run(path)
     _require_own_config(path, run.manifest)
-    require_same(path, run.manifest, typed)
+    rounds = run.config.learn.head == "danger" and not learns_dangers_online(run.config)
+    require_same(path, run.manifest, typed, QUICK if rounds else DQN)
     require_own_classes(path, run.manifest, (run.config.learn.network,), typed)
     town = town_of(path, run.manifest, typed)
     steps = steps_of(path, run.config, typed)

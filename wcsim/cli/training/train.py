@@ -19,13 +19,15 @@ from wcsim.cli.shared.run_config import (
     how_to_test,
     in_town,
     learns_dangers_online,
+    preset_of,
+    require_heard,
     resolve_config,
     resolve_run,
     steps_note,
 )
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
-from wcsim.config import with_overrides
+from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
@@ -38,8 +40,9 @@ class Options:
 
     town: str = "helsinki"
     """Town to train in; its split must be train."""
-    preset: str = "quick"
-    """Settings to begin with: quick, laptop or paper."""
+    preset: str = ""
+    """Settings to begin with: quick, laptop, dqn or paper. (default: quick, which learns dangers in rounds; dqn, which
+    learns by Q-learning, with --network, --clients, --steps, --reward, --hook or a setting of [learn])"""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()
@@ -97,6 +100,7 @@ def run(words: list[str]) -> int:
     if options.select_by:
         raise ConfigError("--select-by: there is one network; expected --clients A,B,... to choose from")
     config = resolve_config(options, options.network)
+    require_heard(config, _only_by_steps(options, config))
     if options.data:
         config = with_overrides(config, (f"collect.data={json.dumps(options.data)}",))
     town = checked_town(options.town, options.allow_test_town)
@@ -107,10 +111,23 @@ def run(words: list[str]) -> int:
 
 
 def _as_settings(options: Options) -> Options:
-    """The options with `--select-by` and `--tensorboard` as the settings that they are."""
+    """The options with `--select-by` and `--tensorboard` as the settings that they are, and with their preset."""
     choice = () if options.select_by is None else (f"learn.select_by={json.dumps(options.select_by)}",)
     board = ("learn.tensorboard=true",) if options.tensorboard else ()
-    return replace(options, set=(*options.set, *choice, *board))
+    options = replace(options, set=(*options.set, *choice, *board))
+    by_steps = bool(options.clients is not None or options.reward or options.hook)
+    return replace(options, preset=preset_of(options, options.network, by_steps))
+
+
+def _only_by_steps(options: Options, config: RunConfig) -> dict[str, object]:
+    """Options that only a network hears of that learns from every step, by name."""
+    return {
+        "--network": options.network and config.danger.eye == "map",
+        "--steps": options.steps is not None,
+        "--reward": options.reward,
+        "--hook": options.hook,
+        "--tensorboard": options.tensorboard,
+    }
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -149,7 +166,8 @@ def typed(options: Options, words: list[str]) -> Typed:
 def _told(options: Options, run: ResolvedRun) -> int:
     from wcsim.cli.training.report import print_crossings
 
-    print_crossings(run.out)
+    if run.config.learn.head != "danger" or learns_dangers_online(run.config):  # rounds write no line an episode
+        print_crossings(run.out)
     print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, run.info.town)}")
     if options.json is not None:
         write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.support.worlds import dqn_config
 from wcsim.agents.clients.clients_folder import create_clients_folder
 from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
@@ -24,13 +24,13 @@ def row(step, **changes):
 
 
 def several(path, *names):
-    config = quick_config()
+    config = dqn_config()
     create_clients_folder(path, config, make_manifest(config, INFO), dict.fromkeys(names, config))
     return path
 
 
 def one(path):
-    config = quick_config()
+    config = dqn_config()
     return create_run(path, config, make_manifest(config, INFO)).path
 
 

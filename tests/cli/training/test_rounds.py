@@ -1,0 +1,74 @@
+"""What is shown of rounds of driving and learning, and what is left of them when they are stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from wcsim.agents.rounds.train_rounds import RoundProgress
+from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.cli.shared.exit_codes import NothingKept
+from wcsim.cli.training import rounds
+from wcsim.cli.training.demo import how_it_learns
+from wcsim.config import load_run_config
+from wcsim.errors import InterruptedRunError
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town
+
+Show = Callable[[RoundProgress], object]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> ResolvedRun:
+    return ResolvedRun(config=load_run_config("quick"), out=tmp_path / "runs" / "a", info=RunInfo(seed=1, town="corner"))
+
+
+def stopped(policy: str) -> Callable[..., Path]:
+    """A training that is stopped when it has kept a policy, or before."""
+
+    def train(run: ResolvedRun, town: object, worlds: int, show: Show, stage: object) -> Path:
+        (run.out / "data").mkdir(parents=True)
+        if policy:
+            (run.out / "policies" / policy).mkdir(parents=True)
+        raise InterruptedRunError("stopped")
+
+    return train
+
+
+def test_what_was_stopped_in_the_first_round_leaves_nothing(run, corner, monkeypatch):
+    monkeypatch.setattr(rounds, "train_danger", stopped(""))
+    with pytest.raises(NothingKept, match="first round"):
+        rounds.train_rounds_in(run, find_town(str(corner)), 1)
+    assert not run.out.parent.exists()
+
+
+def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
+    monkeypatch.setattr(rounds, "train_danger", stopped("round-000"))
+    with pytest.raises(InterruptedRunError):
+        rounds.train_rounds_in(run, find_town(str(corner)), 1)
+    assert (run.out / "policies" / "round-000").is_dir()
+
+
+def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corner, monkeypatch, capsys):
+    def train(run: ResolvedRun, town: object, worlds: int, show: Show, stage: object) -> Path:
+        for back in (1, 2):
+            show(RoundProgress(round=0, rounds=3, segments=back, of=2))
+        show(RoundProgress(round=0, rounds=3, segments=2, of=2, updates=7, loss=0.5))
+        return run.out
+
+    monkeypatch.setattr(rounds, "train_danger", train)
+    rounds.train_rounds_in(run, find_town(str(corner)), 1)
+    assert capsys.readouterr().err.splitlines() == [
+        "round 1 of 3, 2 of 2 segments: learning",
+        "round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000",
+    ]
+
+
+def test_a_demo_says_what_its_settings_make_it_do():
+    config = load_run_config("quick")
+    told = how_it_learns(config)
+    assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
+    assert how_it_learns(load_run_config("quick", ("collect.rounds=1",))).startswith("1 round of ")
+    assert how_it_learns(load_run_config("quick", ("collect.rounds=0",))) == how_it_learns(load_run_config("dqn")) == ""
