@@ -56,15 +56,14 @@ def parts(out: Path) -> list[Part]:
     ]
     runs = tuple(f"laptop-{seed}" for seed in SEEDS)
     found.append(Part(name="v1", says="the three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
-    quick = tuple(f"quick-{seed}" for seed in SEEDS)
-    found.append(
-        Part(
-            name="quick",
-            says="preset quick, three seeds, on the suite dev",
-            steps=(*(trained(out, name, int(name[-1]), "quick") for name in quick), judged(out, "dev", quick)),
-        )
-    )
+    found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
+
+
+def _small(out: Path, preset: str) -> Part:
+    runs = tuple(f"{preset}-{seed}" for seed in SEEDS)
+    steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, "dev", runs))
+    return Part(name=preset, says=f"preset {preset}, three seeds, on the suite dev", steps=steps)
 
 
 def _ablations(out: Path) -> Iterator[Part]:

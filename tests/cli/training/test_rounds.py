@@ -22,7 +22,8 @@ Show = Callable[[RoundProgress], object]
 
 @pytest.fixture
 def run(tmp_path: Path) -> ResolvedRun:
-    return ResolvedRun(config=load_run_config("quick"), out=tmp_path / "runs" / "a", info=RunInfo(seed=1, town="corner"))
+    info = RunInfo(seed=1, town="corner")
+    return ResolvedRun(config=load_run_config("quick"), out=tmp_path / "runs" / "a", info=info)
 
 
 def stopped(policy: str) -> Callable[..., Path]:

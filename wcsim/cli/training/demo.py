@@ -21,7 +21,7 @@ from wcsim.towns.scenario.town import Town, streets_hash
 
 @dataclass
 class Options:
-    """Train preset quick in Helsinki, test it in Monaco, and take a picture there."""
+    """Train preset quick in Helsinki, test it in Monaco beside the baselines, and take a picture there."""
 
     train_town: str = "helsinki"
     """Town to train in."""
@@ -85,8 +85,8 @@ def how_it_learns(config: RunConfig) -> str:
         return ""
     times = "1 round" if collect.rounds == 1 else f"{collect.rounds} rounds"
     return (
-        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users drive, and "
-        "an oracle that knows what is about to happen; from this a network learns, in "
+        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users drive, "
+        "and an oracle that knows what is about to happen; from this a network learns, in "
         f"{danger.updates} updates a round, which of all joystick positions end badly"
     )
 
