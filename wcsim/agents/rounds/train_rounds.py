@@ -125,8 +125,12 @@ def keep_newest(folder: RunFolder) -> bool:
     """Let the policy of the last round that is done be the run's. Whether there is one. Raises DiskFullError."""
     done = [folder.policy(f"round-{number:03d}") for number in range(newest_round(folder.checkpoints) + 1)]
     done = [path for path in done if path.is_dir()]
+
+    def fill(target: Path) -> None:
+        copytree(done[-1], target, dirs_exist_ok=True)
+
     if done:
-        files.write_folder(folder.policy("final"), lambda target: copytree(done[-1], target, dirs_exist_ok=True))
+        files.write_folder(folder.policy("final"), fill)
     return bool(done)
 
 
