@@ -40,10 +40,19 @@ class Chain(gym.Env):
         return self._observe(), reward, at_end or not onward, False, {}
 
 
-def chain_values(gamma):
-    """Value of going on in each state, (LENGTH,); giving up is worth 0.3 everywhere."""
-    values = np.zeros(LENGTH + 1)
+def chain_values(gamma, n_step=1, onward=1.0):
+    """Value of going on in each state, (LENGTH,); giving up is worth 0.3 everywhere.
+
+    Of returns over `n_step` steps, whose later ones are driven by somebody who goes on with the chance `onward`.
+    """
+    values = np.zeros(LENGTH)
+
+    def after(state, steps):
+        if steps == 0:
+            return max(values[state], 0.3)
+        further = 1.0 if state == LENGTH - 1 else gamma * after(state + 1, steps - 1)
+        return onward * further + (1.0 - onward) * 0.3
+
     for state in reversed(range(LENGTH)):
-        onward = 1.0 if state == LENGTH - 1 else gamma * max(values[state + 1], 0.3)
-        values[state] = onward
-    return values[:LENGTH]
+        values[state] = 1.0 if state == LENGTH - 1 else gamma * after(state + 1, n_step - 1)
+    return values

@@ -41,6 +41,20 @@ class Recall(gym.Env):
         return self._observe(), reward, done, False, {}
 
 
+class Clock(Recall):
+    """All images are alike; left earns 1/LENGTH until the last step, then right does. Who does not count gets 0.5."""
+
+    def _observe(self):
+        seen = super()._observe()
+        return {**seen, "seg": np.full_like(seen["seg"], BLANK), "depth": np.zeros_like(seen["depth"])}
+
+    def step(self, action):
+        self.step_count += 1
+        last = self.step_count == LENGTH
+        right = bool(self.actions.points[int(action)][0] > 0)
+        return self._observe(), (1.0 if right == last else -1.0) / LENGTH, last, False, {}
+
+
 class Biased(gym.Env):
     """Left ends at once with 0. Right earns 0 and leads to a second state, where every action ends with N(-0.1, 1)."""
 

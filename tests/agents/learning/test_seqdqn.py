@@ -8,6 +8,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
 from tests.agents.toy import ToyStreet, toy_camera
+from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
@@ -150,19 +151,19 @@ def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
         learner._update(torch.tensor(float("inf"), requires_grad=True))
 
 
-def chain_errors(n_step=1):
+def chain_errors(n_step=1, seed=1):
     """Largest error of the values of going on and of giving up, over the states of a chain."""
-    gamma = 0.9
+    gamma, forward = 0.9, action_set("square81").points[:, 1] > 0
     learner = SeqDQN(
-        SeqQPolicy, Chain(), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=1, gamma=gamma,
-        learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
+        SeqQPolicy, Chain(), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=seed,
+        gamma=gamma, learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
         exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0))},
-        replay_buffer_kwargs={"settings": ReplaySettings(n_step=n_step, gamma=gamma, seed=1)},
+        replay_buffer_kwargs={"settings": ReplaySettings(n_step=n_step, gamma=gamma, seed=seed)},
     )  # fmt: skip
     learner.learn(1200)
-    onward, errors = action_set("square81").points[:, 1] > 0, []
-    for state, value in enumerate(chain_values(gamma)):
+    errors = []
+    for state, value in enumerate(chain_values(gamma, n_step, forward.mean())):
         one = {
             "seg": torch.full((1, 1, SIDE, SIDE), CLASSES[state], dtype=torch.uint8),
             "depth": torch.zeros(1, 1, SIDE, SIDE, dtype=torch.uint8),
@@ -170,7 +171,7 @@ def chain_errors(n_step=1):
         }  # fmt: skip
         with torch.no_grad():
             q = learner.q_net(one)[0].numpy()
-        errors.append((abs(q[onward].mean() - value), abs(q[~onward].mean() - 0.3)))
+        errors.append((abs(q[forward].mean() - value), abs(q[~forward].mean() - 0.3)))
     return np.max(errors, axis=0)
 
 
@@ -194,6 +195,40 @@ def test_a_replay_with_a_planted_fault_misses_the_values(fault, monkeypatch):
     gather = FrameReplay.gather
     monkeypatch.setattr(FrameReplay, "gather", lambda self, *at: fault(gather(self, *at)))
     assert chain_errors().max() > 0.1
+
+
+def _the_target_stands_still(monkeypatch):
+    """As with tau = 0."""
+    monkeypatch.setattr(seqdqn, "polyak_update", lambda *of: None)
+
+
+def _returns_go_on_after_an_end(monkeypatch):
+    chains = FrameReplay.chains
+
+    def crossing(self, starts, seats):
+        kept, self.ended = self.ended, np.zeros_like(self.ended)
+        try:
+            return chains(self, starts, seats)
+        finally:
+            self.ended = kept
+
+    monkeypatch.setattr(FrameReplay, "chains", crossing)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("fault", "n_step", "bar"),
+    [(None, 1, 0.06), (_the_target_stands_still, 1, 0.06), (None, 3, 0.2), (_returns_go_on_after_an_end, 3, 0.2)],
+)
+def test_the_values_of_a_chain_are_missed_with_a_planted_fault_alone(fault, n_step, bar, seed, monkeypatch):
+    """Largest errors for seeds 1, 2, 3: 0.021, 0.033, CHAIN3 over one step, 0.028, 0.082, 0.055 over three.
+
+    With a target that stands still 0.86, 0.99, TAU3; with returns that go on after an end 1.44, 1.25, 1.26.
+    """
+    if fault is not None:
+        fault(monkeypatch)
+    assert (chain_errors(n_step, seed).max() < bar) == (fault is None)
 
 
 # --- it stays an algorithm of Stable-Baselines3 ---

@@ -3,19 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.agents.recall import LENGTH, Biased, Recall
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
-from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.learning.sequence_loss import burned_in, group_targets, group_values, sequence_loss
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
-from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.agents.replay.groups import gather_groups
 from wcsim.config import LearnConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError, PolicyError
@@ -216,55 +210,6 @@ def test_what_is_not_in_a_group_does_not_count():
         value[short, 0] += 50.0
         assert loss(batch) != before
         value[short] = kept
-
-
-def recall_model(stateful, seed=0):
-    spec = NetSpec(network="gru" if stateful else "patch", head="plain", prior=FollowPrior(reward_scale=1.0))
-    spec = spec if not stateful else NetSpec(network="gru", head="plain", prior=spec.prior, stateful=True)
-    return SeqDQN(
-        SeqQPolicy, DummyVecEnv([Recall] * 8), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=seed,
-        gamma=0.9, learning_rate=2e-3, buffer_size=4000, learning_starts=200, batch_size=64, tau=0.05, train_freq=1,
-        exploration_fraction=0.5, exploration_initial_eps=1.0, exploration_final_eps=0.1, device="cpu",
-        policy_kwargs={"spec": spec},
-        replay_buffer_kwargs={
-            "settings": ReplaySettings(n_step=2, gamma=0.9, memory="groups", group_steps=LENGTH, burn_in=2, seed=seed)
-        },
-    )  # fmt: skip
-
-
-def test_a_network_with_a_state_recalls_and_one_without_cannot():
-    """It is worth 1 to remember the first image, and 0 to guess."""
-    scores = []
-    for stateful in (True, False):
-        learner = recall_model(stateful)
-        learner.learn(3000 if stateful else 1000)
-        mean, _ = evaluate_policy(learner, DummyVecEnv([lambda: Monitor(Recall())]), 60, warn=False)
-        scores.append(mean)
-    assert scores[0] > 0.9
-    assert abs(scores[1]) < 0.5
-
-
-def value_of_going_right(double_q):
-    learner = SeqDQN(
-        SeqQPolicy, Biased(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q), seed=1,
-        gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003, train_freq=1,
-        exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
-        policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
-        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=1)},
-    )  # fmt: skip
-    learner.learn(800)
-    first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
-    right = torch.as_tensor(learner.action_points.points[:, 0] > 0)
-    with torch.no_grad():
-        return float(learner.q_net(first)[0, right].mean())
-
-
-def test_double_q_overestimates_less():
-    """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good."""
-    truth = -0.1 * 0.95
-    plain, double = value_of_going_right(double_q=False) - truth, value_of_going_right(double_q=True) - truth
-    assert plain > 0.3
-    assert double < 0.6 * plain
 
 
 # --- saved ---

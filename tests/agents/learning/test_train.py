@@ -200,6 +200,27 @@ def test_a_checkpoint_restores_the_whole_learner(run):
     assert learners[0].rng.random() == learners[1].rng.random()
 
 
+@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
+def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_on_without_it(reward, tmp_path):
+    """Once is enough: kept, it would be in every tenth batch of this memory, and in the returns of five steps."""
+    asked = config()
+    assert asked.learn.n_step > 1
+    broken = Nervous(150, lambda: None)
+    step = broken.step
+
+    def told(action):
+        seen, good, *rest = step(action)
+        return seen, (reward if broken.done_steps == 150 else good), *rest
+
+    broken.step = told
+    with pytest.raises(PolicyError, match=rf"reward of step 150 was {reward}; expected a finite .*--reward") as said:
+        train(a_run(asked, tmp_path / "run", 5), lambda: broken)
+    assert "\n" not in str(said.value)
+    train(a_run(asked, tmp_path / "run", 5, resume=True), street)
+    assert open_run(tmp_path / "run").manifest.status == "done"
+    assert all(row["loss"] and row["return"] for row in read_metrics(tmp_path / "run" / "metrics.csv")[2:])
+
+
 def test_wrong_folders_are_explained(run, tmp_path):
     path, _ = run
     with pytest.raises(PolicyError, match="not empty"):

@@ -167,7 +167,16 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Keep a step, with the state before it; the states of seats whose episode ended are forgotten."""
+        """Keep a step, with the state before it; the states of seats whose episode ended are forgotten.
+
+        Raises PolicyError for a reward that is not finite: one that was kept would spoil every batch that it is drawn in.
+        """
+        rewards = np.asarray(step[2])
+        if not np.isfinite(rewards).all():
+            raise PolicyError(
+                f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; expected a finite "
+                "number: correct the reward term of your own that gives it (--reward), then --resume"
+            )
         groups = replay_buffer.groups if isinstance(replay_buffer, FrameReplay) else None
         if groups is not None and self._carried is not None:
             groups.coming = self._carried[0]
