@@ -16,7 +16,7 @@ SHARED = ROOT.parent / "shared"
 
 BUDGET_S = {
     "api": 140,
-    "agents": 150,
+    "agents": 170,
     "attack": 110,
     "bench": 150,
     "bridge": 180,

@@ -18,7 +18,7 @@ from wcsim.agents.runs.run_folder import policy_path
 from wcsim.config import LearnConfig, RunConfig
 
 CAMERA = toy_camera(18, 24)
-SHORT = {"total_steps": 5000, "phase1_steps": 800, "learning_rate": 5e-4}
+SHORT = {"total_steps": 4000, "phase1_steps": 800, "learning_rate": 5e-4}
 
 
 def config(**learn):

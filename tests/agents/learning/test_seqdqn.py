@@ -219,12 +219,12 @@ def _returns_go_on_after_an_end(monkeypatch):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(
     ("fault", "n_step", "bar"),
-    [(None, 1, 0.06), (_the_target_stands_still, 1, 0.06), (None, 3, 0.2), (_returns_go_on_after_an_end, 3, 0.2)],
+    [(None, 1, 0.15), (_the_target_stands_still, 1, 0.15), (None, 3, 0.2), (_returns_go_on_after_an_end, 3, 0.2)],
 )
 def test_the_values_of_a_chain_are_missed_with_a_planted_fault_alone(fault, n_step, bar, seed, monkeypatch):
-    """Largest errors for seeds 1, 2, 3: 0.021, 0.033, CHAIN3 over one step, 0.028, 0.082, 0.055 over three.
+    """Largest errors for seeds 1, 2, 3: 0.021, 0.033, 0.057 over one step, 0.028, 0.082, 0.055 over three.
 
-    With a target that stands still 0.86, 0.99, TAU3; with returns that go on after an end 1.44, 1.25, 1.26.
+    With a target that stands still 0.86, 0.99, 0.95; with returns that go on after an end 1.44, 1.25, 1.26.
     """
     if fault is not None:
         fault(monkeypatch)

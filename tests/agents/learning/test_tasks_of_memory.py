@@ -108,20 +108,24 @@ def _never_zero_in_the_memory(monkeypatch):
     "fault", [None, _carried_over_while_it_drives, _carried_over_when_it_is_asked, _never_zero_in_the_memory]
 )
 def test_a_state_that_outlives_its_episode_is_found_out(fault, seed, monkeypatch):
-    """FIGURES"""
+    """Returns while it drove, and when it is asked, of seeds 0, 1, 2.
+
+    Sound: 0.93, 0.92, 0.78 and 1.0 each. Not reset while it drives: -0.39, -0.47, -0.4 and 1.0. Not reset when it is
+    asked: as when sound, and -0.48. Not reset where it learns: -0.39, -0.09, 0.09 and -0.5, 0.0, 0.5.
+    """
     if fault is not None:
         fault(monkeypatch)
     scores = counted("gru", seed)
     assert has_counted(scores) == (fault is None), scores
 
 
-def value_of_going_right(double_q, seed=1):
+def value_of_going_right(double_q, noise):
     learner = SeqDQN(
-        SeqQPolicy, Biased(seed), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
-        seed=seed, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
+        SeqQPolicy, Biased(noise), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
+        seed=1, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
         train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
-        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=seed)},
+        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=1)},
     )  # fmt: skip
     first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
     right, found = torch.as_tensor(learner.action_points.points[:, 0] > 0), []
@@ -132,14 +136,15 @@ def value_of_going_right(double_q, seed=1):
     return np.mean(found[16:])  # at one moment it is what few draws of the noise made it
 
 
-def overestimates(seed=1):
-    """By how much going right is taken for better than it is: plain, and double."""
-    return [value_of_going_right(double_q, seed) + 0.1 * 0.95 for double_q in (False, True)]
+def overestimates(noises):
+    """By how much going right is taken for better than it is: plain and double, means over some draws of the noise."""
+    found = [[value_of_going_right(double_q, noise) for double_q in (False, True)] for noise in noises]
+    return np.mean(found, axis=0) + 0.1 * 0.95
 
 
 def test_double_q_overestimates_less():
     """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good."""
-    plain, double = overestimates()
+    plain, double = overestimates([0])
     assert plain > 0.3
     assert double < 0.6 * plain
 
@@ -158,11 +163,12 @@ def _judges_its_own_choice(monkeypatch):
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("noises", [(0, 1, 2), (3, 4, 5), (6, 7, 8)])
 @pytest.mark.parametrize("fault", [None, _judges_its_own_choice])
-def test_a_double_q_that_is_none_is_found_out(fault, seed, monkeypatch):
-    """FIGURES2"""
+def test_a_double_q_that_is_none_is_found_out(fault, noises, monkeypatch):
+    """Plain and double in three groups of draws: 0.58 and 0.26, 0.99 and 0.50, 0.73 and 0.43; switched off, equal."""
     if fault is not None:
         fault(monkeypatch)
-    plain, double = overestimates(seed)
-    assert (plain > 0.3 and double < 0.6 * plain) == (fault is None), (plain, double)
+    plain, double = overestimates(noises)
+    assert plain > 0.3
+    assert (double < 0.8 * plain) == (fault is None), (plain, double)

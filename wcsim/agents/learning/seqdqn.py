@@ -169,7 +169,7 @@ class SeqDQN(DQN):
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
         """Keep a step, with the state before it; the states of seats whose episode ended are forgotten.
 
-        Raises PolicyError for a reward that is not finite: one that was kept would spoil every batch that it is drawn in.
+        Raises PolicyError for a reward that is not finite: it would spoil every batch that it is drawn in.
         """
         rewards = np.asarray(step[2])
         if not np.isfinite(rewards).all():
