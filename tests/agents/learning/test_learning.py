@@ -1,6 +1,6 @@
 """Does it learn? Images of the toy street, nothing else; greedy evaluation on a seed that training never sees.
 
-Measured: the user alone crashes 13 times in 1000 steps; after 4000 steps of learning (16 processor seconds on a busy core)
+Measured: the user alone crashes 13 times in 1000 steps; after 4000 steps of learning (16 processor seconds, busy core)
 it is 1.6, 4.7 and 1.5 for seeds 0, 1 and 2, at a joystick distance of 0.54 to 0.69 and 0.6 to 0.9 m/s.
 """
 
