@@ -11,8 +11,13 @@ SEEDS: Final = (1, 2, 3)
 BASELINES: Final = ("follow", "dwa", "oracle-visible", "oracle", "stop", "zero", "random")
 # What each ablation changes of preset `laptop`; the full recipe is row `laptop`.
 ABLATIONS: Final[dict[str, tuple[str, ...]]] = {
+    "pictures": ("danger.eye=picture", "learn.network=patch"),
+    "map-and-pictures": ("danger.eye=both", "learn.network=patch"),
     "no-roll-out": ("danger.roll_out=false",),
-    "no-gaps": ("danger.gaps=false",),
+    "no-gaps": ("danger.gaps=none",),
+    "own-map-alone": ("danger.gaps=map", "danger.rival=false"),
+    "no-memory": ("danger.memory=false",),
+    "no-odometry": ("danger.odometry=false",),
     "no-rival": ("danger.rival=false",),
     "no-context": ("danger.context=false",),
     "all-knowing-teacher": ("danger.teacher=truth",),
