@@ -6,6 +6,7 @@ The threshold is the assistance level, and can be set at run time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -14,8 +15,8 @@ from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
-_NEWEST = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
-_CALM = 0.7  # times the level of the warning: below it a warning ends
+NEWEST: Final = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
+CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +53,8 @@ def next_alarm(before: Alarm, danger: float, rule: DangerRule) -> Alarm:
     >>> told
     [False, False, True, True, True, True, False]
     """
-    level = before.level + _NEWEST * (danger - before.level)
-    return Alarm(level=level, on=level > rule.warn or (before.on and level > _CALM * rule.warn))
+    level = before.level + NEWEST * (danger - before.level)
+    return Alarm(level=level, on=level > rule.warn or (before.on and level > CALM * rule.warn))
 
 
 def rule_of(danger: DangerConfig) -> DangerRule:

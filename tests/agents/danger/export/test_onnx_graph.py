@@ -85,7 +85,9 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
         eye.command(int(values.argmax()))
         actions.append(action)
         same += int(values.argmax()) == action
-        assert bool(warning) in (True, False)
+        level, on = state[5][0].tolist()
+        assert abs(level - policy._alarm.level) < 0.05 and bool(warning) == bool(on)
+        assert bool(on) == policy.warning or abs(level - rule.warn) < 0.05 or abs(level - 0.7 * rule.warn) < 0.05
     assert same == len(actions) and len(set(actions)) > 1
 
 

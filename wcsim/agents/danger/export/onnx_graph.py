@@ -17,7 +17,7 @@ from wcsim.agents.danger.export.drive_law import Drive, Motion, Places
 from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
-from wcsim.agents.danger.rule import LESS_M, DangerRule
+from wcsim.agents.danger.rule import CALM, LESS_M, NEWEST, DangerRule
 from wcsim.agents.danger.sight import COMMANDS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
@@ -62,7 +62,7 @@ class DangerGraph(nn.Module):
     """
 
     INPUTS: Final = ("depth", "seg", "imu", "odometry", "joystick")
-    STATES: Final = ("state_motion", "state_waiting", "state_sent", "state_last", "state_cells")
+    STATES: Final = ("state_motion", "state_waiting", "state_sent", "state_last", "state_cells", "state_alarm")
     OUTPUTS: Final = ("values", "warning", "danger")
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
@@ -124,6 +124,7 @@ class DangerGraph(nn.Module):
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
             "state_cells": (1, 7, RASTER * RASTER),
+            "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
         }
 
     def forward(
@@ -136,7 +137,7 @@ class DangerGraph(nn.Module):
         *states: torch.Tensor,
     ) -> tuple[torch.Tensor, ...]:
         """Values (1, A), warning (1, 1), dangers (1, A), and the next states."""
-        motion, waiting, sent, last, cells = states
+        motion, waiting, sent, last, cells, alarm = states
         asked = self.drive.shaped(joystick)
         motion, waiting = self._moved(imu, odometry, asked, motion, waiting)
         cells = self._seen(depth, seg, motion, cells)
@@ -149,12 +150,19 @@ class DangerGraph(nn.Module):
         danger = torch.sigmoid(self.net(codes[None] / 255.0, told[None], vector, self._swept(rolled)))
         values = self._values(danger, joystick, last)
         action = values.argmax(dim=1)
-        wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
-        warning = (danger.gather(1, wish[:, None]) > self.rule.warn).to(torch.float32)
+        alarm = self._alarm(danger, joystick, alarm)
         chosen = self.commands[action][:, None]
         waiting = torch.cat([waiting[:, 1:], chosen], 1) if self.delay else waiting
         sent = torch.cat([self.points[action][:, None], sent[:, :-1]], 1)
-        return values, warning, danger, motion, waiting, sent, (action[:, None] + 1).to(torch.float32), cells
+        last = (action[:, None] + 1).to(torch.float32)
+        return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm
+
+    def _alarm(self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor) -> torch.Tensor:
+        """As `rule.next_alarm`."""
+        wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
+        level = alarm[:, 0:1] + NEWEST * (danger.gather(1, wish[:, None]) - alarm[:, 0:1])
+        kept = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)
+        return torch.cat([level, ((level > self.rule.warn) | kept).to(level.dtype)], 1)
 
     def _moved(
         self,
