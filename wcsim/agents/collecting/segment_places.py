@@ -13,6 +13,7 @@ from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import seeding
+from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene
 from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
@@ -45,7 +46,13 @@ def orders_of(
         first: The key of the first one.
         count: How many.
         policy: The folder of the network that drives, "" for none.
+
+    Raises:
+        ConfigError: The chairs would not see what data is made of.
     """
+    if config.env.observation != "compact":
+        told = f"env.observation={config.env.observation}: data is made of class ids and depth"
+        raise ConfigError(f"{told}; expected compact")
     keys = [replace(first, index=first.index + number) for number in range(count)]
     return [
         SegmentOrder(key=key, towns=towns, config=config, settings=settings_in_turn(config, key), policy=policy)
