@@ -54,7 +54,7 @@ def test_a_changed_scene_fails_and_is_blessed_again(tmp_path, capsys):
     folder = tmp_path / "mine"
     shutil.copytree(find_scene("kerb-drop"), folder)
     text = (folder / "scene.toml").read_text()
-    (folder / "scene.toml").write_text(text.replace('name = "kerb-drop"', 'name = "mine"').replace("0.6]", "0.59]"))
+    (folder / "scene.toml").write_text(text.replace('name = "kerb-drop"', 'name = "mine"').replace("0.6]", "0.5]"))
     assert main(["scene", "run", str(folder)]) == 1
     assert "golden" in capsys.readouterr().out
     assert main(["scene", "bless", str(folder)]) == 0
