@@ -32,6 +32,7 @@ from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
 
 _CALM_SHARE = 0.25  # of the time, at the end
+_LEAST_CALM_S = 14.0
 SETTLE_S = 3.0  # of the calm time, before memory is watched
 SAMPLE_S = 0.5
 _WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
@@ -82,7 +83,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     end_s = time.monotonic() + order.seconds
-    watch = _Watch(Chaos(order.seed, end_s - _CALM_SHARE * order.seconds), end_s, progress, order.seconds)
+    watch = _Watch(Chaos(order.seed, end_s - _calm_s(order.seconds)), end_s, progress, order.seconds)
     with workplace() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
@@ -101,6 +102,15 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         rss_slope_mb_per_h=watch.slope_mb_per_h(),
         outcome=outcome,
     )
+
+
+def _calm_s(seconds: float) -> float:
+    """How long nothing is done at the end of a soak, so that the last fault can be got over: of the world, too.
+
+    >>> [_calm_s(seconds) for seconds in (15.0, 30.0, 1800.0)] == [7.5, 14.0, _CALM_SHARE * 1800.0]
+    True
+    """
+    return max(_CALM_SHARE * seconds, min(_LEAST_CALM_S, 0.5 * seconds))
 
 
 def _recovery_times(faults: Sequence[Fault], sights: dict[str, list[StubSight]]) -> RecoveryTimes:
@@ -200,7 +210,7 @@ class _Watch:
                 size_mb += process.memory_info().rss / 1e6
                 if pid in pids:
                     self._seen.add((pid, process.create_time()))
-        calm_s = _CALM_SHARE * self._seconds
+        calm_s = _calm_s(self._seconds)
         all_there = state.world is not None and len(state.world.members) == len(state.clients)
         if not state.stopping and all_there and now_s > self._end_s - calm_s + SETTLE_S:
             self._samples.append((now_s, size_mb))
