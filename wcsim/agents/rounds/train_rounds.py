@@ -100,15 +100,16 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
             waited_s = time.monotonic() - began_s
-            fresh = [read_segment(folder.path / DATA / SEGMENTS / name, came[name]) for name in sorted(came)]
-            for segment in fresh:
+            crashes = 0
+            for name in sorted(came):
+                segment = read_segment(folder.path / DATA / SEGMENTS / name, came[name])
                 lectures.add(lessons_of(segment, config))
+                crashes += int(segment.crashed.sum())
             lectures.begin(seeding.generator(seed, "agent", "lectures", number))
             loss = learner.learn(lectures, config.danger.updates)
             segments |= came
             save_round(folder.checkpoints, number, learner, segments)
             _save(rounds, learner, f"round-{number:03d}")
-            crashes = sum(int(segment.crashed.sum()) for segment in fresh)
             row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
             _note(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
             many = len(now)

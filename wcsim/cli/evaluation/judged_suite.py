@@ -13,15 +13,13 @@ from rich.console import Console
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.common import MOST_JOBS, OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.run import SuiteOrder
-
-MOST_JOBS = 256
 
 
 @dataclass

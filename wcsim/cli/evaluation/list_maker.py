@@ -9,8 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from wcsim.cli.evaluation.judged_suite import MOST_JOBS
-from wcsim.cli.shared.common import check_output, in_bounds, parse
+from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
 
 
 @dataclass

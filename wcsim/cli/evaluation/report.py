@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from wcsim.cli.evaluation.judged_suite import MOST_JOBS
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
+from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, FileError
 

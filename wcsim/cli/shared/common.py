@@ -27,6 +27,8 @@ OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 """A folder that is made, with a default of its own."""
 
 MAX_SEED = (1 << 31) - 1
+MOST_JOBS = 256  # processes that a command may start
+_MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
 
 def parse(options: type[T], words: list[str], command: str) -> T:
@@ -120,6 +122,19 @@ def in_bounds(option: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         expected = f"{low} or more" if math.isinf(high) else f"{low} to {high}"
         raise ConfigError(f"{option} {value}: expected {expected}")
+
+
+def worlds_of(asked: int | None) -> int:
+    """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said.
+
+    Raises ConfigError when it is out of bounds.
+    """
+    if asked is None:
+        from wcsim.physics.sensors.drawing_threads import cores
+
+        return min(cores(), _MOST_UNASKED)
+    in_bounds("--worlds", asked, 1, MOST_JOBS)
+    return asked
 
 
 def check_output(option: str, path: Path | None, suffix: str = "") -> None:

@@ -17,8 +17,8 @@ from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
 from wcsim.agents.networks.names import is_own
-from wcsim.cli.evaluation.judged_suite import MOST_JOBS, keep_result
-from wcsim.cli.shared.common import in_bounds, write_json
+from wcsim.cli.evaluation.judged_suite import keep_result
+from wcsim.cli.shared.common import worlds_of, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import Client, GroupRun, train_clients
 from wcsim.cli.training.train import Options
@@ -60,7 +60,7 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     from wcsim.agents.evaluation.suite.list_file import open_suite
 
     suite = open_suite(name)
-    in_bounds("--worlds", options.worlds, 1, MOST_JOBS)
+    worlds_of(options.worlds)  # before the first phase
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
     if unled:
         raise ConfigError(f"learn.select_by compares after a first phase, and {unled[0]} has none: learn.phase1_steps")
@@ -120,7 +120,7 @@ def _choose(options: Options, run: GroupRun, suite: Suite, name: str) -> str:
 def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 
-    order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=options.worlds, forks=0)
+    order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = Console(stderr=True, highlight=False)
     told.print(f"first phase done; {suite.file.suite} {suite.file.set} chooses: {suite.episodes} episodes a client")
 

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, worlds_of, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
@@ -62,9 +62,9 @@ class Options:
     select_by: Annotated[str | None, tyro.conf.arg(metavar="LIST")] = None
     """Suite, or list of your own, by which clients are compared after the first phase: the best one alone learns the
     second. (default: learn.select_by, with preset paper validation; '' lets all learn it)"""
-    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Worlds that drive beside a danger network that learns, or that compare clients, each in a process of its own:
-    data, weights and choice are the same for any number."""
+    data, weights and choice are the same for any number. (default: one for each core, 4 at the most)"""
     data: Repeated = ()
     """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
     times."""
@@ -106,7 +106,7 @@ def run(words: list[str]) -> int:
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     note = steps_note(config, options.steps)
-    train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds)
+    train_in(resolved, town, note=note, verbose=options.verbose, worlds=worlds_of(options.worlds))
     return _told(options, resolved)
 
 
@@ -137,7 +137,7 @@ def _resume(options: Options, words: list[str]) -> int:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
     resolved, town = resumed(out, typed(options, words))
-    train_in(resolved, town, verbose=options.verbose, worlds=options.worlds)
+    train_in(resolved, town, verbose=options.verbose, worlds=worlds_of(options.worlds))
     return _told(options, resolved)
 
 

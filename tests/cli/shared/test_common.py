@@ -1,0 +1,24 @@
+"""What commands share: how many processes they start."""
+
+from __future__ import annotations
+
+import pytest
+
+from wcsim.cli.shared.common import worlds_of
+from wcsim.errors import ConfigError
+from wcsim.physics.sensors import drawing_threads
+
+
+@pytest.mark.parametrize(("cores", "worlds"), [(1, 1), (2, 2), (64, 4)])
+def test_a_world_for_each_core_where_nobody_says_how_many(
+    cores: int, worlds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drawing_threads, "cores", lambda: cores)
+    assert worlds_of(None) == worlds
+
+
+def test_as_many_worlds_as_asked() -> None:
+    assert worlds_of(3) == 3
+    for asked in (0, -1, 257):
+        with pytest.raises(ConfigError, match=f"--worlds {asked}: expected 1 to 256"):
+            worlds_of(asked)
