@@ -16,8 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
 from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, export_danger
 from wcsim.agents.policy_api import Observation
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import RunFolder, open_run
 from wcsim.agents.runs.shipped import shipped_folder, shipped_place, write_hashes
 from wcsim.core import files
@@ -41,7 +43,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
         facts = export_danger(policy, Path(held) / "onnx", run.config, ride)
 
         def fill(target: Path) -> None:
-            for name in ("policy.json", "weights.safetensors"):
+            for name in (POLICY_JSON, WEIGHTS):
                 shutil.copyfile(policy / name, target / name)
             shutil.copyfile(Path(held) / "onnx" / MODEL, target / "model.onnx")
             shutil.copyfile(Path(held) / "onnx" / MEANING, target / MEANING)
@@ -67,7 +69,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
     camera, danger, collect = config.cameras[0], config.danger, config.collect
     parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
     towns = ", ".join((manifest.town, *collect.towns, f"{collect.made_towns} made for it"))
-    steps = sum(1 for _ in (run.path / "data" / "segments").glob("*")) if (run.path / "data").is_dir() else 0
+    kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*"))
     lines = [
         "# Model card: the policy that comes with wcsim",
         "It says of each joystick position how surely it ends badly; the nearest safe one is driven: `docs/danger.md`.",
@@ -77,7 +79,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
         f"| trained in | {towns} (streets {manifest.town_sha256[:12]}) |",
         f"| users | {', '.join(collect.profiles)}; ataxic was never met |",
         f"| data | {collect.rounds} rounds of {collect.segments} segments of {collect.ticks} ticks with "
-        f"{collect.chairs} chairs ({steps} segments kept), teacher {danger.teacher} |",
+        f"{collect.chairs} chairs ({kept} segments kept), teacher {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "

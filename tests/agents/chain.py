@@ -11,21 +11,31 @@ LENGTH, SIDE = 5, 8
 CLASSES = (8, 11, 21, 23, 24)  # one class fills the image of each state
 
 
+def tiny_space():
+    """An observation of one tiny image, without turn rates."""
+    image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
+    imu, joystick = (gym.spaces.Box(-1, 1, (size,), np.float32) for size in (5, 2))
+    return gym.spaces.Dict(seg=image, depth=image, imu=imu, joystick=joystick)
+
+
+def tiny_view(class_id, depth=0):
+    """An observation whose image one class fills."""
+    image = np.full((1, SIDE, SIDE), class_id, np.uint8)
+    vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
+    return {"seg": image, "depth": np.full_like(image, depth), **vectors}
+
+
 class Chain(gym.Env):
     """Stick forward (y > 0) goes on and earns 1 at the end; anything else ends the episode with 0.3 at once."""
 
     def __init__(self, limit=50):
         self.actions = action_set("square81")
-        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
-        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
-        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.observation_space = tiny_space()
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self.limit = limit
 
     def _observe(self):
-        image = np.full((1, SIDE, SIDE), CLASSES[min(self.state, LENGTH - 1)], np.uint8)
-        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
-        return {"seg": image, "depth": np.zeros_like(image), **vectors}
+        return tiny_view(CLASSES[min(self.state, LENGTH - 1)])
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 
+from tests.agents.chain import tiny_space, tiny_view
 from wcsim.supervisor.actions import action_set
 
-SIDE, LENGTH = 8, 4
+LENGTH = 4
 CUES = (24, 23)  # a person: left; sky: right
 BLANK = 8
 
@@ -17,16 +18,11 @@ class Recall(gym.Env):
 
     def __init__(self):
         self.actions = action_set("square81")
-        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
-        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
-        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.observation_space = tiny_space()
         self.action_space = gym.spaces.Discrete(len(self.actions))
 
     def _observe(self):
-        shown = CUES[self.cue] if self.step_count == 0 else BLANK
-        image = np.full((1, SIDE, SIDE), shown, np.uint8)
-        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
-        return {"seg": image, "depth": np.full_like(image, 40 * self.step_count), **vectors}
+        return tiny_view(CUES[self.cue] if self.step_count == 0 else BLANK, 40 * self.step_count)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -45,8 +41,7 @@ class Clock(Recall):
     """All images are alike; left earns 1/LENGTH until the last step, then right does. Who does not count gets 0.5."""
 
     def _observe(self):
-        seen = super()._observe()
-        return {**seen, "seg": np.full_like(seen["seg"], BLANK), "depth": np.zeros_like(seen["depth"])}
+        return tiny_view(BLANK)
 
     def step(self, action):
         self.step_count += 1
@@ -60,17 +55,13 @@ class Biased(gym.Env):
 
     def __init__(self, seed=0):
         self.actions = action_set("square81")
-        image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
-        vector = lambda n: gym.spaces.Box(-1, 1, (n,), np.float32)  # noqa: E731
-        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=vector(5), joystick=vector(2))
+        self.observation_space = tiny_space()
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self.noise = np.random.default_rng(seed)
         self.second = False
 
     def observe(self, second):
-        image = np.full((1, SIDE, SIDE), CUES[int(second)], np.uint8)
-        vectors = {"imu": np.zeros(5, np.float32), "joystick": np.zeros(2, np.float32)}
-        return {"seg": image, "depth": np.zeros_like(image), **vectors}
+        return tiny_view(CUES[int(second)])
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)

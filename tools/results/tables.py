@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from tools.results.parts import SEEDS
 from wcsim.agents.evaluation.intervals import garwood
 from wcsim.agents.evaluation.suite.result_files import read_episodes
 from wcsim.core import seeding
@@ -31,7 +32,7 @@ def page(out: Path) -> str:
         said = f"{result['suite']}-{result['set']}, list `{result['list_sha256'][:12]}`"
         found.append(f"### {path.stem} ({said})\n\n" + suite_table(result, out))
     judged = out / "judged" / "v1"
-    runs = [name for name in (f"laptop-{seed}" for seed in (1, 2, 3)) if (out / name).is_dir()]
+    runs = [name for name in (f"laptop-{seed}" for seed in SEEDS) if (out / name).is_dir()]
     if (judged / "episodes.json").is_file() and runs:
         found.append(pooled_text(judged, [str(out / name) for name in runs]))
     return "\n".join(found)

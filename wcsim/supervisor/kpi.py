@@ -16,11 +16,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from wcsim.errors import ConfigError
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.types import F64, I32, Bool, Events, Joystick
 
-_MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
+MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
+FOLLOWED = MAX_FOLLOW_DISTANCE + DISTANCE_TOLERANCE  # up to which a stick counts as followed
 _SMALLEST = 1e-9  # kilometres or seconds below this are none at all
-_PUSHES = 0.3  # a stick that is out so far is meant
+PUSHES = 0.3  # a stick that is out so far is meant
 _BLOCKED_SHARE = 0.5  # who gives less than this share of the user's throttle blocks
 STANDS_MPS = 0.05
 FREEZE_S = 3.0
@@ -112,8 +114,8 @@ def summarise(log: StepLog) -> KpiRow:
     km = float(np.sum(np.abs(log.speed_mps) * log.dt_s)) / 1000.0
     total_s = float(np.sum(log.dt_s))
     known, free = log.free >= 0, log.free == 1
-    within = log.distance <= _MAX_FOLLOW_DISTANCE + 1e-6
-    moving = free & (_out(log.asked) > _PUSHES)
+    within = log.distance <= FOLLOWED
+    moving = free & (_out(log.asked) > PUSHES)
     standing = log.on_carriageway & (np.abs(log.speed_mps) < STANDS_MPS)
     crashes, crossings = reasons.total(), int(np.count_nonzero(log.crossed))
     return KpiRow(
@@ -206,13 +208,13 @@ def _require_lengths(log: StepLog) -> None:
 
 def _blocked(log: StepLog) -> Bool:
     """(N,) where the user pushes forward and the agent gives less than half of it."""
-    blocked: Bool = (log.asked[:, 1] > _PUSHES) & (log.given[:, 1] < _BLOCKED_SHARE * log.asked[:, 1])
+    blocked: Bool = (log.asked[:, 1] > PUSHES) & (log.given[:, 1] < _BLOCKED_SHARE * log.asked[:, 1])
     return blocked
 
 
 def _freezes(log: StepLog) -> int:
     """Stretches of FREEZE_S and more, each within one episode, in which only the agent keeps the chair from going."""
-    frozen = (np.abs(log.speed_mps) < STANDS_MPS) & (_out(log.asked) > _PUSHES) & (_out(log.given) < _PUSHES)
+    frozen = (np.abs(log.speed_mps) < STANDS_MPS) & (_out(log.asked) > PUSHES) & (_out(log.given) < PUSHES)
     if not frozen.any():
         return 0
     episode = np.searchsorted(np.cumsum(log.episode_steps), np.arange(len(frozen)), side="right")

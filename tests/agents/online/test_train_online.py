@@ -15,7 +15,7 @@ import torch
 
 from tests.agents.danger.sights import a_segment, small_config
 from tests.agents.toy import ToyStreet, a_run, toy_camera
-from wcsim.agents.collecting.data_folder import read_manifest, read_segment
+from wcsim.agents.collecting.data_folder import DATA, read_manifest, read_segment
 from wcsim.agents.collecting.drive_segment import DrivenRow
 from wcsim.agents.collecting.segment import FOLLOW, NETWORK, RECKLESS
 from wcsim.agents.danger.learner import DangerLearner
@@ -27,7 +27,7 @@ from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
 from wcsim.agents.online.taught_ride import TaughtRide
-from wcsim.agents.online.train_online import DATA, Listeners, train_online
+from wcsim.agents.online.train_online import Listeners, train_online
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files

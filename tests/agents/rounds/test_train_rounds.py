@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SEGMENTS, read_manifest, read_segment
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_manifest, read_segment
 from wcsim.agents.collecting.segment import NETWORK
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.rounds.run_of_rounds import train_danger
-from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
+from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.core import files

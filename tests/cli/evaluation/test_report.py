@@ -6,9 +6,8 @@ import shutil
 
 import pytest
 
-from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.agents.evaluation.suite.lists import written_list
 from tests.view.report.results import write_result
-from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.cli.main import main
 
 OWN = """
@@ -39,7 +38,7 @@ def finished(corner, tmp_path_factory):
     """A finished test of a short list by the user alone and by code of one's own; no episode comes to its end."""
     place = tmp_path_factory.mktemp("finished")
     (place / "own.py").write_text(OWN, encoding="utf-8")
-    write_list(suite_in(corner, block_of(corner, max_steps=30)).file, place / "corner.json")
+    written_list(corner, place, max_steps=30)
     with contextlib.chdir(place):
         assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "out"]) == 0
     (place / "ran").unlink()

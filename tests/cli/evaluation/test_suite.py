@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from tests.agents.evaluation.suite.lists import block_of, suite_in
-from wcsim.agents.evaluation.suite.list_file import write_list
+from tests.agents.evaluation.suite.lists import written_list
 from wcsim.cli import main
 
 KEYS = {
@@ -18,9 +17,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def small(corner, tmp_path_factory):
-    path = tmp_path_factory.mktemp("list") / "corner.json"
-    write_list(suite_in(corner, block_of(corner, max_steps=20)).file, path)
-    return path
+    return written_list(corner, tmp_path_factory.mktemp("list"), max_steps=20)
 
 
 def run(*words):

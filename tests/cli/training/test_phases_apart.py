@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.training.test_clients import SMALL, start, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
@@ -29,9 +29,7 @@ STEPS = ("--steps", 32, "--set", "learn.phase1_steps=16", "--set", "learn.checkp
 
 @pytest.fixture(scope="module")
 def suite(corner, tmp_path_factory):
-    path = tmp_path_factory.mktemp("list") / "corner.json"
-    write_list(suite_in(corner, block_of(corner, max_steps=12)).file, path)
-    return path
+    return written_list(corner, tmp_path_factory.mktemp("list"), max_steps=12)
 
 
 def a_group(*words):

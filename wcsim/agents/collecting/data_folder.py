@@ -24,6 +24,7 @@ from wcsim.core.reading import FileKind, read_bytes, read_json, shown
 from wcsim.errors import ConfigError, PolicyError
 
 MANIFEST: Final = "data.json"
+DATA: Final = "data"  # the data folder of a run
 SEGMENTS: Final = "segments"
 _LEVEL: Final = 3
 _MOST_BYTES: Final = 1 << 30

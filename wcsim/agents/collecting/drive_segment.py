@@ -12,7 +12,7 @@ import numpy.typing as npt
 from wcsim.agents.collecting.data_drivers import Choice, DataDriver, Learned
 from wcsim.agents.collecting.labels import codes_of
 from wcsim.agents.collecting.segment import Segment
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink, delay_ticks
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
@@ -108,8 +108,7 @@ class _Seat:
     def _begin(self, first: ClientSnapshot) -> None:
         self._seen, info = self._chair.begin(first)
         self._said = info["truth"]
-        drawn = None if first.drawn is None else first.drawn.action_delay_ticks
-        self._delay = self._config.world.action_delay_ticks if drawn is None else drawn
+        self._delay = delay_ticks(self._config, first.drawn)
         learned = None if self._make is None else self._make(self._delay)
         self._driver = DataDriver(self._config.collect, self._actions, self._rng, learned)
 

@@ -32,7 +32,7 @@ class DangerLearner:
     """
 
     def __init__(self, config: RunConfig, seed: int, total: int) -> None:
-        danger, self._seed = config.danger, seed
+        danger = config.danger
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
         points = torch.as_tensor(action_set(config.env.actions).points)
         self.net = laid_out(DangerNet(spec_of(config), points))

@@ -21,6 +21,8 @@ from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8, Bool
 
 I64 = npt.NDArray[np.int64]
+Inputs = tuple[torch.Tensor, ...]
+"""Picture, numbers, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
 
 
@@ -124,9 +126,9 @@ def windows_of(ended: Bool, frames: int) -> I64:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """What a step of learning gets; see `DangerNet.forward`."""
+    """What a step of learning gets."""
 
-    inputs: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+    inputs: Inputs
     unsafe: torch.Tensor  # (B, A) float32
 
 
@@ -203,14 +205,9 @@ class Lectures:
             frames = frames[..., ::-1].copy()
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
+        seen, *rest = tensors_of(self._eye, picture, numbers, vector, start, frames)
         return Batch(
-            inputs=(
-                torch.from_numpy(picture).float().div_(255.0).contiguous(memory_format=torch.channels_last),
-                torch.from_numpy(numbers).float().div_(255.0),
-                torch.from_numpy(vector),
-                torch.from_numpy(swept_by(self._eye, start)).long(),
-                torch.from_numpy(frames),
-            ),
+            inputs=(seen.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
         )
 
@@ -220,7 +217,18 @@ class Lectures:
         return unpack_each(blobs, int(np.prod(self._size))).reshape(len(chosen), -1, *self._size)
 
 
-def swept_by(eye: Eye, starts: F64) -> npt.NDArray[np.int32]:
+def tensors_of(eye: Eye, picture: U8, numbers: U8, vector: F32, start: F64, frames: U8) -> Inputs:
+    """What the network is called with, for a batch of B steps of chairs like that of `eye`."""
+    return (
+        torch.from_numpy(picture).float().div_(255.0),
+        torch.from_numpy(numbers).float().div_(255.0),
+        torch.from_numpy(vector),
+        torch.from_numpy(_swept(eye, start)).long(),
+        torch.from_numpy(frames),
+    )
+
+
+def _swept(eye: Eye, starts: F64) -> npt.NDArray[np.int32]:
     """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 for an eye that need not know."""
     around = eye.around
     if not eye.looks.swept:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.lessons import swept_by
+from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import Alarm, DangerRule, choose, next_alarm
 from wcsim.agents.danger.sight import DangerSight, Eye
@@ -85,26 +85,21 @@ class DangerPolicy:
 
     def danger(self, sight: DangerSight) -> F64:
         """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
-        return danger_of(self._net, sight, self._eye, self.name)
+        with torch.inference_mode():
+            logits = self._net(*inputs([sight], self._eye)).numpy()[0]
+        if not np.isfinite(logits).all():
+            raise NotFinite(f"policy {self.name!r} gives dangers that are not finite; train it again")
+        danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
+        return danger
 
 
-def danger_of(net: DangerNet, sight: DangerSight, eye: Eye, name: str) -> F64:
-    """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
-    with torch.inference_mode():
-        logits = net(*inputs([sight], eye)).numpy()[0]
-    if not np.isfinite(logits).all():
-        raise NotFinite(f"policy {name!r} gives dangers that are not finite; train it again")
-    danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
-    return danger
-
-
-def inputs(sights: list[DangerSight], eye: Eye) -> tuple[torch.Tensor, ...]:
+def inputs(sights: list[DangerSight], eye: Eye) -> Inputs:
     """What the network is called with, for a batch of sights of chairs like that of `eye`."""
-    starts = np.stack([sight.start for sight in sights]).astype(np.float64)
-    return (
-        torch.from_numpy(np.stack([sight.picture for sight in sights])).float() / 255.0,
-        torch.from_numpy(np.stack([sight.actions for sight in sights])).float() / 255.0,
-        torch.from_numpy(np.stack([sight.vector for sight in sights])),
-        torch.from_numpy(swept_by(eye, starts)).long(),
-        torch.from_numpy(np.stack([sight.frames for sight in sights])),
+    return tensors_of(
+        eye,
+        picture=np.stack([sight.picture for sight in sights]),
+        numbers=np.stack([sight.actions for sight in sights]),
+        vector=np.stack([sight.vector for sight in sights]),
+        start=np.stack([sight.start for sight in sights]).astype(np.float64),
+        frames=np.stack([sight.frames for sight in sights]),
     )

@@ -14,7 +14,7 @@ from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_danger_file
+from wcsim.agents.runs.policy_file import POLICY_JSON, SIGHT_KEYS, WEIGHTS, read_danger_file
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.core.reading import shown
@@ -22,7 +22,6 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 _ELSEWHERE = ("height_px", "width_px", "classes")  # of the network's shape, in other places of policy.json
-_CAMERA_KEYS = ("width_px", "height_px", "hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
 
 
 def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
@@ -97,7 +96,7 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
     file = read_danger_file(folder)
     camera = config.cameras[0]
-    other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    other = [key for key in ("width_px", "height_px", *SIGHT_KEYS) if getattr(file.camera, key) != getattr(camera, key)]
     other += [key for key in ("actions",) if file.net.actions != config.env.actions]
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:

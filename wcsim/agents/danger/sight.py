@@ -10,7 +10,7 @@ import numpy as np
 from wcsim.agents.danger.map_gaps import discs_of, map_profile
 from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
+from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
@@ -19,8 +19,9 @@ from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8
 
 COMMANDS: Final = 3  # last ones that are told
-_TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
-_GYRO: Final = slice(5, 8)
+TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
+TURNS: Final = slice(5, 8)  # turn rates there
+FULL_MOTION: Final = (1.67, 1.5, 2.0)  # speed, turn rate and acceleration that are told as 1
 _STARTS: Final = 4  # v, w, acceleration, delay
 VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
 MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change their sign when left and right change places
@@ -58,8 +59,6 @@ class Eye:
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
         looks: What it looks at; None for the street map, as the configuration says.
     """
-
-    senses = SENSES
 
     def __init__(self, config: RunConfig, delay_ticks: int | None = None, looks: Looks | None = None) -> None:
         self.looks = looks or Looks(gaps=config.danger.gaps, rival=config.danger.rival)
@@ -137,7 +136,7 @@ class Eye:
     def _require(self, observation: Observation) -> None:
         keys = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, *((ODOMETRY_KEY,) if self.looks.odometry else ()))
         lacks = [key for key in keys if key not in observation]
-        if lacks or len(observation[IMU_KEY]) < _GYRO.stop:
+        if lacks or len(observation[IMU_KEY]) < TURNS.stop:
             what = f"no {', '.join(lacks)}" if lacks else f"{len(observation[IMU_KEY])} numbers of the IMU"
             raise PolicyError(
                 f"a danger network got {what}; expected pictures with classes, tilt, turn rates, odometry, joystick: "
@@ -153,6 +152,6 @@ class Eye:
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion if self.looks.odometry else np.zeros(3)
         said: F64 = np.concatenate(
-            [10.0 * imu[_TILT], imu[_GYRO], motion / (1.67, 1.5, 2.0), [later_s], self._sent.reshape(-1)]
+            [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )
         return np.clip(said, -2.0, 2.0).astype(np.float32)

@@ -26,7 +26,7 @@ HALF_M: Final = 0.5 * SIDE * CELL_M
 # planes of the picture, uint8
 HIGHEST, LOWEST, AGE, TRAIL, KIND, EDGES, GROUND, COMING = range(8)
 PLANES, OWN_PLANES = 8, 5  # the last three are what `dwa` remembers of the street
-_RASTER: Final = 160  # cells of the raster each way: more than twice as far as the picture reaches
+RASTER: Final = 160  # cells of the raster each way: more than twice as far as the picture reaches
 KEEP_TICKS: Final = 40
 TRAIL_TICKS: Final = 20
 LOW_M, SPAN_M = -0.5, 1.5  # heights above the axle's ground that the codes 1 to 255 stand for
@@ -68,8 +68,8 @@ class StreetMap:
     def __init__(self, rays: F32, eye_B_m: F64, far_m: float) -> None:
         self._rays, self._eye_B_m, self._far_m = rays, eye_B_m, far_m
         self._kinds, self._movers = kinds_of_ground(), movers()
-        self._cells = np.zeros((_RASTER, _RASTER, 5), np.int64)
-        self._heights_m = np.zeros((_RASTER, _RASTER, 2), np.float32)
+        self._cells = np.zeros((RASTER, RASTER, 5), np.int64)
+        self._heights_m = np.zeros((RASTER, RASTER, 2), np.float32)
         self.forget()
 
     def forget(self) -> None:
@@ -112,7 +112,7 @@ def _write(
             continue
         ix = math.floor((pose[0] + cos * x - sin * y) / CELL_M)
         iy = math.floor((pose[1] + sin * x + cos * y) / CELL_M)
-        cell, height = cells[ix % _RASTER, iy % _RASTER], heights[ix % _RASTER, iy % _RASTER]
+        cell, height = cells[ix % RASTER, iy % RASTER], heights[ix % RASTER, iy % RASTER]
         kind = kinds[classes[n]]
         if cell[_KEY_X] != ix or cell[_KEY_Y] != iy:
             cell[_KEY_X], cell[_KEY_Y], cell[_MOVER] = ix, iy, 0
@@ -139,13 +139,13 @@ def _read(pose: F64, tick: int, cells: I64, heights: F32, memory: I64, out: U8) 
             ix, iy = math.floor(x / CELL_M), math.floor(y / CELL_M)
             if is_ground(memory, x, y):
                 out[GROUND, i, j] = 255
-            cell = cells[ix % _RASTER, iy % _RASTER]
+            cell = cells[ix % RASTER, iy % RASTER]
             if cell[_TICK] == 0 or cell[_KEY_X] != ix or cell[_KEY_Y] != iy:
                 continue
             age = tick - cell[_TICK]
             if age <= KEEP_TICKS:
-                out[HIGHEST, i, j] = _height_code(heights[ix % _RASTER, iy % _RASTER, 0])
-                out[LOWEST, i, j] = _height_code(heights[ix % _RASTER, iy % _RASTER, 1])
+                out[HIGHEST, i, j] = _height_code(heights[ix % RASTER, iy % RASTER, 0])
+                out[LOWEST, i, j] = _height_code(heights[ix % RASTER, iy % RASTER, 1])
                 out[AGE, i, j] = 255 - 5 * age
                 out[KIND, i, j] = 60 * cell[_CLASS]
             if cell[_MOVER] > 0 and tick - cell[_MOVER] <= TRAIL_TICKS:

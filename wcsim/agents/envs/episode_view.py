@@ -22,10 +22,16 @@ from wcsim.supervisor.judge import judge, observation_of
 from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
-from wcsim.types import ClientSnapshot, Joystick, RewardTerms
+from wcsim.types import ClientSnapshot, Drawn, Joystick, RewardTerms
 
 Info = dict[str, Any]
 WORLD_RESTARTED = "world_restarted"
+
+
+def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
+    """From a command to the chair that obeys it, in an episode for which `drawn` was drawn."""
+    told = None if drawn is None else drawn.action_delay_ticks
+    return config.world.action_delay_ticks if told is None else told
 
 
 class EpisodeStep(NamedTuple):

@@ -10,11 +10,9 @@ import numpy as np
 from wcsim.agents.evaluation.suite.records import CRASHED
 from wcsim.config import RewardConfig
 from wcsim.supervisor.fault import fault, hardest
-from wcsim.supervisor.kpi import STANDS_MPS, KpiMeter, KpiStep, StepLog, summarise
+from wcsim.supervisor.kpi import FOLLOWED, PUSHES, STANDS_MPS, KpiMeter, KpiStep, StepLog, summarise
 
 _STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
-_WITHIN: Final = 0.1768 + 1e-6  # Table 1 of the paper
-_MOVES: Final = 0.3  # a stick that is out so far is meant
 _PATH_S: Final = 1.0  # a point of the path every so often
 
 
@@ -90,7 +88,7 @@ def sums_of(log: StepLog) -> dict[str, Any]:
     """The sums of one episode's steps, under their names in `EpisodeRecord`."""
     row = summarise(log)
     free = log.free == 1
-    moving = free & (np.hypot(log.asked[:, 0], log.asked[:, 1]) > _MOVES)
+    moving = free & (np.hypot(log.asked[:, 0], log.asked[:, 1]) > PUSHES)
     accelerations = np.diff(log.speed_mps) / log.dt_s[1:]
     return {
         "steps": len(log.distance),
@@ -99,7 +97,7 @@ def sums_of(log: StepLog) -> dict[str, Any]:
         "free_steps": int(free.sum()),
         "blocked_steps": round((row.blocked_share or 0.0) * int(free.sum())),
         "moving_steps": int(moving.sum()),
-        "moving_within": int((moving & (log.distance <= _WITHIN)).sum()),
+        "moving_within": int((moving & (log.distance <= FOLLOWED)).sum()),
         "freezes": row.freezes,
         "road_s": round(row.standing_on_carriageway_s, 6),
         "red_entries": row.red_entries,

@@ -22,7 +22,7 @@ from wcsim.agents.learning.shielded.shielded_policy import shielded
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.policy_file import is_danger
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.errors import PolicyError
@@ -31,9 +31,6 @@ from wcsim.supervisor.observation import imu_size
 
 MakeEnv = Callable[[str, str, tuple[str, ...]], gymnasium.Env[Any, Any]]  # (town, profile, senses) -> environment
 Progress = Callable[[str], None]
-
-_CAMERA_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
-"""What makes the same street look different to a network."""
 
 _SHORTEST_NAME, _NUMBERS_WIDTH = 14, 66  # characters that a policy's name has at least, and of the longest numbers
 _LEGEND_WIDTH = 70  # less than any of the tables has
@@ -189,7 +186,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"policy {name!r} wants the sensors {file.sensors} (numbers of each), this test has {given}: "
             "set their sections of [sensors] as in its training"
         )
-    other = [key for key in _CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    other = [key for key in SIGHT_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
             f"policy {name!r} was trained with another camera or class form than this test has "

@@ -7,8 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import gymnasium
 import torch
@@ -85,7 +84,7 @@ def train(
                 loaded = _loaded(folder, model, say) if run.resume else None
                 session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
                 session.callbacks.extend(callbacks)
-                with session:
+                with session.episodes.board or contextlib.nullcontext():
                     return session.learn()
         finally:
             env.close()
@@ -142,15 +141,6 @@ class _Session:
             Every(progress_every, self._report),
             StopWhenAsked(request),
         ]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.episodes.board is not None:
-            self.episodes.board.close()
 
     def learn(self) -> Path:
         """Run to the end. Raises InterruptedRunError when it was stopped."""

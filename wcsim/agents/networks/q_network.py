@@ -177,7 +177,10 @@ class SeqQPolicy(DQNPolicy):
         space, actions = self.observation_space, self.action_space
         if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
             raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return QNet(space, actions, self.spec).to(self.device)
+        return self._net_of(space, actions).to(self.device)
+
+    def _net_of(self, space: spaces.Dict, actions: spaces.Discrete) -> QNet:
+        return QNet(space, actions, self.spec)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {

@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from safetensors.torch import load_file, save_file
 
 from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
 from wcsim.agents.learning.checkpoint import KEEP, PassedOver, generator_state, restored_generator
 from wcsim.agents.learning.checkpoint_file import step_folders, step_name
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.errors import PolicyError
 
-_WEIGHTS, _MOMENTS, _STATE = "weights.safetensors", "moments.safetensors", "state.json"
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -47,8 +46,7 @@ def save_online(folder: Path, learner: DangerLearner, state: OnlineState) -> Pat
     target = folder / step_name(counters.step)
 
     def fill(work: Path) -> None:
-        save_file({key: value.contiguous() for key, value in learner.net.state_dict().items()}, work / _WEIGHTS)
-        save_file(learner.moments(), work / _MOMENTS)
+        sha256 = write_learner(work, learner)
         values = {
             "step": counters.step,
             "episodes": counters.episodes,
@@ -59,9 +57,9 @@ def save_online(folder: Path, learner: DangerLearner, state: OnlineState) -> Pat
             "segments": state.segments,
             "explore_rng": generator_state(state.explore_rng),
             "lectures_rng": generator_state(state.lectures_rng),
-            "sha256": {name: files.sha256(work / name) for name in (_WEIGHTS, _MOMENTS)},
+            "sha256": sha256,
         }
-        files.write_json(work / _STATE, values)
+        files.write_json(work / STATE, values)
 
     files.write_folder(target, fill)
     for old in step_folders(folder)[:-KEEP]:
@@ -85,10 +83,8 @@ def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | Non
 
 
 def _restored(path: Path, learner: DangerLearner) -> OnlineState:
-    told: dict[str, Any] = read_json(path / _STATE, _KIND)
-    for name in (_WEIGHTS, _MOMENTS):
-        if files.sha256(path / name) != told["sha256"][name]:
-            raise PolicyError(f"{name} is damaged")
+    told: dict[str, Any] = read_json(path / STATE, _KIND)
+    require_whole(path, told["sha256"])
     counters = Counters(
         step=int(told["step"]),
         episodes=int(told["episodes"]),
@@ -102,8 +98,5 @@ def _restored(path: Path, learner: DangerLearner) -> OnlineState:
         lectures_rng=restored_generator(told["lectures_rng"]),
     )
     loss = float("nan") if told["loss"] is None else float(told["loss"])
-    weights, moments, updates = load_file(path / _WEIGHTS), load_file(path / _MOMENTS), int(told["updates"])
-    learner.net.load_state_dict(weights)
-    if moments:
-        learner.restore(moments, updates, loss)
+    read_learner(path, learner, int(told["updates"]), loss)
     return state

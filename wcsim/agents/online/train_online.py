@@ -17,12 +17,12 @@ from typing import Any, Literal
 import gymnasium
 from safetensors import SafetensorError
 
-from wcsim.agents.collecting.data_folder import write_manifest
+from wcsim.agents.collecting.data_folder import DATA, write_manifest
 from wcsim.agents.collecting.drive_segment import DrivenRow
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.envs.episode_view import EpisodeStep, delay_ticks
 from wcsim.agents.learning.build import phase_plan, with_window
 from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress
 from wcsim.agents.learning.checkpoint_file import set_aside
@@ -40,8 +40,6 @@ from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import Truth
-
-DATA = "data"
 
 
 def _as_it_is(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -165,9 +163,7 @@ class _OnlineSession:
         return after.observation, truth_of(after.info)
 
     def _begin(self, seen: Observation, info: dict[str, Any]) -> tuple[Observation, Truth]:
-        drawn = info.get("drawn")
-        delay = None if drawn is None else drawn.action_delay_ticks
-        self._delay = self._config.world.action_delay_ticks if delay is None else delay
+        self._delay = delay_ticks(self._config, info.get("drawn"))
         self._agent.begin(self._delay)
         return seen, truth_of(info)
 

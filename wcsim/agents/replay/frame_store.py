@@ -74,8 +74,7 @@ def frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> FrameStore
 
 def folded(frame: U8) -> Folded:
     """A copy of one frame, or, of a large one, its blob."""
-    large = len(frame) > _PACK_ABOVE_BYTES
-    return zstandard.ZstdCompressor(level=LEVEL).compress(frame.tobytes()) if large else frame.copy()
+    return pack_each(frame[None])[0] if len(frame) > _PACK_ABOVE_BYTES else frame.copy()
 
 
 def unfolded(kept: Folded, size: int) -> U8:

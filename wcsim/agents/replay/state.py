@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.disk_store import DiskFrames
 from wcsim.agents.replay.groups import Groups
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -39,7 +40,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     arrays.update(_group_arrays(replay))
     if replay.disk is not None:  # the frames stay where they are
         replay.disk.sync()
-        arrays["disk"] = np.array([*_numbers(replay, replay.total, size), _seal(replay, replay.total, size)], np.int64)
+        arrays["disk"] = np.array(_on_disk(replay.disk, replay.total, size, replay.n_envs), np.int64)
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
@@ -76,13 +77,10 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     }
 
 
-def _numbers(replay: FrameReplay, total: int, size: int) -> tuple[int, int]:
-    """The first of the frames on disk that a memory of these steps needs, and the one after its last."""
-    return (total - size) * replay.n_envs, total * replay.n_envs
-
-
-def _seal(replay: FrameReplay, total: int, size: int) -> int:
-    return 0 if replay.disk is None else replay.disk.seal(*_numbers(replay, total, size))
+def _on_disk(disk: DiskFrames, total: int, size: int, seats: int) -> list[int]:
+    """The first of the frames on disk that a memory of these steps needs, the one after its last, and their seal."""
+    first, stop = (total - size) * seats, total * seats
+    return [first, stop, disk.seal(first, stop)]
 
 
 def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
@@ -111,7 +109,7 @@ def _require_frames(replay: FrameReplay, arrays: Arrays, size: int) -> None:
         raise ValueError(f"replay: its frames were kept with learn.replay_store={kept}; this is {wanted}")
     if replay.disk is not None:
         total = int(arrays["total"][0])
-        if arrays["disk"].tolist() != [*_numbers(replay, total, size), _seal(replay, total, size)]:
+        if arrays["disk"].tolist() != _on_disk(replay.disk, total, size, replay.n_envs):
             raise ValueError("replay: the frames on disk are not those that it was saved with")
 
 
@@ -176,7 +174,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
     if replay.disk is None:
         _restore_frames(replay, arrays, index)
     else:
-        replay.disk.cut(_numbers(replay, total, size)[1])
+        replay.disk.cut(total * replay.n_envs)
         replay.windows.attach(total - size, replay.episode_step[rows] == 0)
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Final
 
 import torch
-from safetensors.torch import load_file, save_file
 
 from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
 from wcsim.core import files
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
-_WEIGHTS, _MOMENTS, _STATE = "weights.safetensors", "moments.safetensors", "state.json"
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=1 << 20, error=PolicyError)
 
 
@@ -26,15 +25,14 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
     """Keep a learner after a round, whole or not at all. Raises DiskFullError."""
 
     def fill(target: Path) -> None:
-        save_file({key: value.contiguous() for key, value in learner.net.state_dict().items()}, target / _WEIGHTS)
-        save_file(learner.moments(), target / _MOMENTS)
+        sha256 = write_learner(target, learner)
         state = {
             "updates": learner.updates,
             "loss": learner.loss,
             "segments": segments,
-            "sha256": {name: files.sha256(target / name) for name in (_WEIGHTS, _MOMENTS)},
+            "sha256": sha256,
         }
-        files.write_json(target / _STATE, state)
+        files.write_json(target / STATE, state)
 
     files.write_folder(checkpoint_path(folder, number), fill)
 
@@ -54,23 +52,22 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
         PolicyError: The checkpoint does not fit, or is damaged.
     """
     path = checkpoint_path(folder, number)
-    state = read_json(path / _STATE, _KIND)
+    state = read_json(path / STATE, _KIND)
     try:
-        learner.net.load_state_dict(load_file(path / _WEIGHTS))
-        learner.restore(load_file(path / _MOMENTS), int(state["updates"]), float(state["loss"]))
+        read_learner(path, learner, int(state["updates"]), float(state["loss"]))
         return {str(name): str(sha256) for name, sha256 in state["segments"].items()}
     except (RuntimeError, KeyError, ValueError, TypeError) as error:
         raise PolicyError(f"{shown(path)} does not fit this run ({error}); expected its own checkpoint") from None
 
 
 def _is_whole(path: Path) -> bool:
-    if not is_file(path / _STATE):
+    if not is_file(path / STATE):
         return False
     try:
-        told = read_json(path / _STATE, _KIND)["sha256"]
-        return all(files.sha256(path / name) == told[name] for name in (_WEIGHTS, _MOMENTS))
+        require_whole(path, read_json(path / STATE, _KIND)["sha256"])
     except (PolicyError, OSError, KeyError, TypeError):
         return False
+    return True
 
 
 def digest_of(net: torch.nn.Module) -> str:

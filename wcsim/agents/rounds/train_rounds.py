@@ -17,6 +17,7 @@ from typing import Final
 import torch
 
 from wcsim.agents.collecting.data_folder import (
+    DATA,
     SEGMENTS,
     read_manifest,
     read_segment,
@@ -36,7 +37,6 @@ from wcsim.config import RunConfig
 from wcsim.core import files, seeding
 from wcsim.towns.scenario.town import find_town, streets_hash
 
-DATA: Final = "data"
 _COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
@@ -59,8 +59,8 @@ def run(options: ReplayOptions) -> int:
         for name, config in configs.items():
             task = bar.add_task(name, total=options.states)
 
-            def seen(done: int, task: int = task) -> None:
-                bar.update(task, completed=done)  # type: ignore[arg-type]
+            def seen(done: int, task: TaskID = task) -> None:
+                bar.update(task, completed=done)
 
             costs[name] = measure_states(town, config, options.states, options.seed, Path(work) / name, seen)
     found = {

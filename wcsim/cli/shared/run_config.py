@@ -67,7 +67,7 @@ def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
     Raises:
         ConfigError: There are some.
     """
-    if config.learn.head != "danger" or learns_dangers_online(config):
+    if not learns_in_rounds(config):
         return
     found = [name for name, value in asked.items() if value]
     if found:
@@ -172,6 +172,11 @@ def learning(config: RunConfig) -> RunConfig:
         kept = learn.model_copy(update={"danger": str(Path(learn.danger).absolute())})
         config = config.model_copy(update={"learn": kept})
     return with_senses(config, (ODOMETRY_KEY, GYRO)) if taught or learn.danger else config
+
+
+def learns_in_rounds(config: RunConfig) -> bool:
+    """Whether a danger network learns in rounds, from worlds of its own."""
+    return config.learn.head == "danger" and config.collect.rounds > 0
 
 
 def learns_dangers_online(config: RunConfig) -> bool:

@@ -26,7 +26,7 @@ from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_r
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import in_town, require_user, resolve_config, steps_note
+from wcsim.cli.shared.run_config import in_town, learns_in_rounds, require_user, resolve_config, steps_note
 from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
@@ -141,7 +141,7 @@ def resolved(options: Options) -> tuple[Client, ...]:
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
         config = resolve_config(options, network, files.get(name))
         require_user(config.env.profile)
-        if config.learn.head == "danger" and config.collect.rounds:
+        if learns_in_rounds(config):
             raise ConfigError(
                 f"client {name}: collect.rounds={config.collect.rounds} drives in worlds of its own; expected 0, a "
                 "network that learns as it drives, or --preset dqn, which learns by Q-learning"

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from wcsim.cli.evaluation import test
 from wcsim.cli.shared.common import OutFolder, Repeated, parse, write_json
-from wcsim.cli.shared.run_config import QUICK, learning, learns_dangers_online, resolve_run
+from wcsim.cli.shared.run_config import QUICK, learning, learns_in_rounds, resolve_run
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import InterruptedRunError, TownError
@@ -81,7 +81,7 @@ def run(words: list[str]) -> int:
 def how_it_learns(config: RunConfig) -> str:
     """What is done while a configuration is trained, in a sentence; "" where it learns from every step as it drives."""
     collect, danger = config.collect, config.danger
-    if config.learn.head != "danger" or learns_dangers_online(config):
+    if not learns_in_rounds(config):
         return ""
     times = "1 round" if collect.rounds == 1 else f"{collect.rounds} rounds"
     return (

@@ -10,7 +10,7 @@ from pathlib import Path
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
-from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_dangers_online, resolve_run
+from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.errors import PolicyError, TownError
@@ -180,8 +180,7 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
     """
     run = open_run(path)
     _require_own_config(path, run.manifest)
-    rounds = run.config.learn.head == "danger" and not learns_dangers_online(run.config)
-    require_same(path, run.manifest, typed, QUICK if rounds else DQN)
+    require_same(path, run.manifest, typed, QUICK if learns_in_rounds(run.config) else DQN)
     require_own_classes(path, run.manifest, (run.config.learn.network,), typed)
     town = town_of(path, run.manifest, typed)
     steps = steps_of(path, run.config, typed)

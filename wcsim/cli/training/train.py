@@ -19,6 +19,7 @@ from wcsim.cli.shared.run_config import (
     how_to_test,
     in_town,
     learns_dangers_online,
+    learns_in_rounds,
     preset_of,
     require_heard,
     resolve_config,
@@ -166,7 +167,7 @@ def typed(options: Options, words: list[str]) -> Typed:
 def _told(options: Options, run: ResolvedRun) -> int:
     from wcsim.cli.training.report import print_crossings
 
-    if run.config.learn.head != "danger" or learns_dangers_online(run.config):  # rounds write no line an episode
+    if not learns_in_rounds(run.config):  # rounds write no line an episode
         print_crossings(run.out)
     print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, run.info.town)}")
     if options.json is not None:
@@ -208,8 +209,7 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
 
 def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1) -> Path:
     """Train with a progress bar; returns the run folder."""
-    online = learns_dangers_online(run.config)
-    if run.config.learn.head == "danger" and not online:
+    if learns_in_rounds(run.config):
         from wcsim.cli.training.rounds import train_rounds_in
 
         return train_rounds_in(run, town, worlds)
@@ -237,7 +237,7 @@ def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = Fa
         def say(text: str) -> None:
             print(f"wcsim: {text}", file=sys.stderr)
 
-        if online:
+        if learns_dangers_online(run.config):
             from wcsim.agents.online.train_online import Listeners, train_online
 
             return train_online(run, make_env, Listeners(progress=show, say=say))

@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.support.worlds import QUICK
 from wcsim.agents.evaluation.making.draw import Wanted, free_blocks, place_of
 from wcsim.agents.evaluation.suite.drive import BlockOrder
-from wcsim.agents.evaluation.suite.list_file import Suite, suite_of
+from wcsim.agents.evaluation.suite.list_file import Suite, suite_of, write_list
 from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.supervisor.actions import action_set
@@ -41,6 +41,13 @@ def suite_in(corner: Path, *blocks: BlockFile) -> Suite:
     named = (TownOfSuite(name=str(corner), sha256=content_hash(town)),)
     placed = tuple(block.model_copy(update={"town": str(corner)}) for block in blocks)
     return suite_of(SuiteFile(suite="corner-v1", set="try", settings=QUICK, towns=named, blocks=placed))
+
+
+def written_list(corner: Path, folder: Path, max_steps: int) -> Path:
+    """A file with a list of one block."""
+    path = folder / "corner.json"
+    write_list(suite_in(corner, block_of(corner, max_steps=max_steps)).file, path)
+    return path
 
 
 def episode(**changes: object) -> EpisodeFile:

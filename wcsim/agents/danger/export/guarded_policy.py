@@ -54,8 +54,7 @@ class GuardedPolicy:
     def _step(self, frames: Observation | None, age_s: float, clock: Callable[[], float]) -> Stick:
         began_s, wanted, answered = clock(), None, True
         whole = frames is not None and all(np.isfinite(frame).all() for frame in frames.values())
-        fresh = frames is not None and whole and age_s <= self.rule.oldest_s
-        if frames is not None and fresh:
+        if frames is not None and whole and age_s <= self.rule.oldest_s:
             wanted = self._asked(frames)
             answered = wanted is not None
         self.state = guarded(

@@ -18,7 +18,7 @@ from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
 from wcsim.agents.danger.rule import CALM, LESS_M, NEWEST, DangerRule
-from wcsim.agents.danger.sight import COMMANDS
+from wcsim.agents.danger.sight import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
@@ -28,6 +28,7 @@ from wcsim.agents.danger.street_map import (
     LOW_M,
     MOVER_M,
     OWN_PLANES,
+    RASTER,
     REACH_M,
     SIDE,
     SPAN_M,
@@ -36,7 +37,14 @@ from wcsim.agents.danger.street_map import (
     movers,
 )
 from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.ego_motion import MOVES_MPS, SPEED_FULL_SCALE, TRUST, TURN_FULL_SCALE
+from wcsim.agents.policies.dynamic_window.ego_motion import (
+    GYRO_Z,
+    MOVES_MPS,
+    SPEED_FULL_SCALE,
+    TRUST,
+    TURN_FULL_SCALE,
+)
+from wcsim.agents.policies.dynamic_window.surroundings import box_of
 from wcsim.config import RunConfig
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.errors import PolicyError
@@ -44,10 +52,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
 
-RASTER: Final = 160
 _KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(7)
 _NOWHERE: Final = -1.0e6
-_GYRO_Z: Final = 7
 
 State = dict[str, tuple[int, ...]]
 
@@ -84,9 +90,7 @@ class DangerGraph(nn.Module):
         rays = viewing_rays(camera).astype(np.float32)
         eye = np.array(camera.p_BC_m, np.float32)
         spec = plant_spec(config.chair)
-        outline = spec.outline
-        half_m = 0.5 * outline.length_m
-        box = np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
+        box = box_of(spec.outline)
         self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
         self.gaps = MapGaps(box) if net.spec.gaps == "map" else None
         chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
@@ -174,7 +178,7 @@ class DangerGraph(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """As `EgoMotion.observe`."""
         begun = motion[:, 0:1] > 0.5
-        measured = torch.cat([odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, _GYRO_Z : _GYRO_Z + 1] * TURN_FULL_SCALE], 1)
+        measured = torch.cat([odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, GYRO_Z : GYRO_Z + 1] * TURN_FULL_SCALE], 1)
         v, w, a = (motion[:, part] for part in (5, 6, 7))
         after = self.drive.follow((v, w, a), self.drive.wanted(waiting[:, 0]), self.tick_s)
         mean = 0.5 * torch.stack([v + after[0], w + after[1]], 1)
@@ -251,9 +255,9 @@ class DangerGraph(nn.Module):
 
     def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
         """As `Eye` has it."""
-        scaled = motion[:, 5:8] / motion.new_tensor([1.67, 1.5, 2.0])
+        scaled = motion[:, 5:8] / motion.new_tensor(FULL_MOTION)
         later = motion.new_full((1, 1), self.delay * self.tick_s)
-        said = torch.cat([10.0 * imu[:, 3:5], imu[:, 5:8], scaled, later, sent.reshape(1, -1)], 1)
+        said = torch.cat([10.0 * imu[:, TILT], imu[:, TURNS], scaled, later, sent.reshape(1, -1)], 1)
         return said.clamp(-2.0, 2.0)
 
     def _swept(self, rolled: Places) -> torch.Tensor:

@@ -13,6 +13,7 @@ from gymnasium import spaces
 
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net, require_same_senses
+from wcsim.agents.envs.episode_view import delay_ticks
 from wcsim.agents.learning.shielded.danger_part import MOST, PART, codes_of_dangers
 from wcsim.agents.policy_api import DANGER_KEY, DEPTH_KEY, Observation
 from wcsim.config import RunConfig
@@ -51,9 +52,7 @@ class DangerSense(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; nothing of the one before is remembered."""
         seen, info = self.env.reset(seed=seed, options=options)
-        drawn = info.get("drawn")
-        told = None if drawn is None else drawn.action_delay_ticks
-        delay = self._config.world.action_delay_ticks if told is None else told
+        delay = delay_ticks(self._config, info.get("drawn"))
         if delay not in self._drivers:
             self._drivers[delay] = DangerPolicy(PART, self._net, self._config, self._rule, delay)
         self._driver = self._drivers[delay]

@@ -88,12 +88,8 @@ class ShieldedQPolicy(SeqQPolicy):
         self.shield = shield or Shield()
         super().__init__(observation_space, action_space, lr_schedule, spec, optimizer_kwargs)
 
-    def make_q_net(self) -> ShieldedQNet:  # type: ignore[override]
-        """A fresh network of this policy's specification."""
-        space, actions = self.observation_space, self.action_space
-        if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
-            raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return ShieldedQNet(space, actions, self.spec, self.shield).to(self.device)
+    def _net_of(self, space: spaces.Dict, actions: spaces.Discrete) -> ShieldedQNet:
+        return ShieldedQNet(space, actions, self.spec, self.shield)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {**super()._get_constructor_parameters(), "shield": self.shield}

@@ -16,7 +16,7 @@ from wcsim.agents.policy_api import IMU_KEY, ODOMETRY_KEY, Observation
 from wcsim.types import F64
 
 SPEED_FULL_SCALE, TURN_FULL_SCALE = 4.0, 4.0  # of odometry and turn rates in an observation
-_GYRO_Z = 7  # in the IMU vector with turn rates, behind acceleration and tilt
+GYRO_Z = 7  # in the IMU vector with turn rates, behind acceleration and tilt
 _GYRO_SIZES = (8, 10)  # of an IMU vector that has turn rates, without and with the heading
 TRUST = 0.8  # in what is measured, of a tick's mean, against what the drive's law says
 MOVES_MPS = 0.05
@@ -95,7 +95,7 @@ def _measured(observation: Observation) -> tuple[float | None, float | None]:
         )
     imu = observation[IMU_KEY]
     if len(imu) in _GYRO_SIZES:
-        turn_radps = float(imu[_GYRO_Z]) * TURN_FULL_SCALE
+        turn_radps = float(imu[GYRO_Z]) * TURN_FULL_SCALE
     return speed_mps, turn_radps
 
 

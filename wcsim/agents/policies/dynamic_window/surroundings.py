@@ -43,8 +43,7 @@ class StreetSense:
         self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None
     ) -> None:
         camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
-        half_m = 0.5 * outline.length_m
-        self.box_B_m = np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
+        self.box_B_m = box_of(outline)
         self.commands, self.limits = shaped_rows(actions.points, self._chair), limits_of(self._chair)
         self._range_m, self._near_m, self.far_m = camera.range_m, camera.near_m, 0.99 * camera.range_m
         self._stride = max(1, round(camera.width_px / 160))
@@ -81,7 +80,7 @@ class StreetSense:
 
     def move(self, observation: Observation) -> None:
         """The same for who looks at the street itself: only how the chair moves, and the depths of the pixels."""
-        self.ego.observe(observation, self.shaped(np.asarray(observation[JOYSTICK_KEY], np.float64)))
+        self.feel(observation)
         self.depth_m = self._looked_at(depth_metres(observation[DEPTH_KEY], self._range_m))
 
     def command(self, action: int) -> None:
@@ -159,6 +158,12 @@ class StreetSense:
         self.tracker.see(clusters, [in_odometric(own, pose) for own in each])
         seen = [in_body(who.cells_O_m, pose) for who in self._others() if who.unseen_s == 0.0]
         return np.concatenate([np.zeros((0, 2)), *seen])
+
+
+def box_of(outline: Outline) -> F64:
+    """(3,) rear, front and half the width of a chair in B."""
+    half_m = 0.5 * outline.length_m
+    return np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
 
 
 def up_in_body(imu: F32) -> F64:

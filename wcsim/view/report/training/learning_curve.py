@@ -13,10 +13,11 @@ from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
 from wcsim.core.reading import is_file, shown_value
 from wcsim.errors import PolicyError
+from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
 OVER: Final = 20  # episodes that a mean goes over
 LEAST: Final = 5  # episodes in a mean that counts as a crossing
-KPI1_LIMIT: Final = 0.1768  # Table 1 of the paper, the line in its Fig. 7a
+KPI1_LIMIT: Final = MAX_FOLLOW_DISTANCE  # the line in Fig. 7a of the paper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,11 +118,11 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
     return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
 
 
-def crossing(episodes: Sequence[TrainedEpisode], limit: float = KPI1_LIMIT) -> LimitCrossing:
+def crossing(episodes: Sequence[TrainedEpisode]) -> LimitCrossing:
     """Where the mean of KPI 1 over the last episodes first was at most the limit; the first few are too few for it."""
     told = [(episode.step, episode.kpi1) for episode in episodes if episode.kpi1 is not None]
     means = running_means([kpi1 for _, kpi1 in told])
-    within = [place for place, mean in enumerate(means) if mean <= limit and place + 1 >= LEAST]
+    within = [place for place, mean in enumerate(means) if mean <= KPI1_LIMIT and place + 1 >= LEAST]
     last = means[-1] if means else None
     if not within:
         return LimitCrossing(step=None, last=last)

@@ -33,9 +33,8 @@ def _section(run: Path, number: int) -> tuple[Section, Exhibit]:
     names = {row["policy"]: Path(row["policy"].removesuffix(":phase1")).name for row in result.pooled}
     best = read_choice(run, list(names.values()))
     rows: list[list[Cell]] = [
-        [names[row["policy"]], *(_cell(row.get(key)) for key, _ in _SHOWN), "second phase" if mine else ""]
+        [name := names[row["policy"]], *(_cell(row.get(k)) for k, _ in _SHOWN), "second phase" if name == best else ""]
         for row in result.pooled
-        for mine in [bool(best) and names[row["policy"]] == best]
     ]
     headings = ("client", *(heading for _, heading in _SHOWN), "learned on")
     exhibit = Exhibit(
