@@ -124,6 +124,11 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
             f"learn.memory=windows with one image in an observation for {learn.network!r}; expected a window: set "
             f"env.window={registry.preferred_window(learn.network)}"
         )
+    if _is_stateful(config) and learn.danger:
+        raise ConfigError(
+            f"learn.danger with learn.memory=groups and {learn.network!r}: what carries a state is not asked for "
+            "dangers; expected learn.memory=steps or windows, or a network without a state"
+        )
     if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
         what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
         raise ConfigError(

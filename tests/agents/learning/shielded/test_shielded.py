@@ -209,3 +209,9 @@ def test_a_head_that_is_not_residual_and_a_policy_of_values_are_refused(run: Pat
         train(a_run(config(part, "learn.head=plain"), tmp_path / "a", 1), Sensing)
     with pytest.raises(PolicyError, match="expected a danger network"):
         train(a_run(config(run / "policies" / "final"), tmp_path / "b", 1), Sensing)
+
+
+def test_a_network_that_carries_a_state_is_refused_for_its_values_know_no_dangers(part: Path, tmp_path: Path):
+    words = ("learn.memory=groups", "learn.network=gru", "learn.mirror=false")
+    with pytest.raises(ConfigError, match=r"learn\.danger with learn\.memory=groups"):
+        train(a_run(config(part, *words), tmp_path / "a", 1), Sensing)
