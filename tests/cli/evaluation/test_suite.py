@@ -5,6 +5,7 @@ import json
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.cli import main
 
@@ -24,7 +25,8 @@ def small(corner, tmp_path_factory):
 
 
 def run(*words):
-    return main.main(["test", *map(str, words)])
+    with in_this_process():
+        return main.main(["test", *map(str, words)])
 
 
 def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_path, capsys):
