@@ -76,7 +76,7 @@ def test_an_import_that_is_ended_leaves_nothing(tmp_path):
     assert list(tmp_path.rglob("*")) == []
 
 
-def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
+def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner):
     total = 300
     words = (
         *("train", "--town", corner, "--out", "run"),
@@ -84,34 +84,30 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(tmp_path, corner):
         *("--set", "learn.network=small", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     )
-    child = start(tmp_path, *words)
+    child = start(folder, *words)
     while f"/{total} steps" not in child.stderr.readline():
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
-    out, err = child.communicate(timeout=200)
+    _, err = child.communicate(timeout=200)
     assert child.returncode == Exit.STOPPED, err
     assert "Traceback" not in err
     assert "--resume" in err
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    manifest = json.loads((folder / "run" / "manifest.json").read_text())
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
-    assert (tmp_path / "run" / "policies" / "final" / "policy.json").is_file()
+    assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
     for other in (("--seed", 1), ("--set", "learn.gamma=0.5"), ("--network", "gru"), ("--steps", 299)):
-        child = start(tmp_path, "train", "--out", "run", "--resume", *other)
-        _, err = child.communicate(timeout=200)
-        assert (child.returncode, err.count("\n"), str(other[1]) in err) == (Exit.REFUSED, 1, True), err
-    child = start(tmp_path, "train", "--out", "run", "--resume")
-    out, err = child.communicate(timeout=200)
-    assert child.returncode == 0, err
-    assert "\nrun folder: run" in out
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
-    config = (tmp_path / "run" / "config.json").read_text()
-    (tmp_path / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
-    child = start(tmp_path, "train", "--out", "run", "--resume")
-    _, err = child.communicate(timeout=60)
-    assert (child.returncode, "damaged" in err) == (Exit.REFUSED, True), err
-    (tmp_path / "run" / "config.json").write_text(config)
-    child = start(tmp_path, *words, "--resume", "--steps", total + 20)
-    _, err = child.communicate(timeout=120)
-    assert child.returncode == 0, err
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["steps"] >= total + 20
+        told = wcsim("train", "--out", "run", "--resume", *other)
+        assert (told.code, told.err.count("\n"), str(other[1]) in told.err) == (Exit.REFUSED, 1, True), told
+    told = wcsim("train", "--out", "run", "--resume")
+    assert told.code == 0, told
+    assert "\nrun folder: run" in told.out
+    assert json.loads((folder / "run" / "manifest.json").read_text())["status"] == "done"
+    config = (folder / "run" / "config.json").read_text()
+    (folder / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
+    told = wcsim("train", "--out", "run", "--resume")
+    assert (told.code, "damaged" in told.err) == (Exit.REFUSED, True), told
+    (folder / "run" / "config.json").write_text(config)
+    told = wcsim(*words, "--resume", "--steps", total + 20)
+    assert told.code == 0, told
+    assert json.loads((folder / "run" / "manifest.json").read_text())["steps"] >= total + 20

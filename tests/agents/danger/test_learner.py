@@ -13,10 +13,11 @@ from wcsim.errors import PolicyError
 
 @pytest.mark.parametrize("words", [("danger.memory=false",), ("danger.eye=picture", "learn.network=small")], ids=str)
 def test_64_steps_are_learned_by_heart(words):
-    config = small_config("danger.batch=32", "danger.weight_decay=0", "danger.ahead=0", *words)
-    lessons, learner = lectures(config, 64), DangerLearner(config, 1, 120)
+    fast = ("danger.batch=32", "danger.learning_rate=0.004")
+    config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0", *words)
+    lessons, learner = lectures(config, 64), DangerLearner(config, 1, 60)
     before = float(learner.learn(lessons, 1))
-    learner.learn(lessons, 119)
+    learner.learn(lessons, 59)
     batch = lessons.batch(all_of(lessons))
     with torch.inference_mode():
         logits = learner.net(*batch.inputs)

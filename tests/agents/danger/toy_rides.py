@@ -21,6 +21,7 @@ from wcsim.agents.danger.sight import Eye
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import advance
 from wcsim.config import RunConfig
+from wcsim.core.jit import exact_kernel
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth
 from wcsim.types import ClassId
@@ -28,6 +29,7 @@ from wcsim.types import ClassId
 WALL, DROP, PERSON = range(3)
 SHY_M, PIT_M, TALL_M = 0.25, -0.6, 1.6
 TICK_S, STEPS, HELD = 0.1, 16, 5
+FAR_M = 2.5  # more than the hull's length, a person's way in STEPS ticks and SHY_M together
 ACTIONS = action_set("square81")
 _SMALL = (
     "cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true",
@@ -66,13 +68,7 @@ class Street:
 
     def unsafe(self):
         """(81,) by the rule above."""
-        poses = np.empty((len(ACTIONS), STEPS, 3))
-        around, rest = self.eye.around, np.zeros(2)
-        for k, command in enumerate(around.commands):
-            now = self.chair.copy()
-            for step in range(STEPS):
-                advance(now, command if step < HELD else rest, around.limits, TICK_S)
-                poses[k, step] = now[:3]
+        poses = _held(self.chair, self.eye.around.commands, self.eye.around.limits)
         ahead_s = TICK_S * np.arange(1, STEPS + 1)[None, :, None]
         return self._touched(poses, ahead_s, SHY_M).any(axis=1)
 
@@ -94,10 +90,24 @@ class Street:
         y = poses[..., 1:2] + sin * hull[:, 0] + cos * hull[:, 1]
         found = np.zeros(poses.shape[:2], bool)
         for kind, at_x, at_y, half_x, half_y, vx, vy in self.things:
-            off_x, off_y = np.abs(x - at_x - ahead_s * vx), np.abs(y - at_y - ahead_s * vy)
             more = shy_m if kind == PERSON else 0.0
+            if max(np.abs(poses[..., 0] - at_x).min() - half_x, np.abs(poses[..., 1] - at_y).min() - half_y) > FAR_M:
+                continue
+            off_x, off_y = np.abs(x - at_x - ahead_s * vx), np.abs(y - at_y - ahead_s * vy)
             found |= ((off_x < half_x + more) & (off_y < half_y + more)).any(axis=2)
         return found
+
+
+@exact_kernel
+def _held(chair, commands, limits):
+    """(K, STEPS, 3) x, y, yaw after each tick, when each command is held for HELD ticks and then let go."""
+    poses, rest = np.empty((len(commands), STEPS, 3)), np.zeros(2)
+    for k in range(len(commands)):
+        now = chair.copy()
+        for step in range(STEPS):
+            advance(now, commands[k] if step < HELD else rest, limits, TICK_S)
+            poses[k, step] = now[:3]
+    return poses
 
 
 def cast(eye, things, pose, camera):
@@ -114,9 +124,10 @@ def cast(eye, things, pose, camera):
         depth, seg = floor.copy(), np.where(rz < 0, int(ClassId.SIDEWALK), int(ClassId.SKY))
         for row in things:
             kind, at_x, at_y, half_x, half_y = row[:5]
-            near_x, far_x = np.sort([(at_x - half_x - ox) / rx, (at_x + half_x - ox) / rx], axis=0)
-            near_y, far_y = np.sort([(at_y - half_y - oy) / ry, (at_y + half_y - oy) / ry], axis=0)
-            near, far = np.maximum(near_x, near_y), np.minimum(far_x, far_y)
+            low_x, high_x = (at_x - half_x - ox) / rx, (at_x + half_x - ox) / rx
+            low_y, high_y = (at_y - half_y - oy) / ry, (at_y + half_y - oy) / ry
+            near = np.maximum(np.minimum(low_x, high_x), np.minimum(low_y, high_y))
+            far = np.minimum(np.maximum(low_x, high_x), np.maximum(low_y, high_y))
             if kind == DROP:
                 inside = (near < floor) & (floor < far)
                 depth = np.where(inside & (depth == floor), np.minimum(low, far), depth)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of, suite_in
+from tests.support.one_process import in_this_process
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
@@ -70,9 +71,10 @@ def test_dwa_drives_the_same_way_again(corner):
 def test_a_suite_turns_on_what_a_policy_asks_for(corner, tmp_path):
     names = [f"{__name__}:{name}" for name in ("Feels", "Numb")]
     suite = suite_in(corner, block_of(corner, max_steps=20))
-    feels, numb = (
-        run_suite(SuiteOrder(suite=suite, out=tmp_path, preset="quick"), [name], lambda *_: None)[name]
-        for name in names
-    )
+    with in_this_process():
+        feels, numb = (
+            run_suite(SuiteOrder(suite=suite, out=tmp_path, preset="quick"), [name], lambda *_: None)[name]
+            for name in names
+        )
     assert {record.status for record in feels} == {"timed_out"} and feels[0].steps == 20
     assert {record.status for record in numb} == {"policy_failed"} and "odometry" in numb[0].reason

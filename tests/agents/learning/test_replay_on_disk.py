@@ -22,7 +22,7 @@ from wcsim.errors import InterruptedRunError, PolicyError
 
 CAMERA = toy_camera(16, 20)
 EPISODE = 25  # steps: every checkpoint is taken where an episode ends
-STEPS, HALF = 600, 300
+STEPS, HALF = 300, 150
 
 
 class Fixed(ToyStreet):
@@ -44,7 +44,7 @@ def config(**learn):
     small = {
         "total_steps": STEPS, "phase1_steps": 100, "learning_starts": 20, "replay_frames": 200, "batch_size": 16,
         "checkpoint_every": 100, "network": "gru", "memory": "groups", "group_steps": 8, "burn_in": 4,
-        "replay_store": "disk", "train_every": 1,
+        "replay_store": "disk", "train_every": 2,
     }  # fmt: skip
     return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))
 
@@ -66,7 +66,8 @@ def drive(out, resume=False, at=None):
                 signal.raise_signal(signal.SIGKILL)
             return super().step(action)
 
-    return train(a_run(config(), out, 5, resume=resume), lambda: Killed(done // EPISODE))
+    short = config(replay_frames=100, checkpoint_every=50)  # at HALF, the oldest frames are gone
+    return train(a_run(short, out, 5, resume=resume), lambda: Killed(done // EPISODE))
 
 
 def test_killed_with_groups_on_disk_it_learns_what_it_would_have_learned(tmp_path):

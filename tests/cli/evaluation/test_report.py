@@ -7,6 +7,7 @@ import shutil
 import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
+from tests.support.one_process import in_this_process
 from tests.view.report.results import write_result
 from wcsim.cli.main import main
 
@@ -52,7 +53,8 @@ def tested(finished, folder):
 
 
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
-    told = wcsim("report", "out", "--pictures", "1")
+    with in_this_process():
+        told = wcsim("report", "out", "--pictures", "1")
     assert told.code == 0 and "report.html" in told.out
     text = (tested / "report.html").read_text(encoding="utf-8")
     driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
@@ -68,7 +70,8 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
     episodes = json.loads(path.read_text("utf-8"))
     episodes["follow"][0]["m"] += 1.0
     path.write_text(json.dumps(episodes), encoding="utf-8")
-    assert wcsim("report", "out", "--pictures", "2").code == 0
+    with in_this_process():
+        assert wcsim("report", "out", "--pictures", "2").code == 0
     text = (tested / "report.html").read_text(encoding="utf-8")
     assert "No pictures: episode 0.0 went another way" in text and text.count('class="street"') == 1
 
@@ -95,7 +98,8 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
 
 
 def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):
-    assert wcsim("report", "out", "--pictures", "1").code == 0
+    with in_this_process():
+        assert wcsim("report", "out", "--pictures", "1").code == 0
     page = tested / "report.html"
     assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
     assert wcsim("report", "out", "--pictures", "1", "--own", "own:Still").code == 0

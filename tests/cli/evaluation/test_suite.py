@@ -5,6 +5,7 @@ import json
 import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
+from tests.support.one_process import in_this_process
 from wcsim.cli import main
 
 KEYS = {
@@ -21,7 +22,8 @@ def small(corner, tmp_path_factory):
 
 
 def run(*words):
-    return main.main(["test", *map(str, words)])
+    with in_this_process():
+        return main.main(["test", *map(str, words)])
 
 
 def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_path, capsys):

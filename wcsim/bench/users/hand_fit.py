@@ -119,15 +119,18 @@ def _new(signal: F64, keep: float) -> F64:
 def _errors(signal: F64, stick: F64, use: Bool, dt_s: float) -> F64:
     """Mean square error for each delay in steps, the best gain and bias taken for each; infinite without samples."""
     errors = []
+    signals, sticks = np.ascontiguousarray(signal.T), np.ascontiguousarray(stick.T)
     for delay in range(round(_LONGEST_DELAY_S / dt_s) + 1):
         chosen = use[delay:]
         if int(chosen.sum()) < _LEAST_SHARE * len(use):
             errors.append(math.inf)
             continue
-        x, y = signal[: len(signal) - delay][chosen], stick[delay:][chosen]
-        x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-        explained = (x * y).sum(axis=0) ** 2 / np.maximum((x**2).sum(axis=0), 1e-12)
-        errors.append(float(((y**2).sum(axis=0) - explained).sum() / len(x)))
+        x = np.compress(chosen, signals[:, : len(signal) - delay], axis=1)
+        y = np.compress(chosen, sticks[:, delay:], axis=1)
+        x -= x.mean(axis=1, keepdims=True)
+        y -= y.mean(axis=1, keepdims=True)
+        both, of_x, of_y = (np.einsum("an,an->a", *pair) for pair in ((x, y), (x, x), (y, y)))
+        errors.append(float((of_y - both**2 / np.maximum(of_x, 1e-12)).sum() / x.shape[1]))
     return np.array(errors)
 
 

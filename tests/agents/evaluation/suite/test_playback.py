@@ -5,6 +5,7 @@ import math
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.playback import play, require_same
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, run_suite, town_addresses
 from wcsim.errors import ConfigError
@@ -14,7 +15,8 @@ from wcsim.errors import ConfigError
 def driven(corner, tmp_path_factory):
     suite = suite_in(corner, block_of(corner, max_steps=40, handover=10))
     order = SuiteOrder(suite=suite, out=tmp_path_factory.mktemp("driven"))
-    return order, run_suite(order, ["dwa"], lambda *said: None)["dwa"]
+    with in_this_process():
+        return order, run_suite(order, ["dwa"], lambda *said: None)["dwa"]
 
 
 def test_the_record_is_the_kept_one_and_the_steps_lead_to_its_end(driven):

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite import sensitivity as told_apart
 from wcsim.agents.evaluation.suite.run import SuiteOrder
 from wcsim.config import load_run_config
@@ -25,7 +26,8 @@ def test_a_change_is_measured_against_the_same_episodes_driven_clean(
     monkeypatch.setattr(told_apart, "DISTURBANCES", few)
     order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=80)), out=tmp_path)
     said: list[object] = []
-    rows = told_apart.sensitivity(order, ("follow",), said.append)
+    with in_this_process():
+        rows = told_apart.sensitivity(order, ("follow",), said.append)
     clean, faster = rows
     assert (clean["disturbance"], clean["score_change"], clean["score_change_ci"]) == ("clean", 0.0, [0.0, 0.0])
     assert faster["speed_mps"] > 1.2 * clean["speed_mps"]
