@@ -23,6 +23,7 @@ from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
+from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 SMALL = (
@@ -101,7 +102,7 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
 
     thread = threading.Thread(target=kill_one, daemon=True)
     thread.start()
-    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), worlds=2)
+    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), Machines(count=2))
     assert killed
     assert outcome(tmp_path / "two") == outcome(straight)
 

@@ -14,6 +14,7 @@ import tyro
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.machines import machines_of, require_no_cluster
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_to_test,
@@ -65,6 +66,9 @@ class Options:
     worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """Worlds that drive beside a danger network that learns, or that compare clients, each in a process of its own:
     data, weights and choice are the same for any number."""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """HOST:PORT of a Ray cluster whose nodes drive for a danger network that learns, or `local`: the same data and
+    weights (docs/cluster.md)."""
     data: Repeated = ()
     """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
     times."""
@@ -95,6 +99,7 @@ def run(words: list[str]) -> int:
         return _train_clients(options, words)
     if options.clients is not None:
         return _train_clients(options, words)
+    machines_of(options.cluster, options.worlds, "--worlds")
     if options.resume:
         return _resume(options, words)
     if options.select_by:
@@ -106,7 +111,7 @@ def run(words: list[str]) -> int:
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     note = steps_note(config, options.steps)
-    train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds)
+    train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
 
 
@@ -137,7 +142,7 @@ def _resume(options: Options, words: list[str]) -> int:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
     resolved, town = resumed(out, typed(options, words))
-    train_in(resolved, town, verbose=options.verbose, worlds=options.worlds)
+    train_in(resolved, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
 
 
@@ -183,6 +188,7 @@ def _train_clients(options: Options, words: list[str]) -> int:
     from wcsim.cli.training.clients import GroupRun, resolved, resumed_group
     from wcsim.cli.training.phases_apart import train_group
 
+    require_no_cluster(options.cluster, "is of several clients, which share a world")
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
     if options.resume:
@@ -206,13 +212,16 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
-def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1) -> Path:
+def train_in(
+    run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1, cluster: str = ""
+) -> Path:
     """Train with a progress bar; returns the run folder."""
     online = learns_dangers_online(run.config)
     if run.config.learn.head == "danger" and not online:
         from wcsim.cli.training.rounds import train_rounds_in
 
-        return train_rounds_in(run, town, worlds)
+        return train_rounds_in(run, town, worlds, cluster)
+    require_no_cluster(cluster, "learns from every step")
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train
