@@ -21,7 +21,7 @@ from wcsim.agents.runs.parcels import folder_parcel, plant_parcels, require_trav
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import PolicyError
-from wcsim.server.workers.crew import Crew, WorkerNow
+from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
 from wcsim.server.workers.machines import Machines
 from wcsim.server.workers.work import At, Parcel, Work
 
@@ -54,7 +54,7 @@ class SegmentCrew:
 
     def __init__(self, drivers: SegmentDrivers) -> None:
         self._folder = drivers.data
-        self._crew = Crew(drivers.machines.open(drivers.logs), self._keep)
+        self._crew = Crew(drivers.machines.open(drivers.logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by key
 
     def __enter__(self) -> SegmentCrew:

@@ -15,6 +15,8 @@ from wcsim.errors import ConfigError
 
 LOCAL: Final = "local"
 STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
+_PATIENCE: Final = {"RAY_gcs_rpc_server_connect_timeout_s": "60", "RAY_raylet_start_wait_time_s": "80"}
+"""For busy machines, where Ray's own 5 s for a process to start are too short."""
 _LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
 _VERSIONS: Final = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
 
@@ -61,6 +63,8 @@ def join(spec: LinkSpec) -> Any:
 def _prepare(spec: LinkSpec) -> None:
     """What Ray reads of its environment when it is loaded; this process and those that it starts are its only users."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    for name, seconds in _PATIENCE.items():
+        os.environ.setdefault(name, seconds)
     if spec.address == LOCAL or is_loopback(spec.address):
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # Ray's word for: on 127.0.0.1, not on all addresses
     if spec.address == LOCAL:

@@ -21,9 +21,9 @@ from wcsim.server.workers.work import Ended, Work
 
 RAY_LOG, PIECES = "ray.log", "pieces.jsonl"
 REACH_S: Final = 5.0
-JOIN_S: Final = 60.0
+JOIN_S: Final = 90.0
 _SILENT_S: Final = 120.0
-_CLOSE_S: Final = 20.0
+_CLOSE_S: Final = 30.0
 _ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 
 Say = Callable[[str], object]
@@ -170,6 +170,6 @@ def require_address(address: str) -> None:
             socket.create_connection((found[1].strip("[]"), int(found[2])), REACH_S).close()
         except OSError as error:
             raise ConfigError(
-                f"--cluster {address}: nobody answers there within {REACH_S:.0f} s ({error.strerror or error}); "
-                "expected a Ray head: `ray start --head --port=6379` on it, and no firewall between"
+                f"--cluster {address}: nobody answers there within {REACH_S:g} s ({error.strerror or error}); "
+                "expected a Ray head, as by `ray start --head --port=6379` on it, and no firewall between"
             ) from None
