@@ -34,7 +34,9 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-def trained(corner: Path, out: Path, machines: Machines, *, resume: bool = False, show=lambda now: None) -> tuple[str, str]:
+def trained(
+    corner: Path, out: Path, machines: Machines, *, resume: bool = False, show=lambda now: None
+) -> tuple[str, str]:
     train_danger(run_in(corner, out, *LONGER, resume=resume), find_town(str(corner)), machines, show)
     return outcome(out)
 
@@ -119,7 +121,8 @@ def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoi
         assert trained(corner, out, Machines(cluster=head.address), resume=True) == by_processes
 
 
-def test_a_worker_that_is_stopped_alone_is_killed_and_its_segment_driven_again(by_processes, corner, tmp_path, monkeypatch):
+def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path, monkeypatch):
+    """Its segment is driven again."""
     monkeypatch.setattr("wcsim.agents.rounds.workers.LEAST_LATE_S", 20.0)
     with RayNode(tmp_path / "head", cpus=2) as head:
         hit: list[int] = []
