@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -63,8 +64,10 @@ def run_link(pipe: Connection, spec: LinkSpec) -> None:
         _Link(pipe, spec, ray).serve()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the run has ended
-    finally:
-        ray.shutdown()
+    except Exception:  # Ray has lost its cluster; its log has the rest, and the run hears of it by the end of the pipe
+        traceback.print_exc()
+        pipe.close()
+    ray.shutdown()
 
 
 class _Link:

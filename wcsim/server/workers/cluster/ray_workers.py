@@ -24,6 +24,7 @@ REACH_S: Final = 5.0
 JOIN_S: Final = 90.0
 _SILENT_S: Final = 120.0
 _CLOSE_S: Final = 30.0
+_GIVE_UP_S: Final = 3.0  # for a process that has not joined
 _ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 
 Say = Callable[[str], object]
@@ -87,7 +88,7 @@ class RayWorkers:
     def close(self) -> None:
         """Leave the cluster; one that was made here ends."""
         self._pipe.close()
-        self._link.join(_CLOSE_S)
+        self._link.join(_CLOSE_S if self._names else _GIVE_UP_S)
         if self._link.is_alive():
             self._link.kill()
             self._link.join()
