@@ -1,7 +1,7 @@
 """Machines apart on one machine: network namespaces with addresses of their own, and a slow switch between them.
 
-The switch is this file, run as a process: many kernels have no netem. It gives every frame a delay, every machine a
-rate, and cuts a machine off and lets it in again when it is told to on its standard input. Needs root, `ip`, and /dev/net/tun.
+The switch is this file, run as a process: many kernels have no netem. It gives every frame a delay and every machine a
+rate, cuts a machine off and lets it in again, as it is told on its standard input. Needs root, `ip`, and /dev/net/tun.
 """
 
 from __future__ import annotations
