@@ -34,11 +34,14 @@ class RayNode:
         self._work = tempfile.mkdtemp(prefix="wcray-")  # short: a socket's path has at most 107 letters
         said = Path(self._work) / "address.json"
         words = ["--head", head, "--cpus", str(cpus), "--folder", self._work, "--said", str(said)]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.cluster.ray_nodes", *words],
-            env={**os.environ, "XDG_CACHE_HOME": str(cache), **quiet_environment(), **(environment or {})},
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=(Path(self._work) / "err").open("wb"),
-        )  # fmt: skip
+        with (Path(self._work) / "err").open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tests.support.cluster.ray_nodes", *words],
+                env={**os.environ, "XDG_CACHE_HOME": str(cache), **quiet_environment(), **(environment or {})},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+            )
         until_s = time.monotonic() + _READY_S
         while not said.is_file():
             if self._process.poll() is not None or time.monotonic() > until_s:

@@ -113,6 +113,7 @@ class _Link:
             node = self._nodes.pop(gone)
             if node.state != "refused":
                 self._say(f"node {node.name} is gone; what it was at is done elsewhere")
+            self._give_up(gone)
         taken = {node.name for node in self._nodes.values()}
         for key, found in alive.items():
             if key not in self._nodes:
@@ -122,6 +123,12 @@ class _Link:
                 self._nodes[key] = _Node(name=name, cpus=int(found["Resources"].get("CPU", 0)))
                 self._probes[self._probe.options(scheduling_strategy=self._on(key)).remote()] = key
         self._tell_workers()
+
+    def _give_up(self, node: str) -> None:
+        """Wait no longer for a node: one that was stopped keeps its connections, and Ray would wait for them."""
+        for ref, begun in [item for item in self._begun.items() if item[1].node == node]:
+            del self._begun[ref]
+            self._pipe.send(("ended", _lost_with_its_node(begun)))
 
     def _tell_workers(self) -> None:
         works = [(key, node) for key, node in self._nodes.items() if node.state == "works"]
@@ -182,6 +189,7 @@ class _Link:
         except Exception as error:
             begun = self._begun.pop(ref)
             self._pipe.send(("ended", _without_reply(begun, error, self._ray)))
+            self._looked_s = float("-inf")  # its node may be gone
             return
         begun = self._begun.pop(ref)
         self._pipe.send(("ended", _with_reply(begun, reply)))
@@ -253,6 +261,12 @@ def _with_reply(begun: _Begun, reply: Reply) -> Ended:
     if reply.lost:
         return Ended(worker=worker, key=key, lost=reply.lost, facts=facts)
     return Ended(worker=worker, key=key, data=reply.data, facts=facts)
+
+
+def _lost_with_its_node(begun: _Begun) -> Ended:
+    waited_s = round(time.monotonic() - begun.since_s, 3)
+    facts = {"total_s": waited_s}
+    return Ended(worker=begun.worker, key=begun.work.key, lost="its node is gone", counts=False, facts=facts)
 
 
 def _without_reply(begun: _Begun, error: Exception, ray: Any) -> Ended:
