@@ -12,6 +12,7 @@
     ├── DiskFullError               a record could not be written; what was written before is whole
     ├── ReplayMismatchError         what was recomputed from a journal is not what the journal says
     ├── WorldInUseError             this process holds a world already
+    ├── WorkersError                those who drive for a run are gone, or die at it again and again
     ├── LinkError                   the world at the other end of a link
     │   ├── LinkTimeoutError        ... did not answer in time
     │   │   └── TickTimeoutError    ... because somebody else did not act; names who
@@ -89,6 +90,10 @@ class ReplayMismatchError(WcsimError):
 
 class WorldInUseError(WcsimError):
     """Raised when a second world is asked for in a process that holds one; use the process link."""
+
+
+class WorkersError(WcsimError):
+    """Raised when processes or machines that work for a run are all gone, or die at the same piece again and again."""
 
 
 class LinkError(WcsimError):

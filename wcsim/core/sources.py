@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -9,6 +10,7 @@ from pathlib import Path
 
 _NAME = __name__.partition(".")[0]
 _ROOT = Path(__file__).parents[__name__.count(".")]
+_ABOVE = ("bench", "cli", "scenes", "view")  # rooms that nothing imports that drives: `make lint` sees to it
 _FOR_TYPES_ALONE = re.compile(r"^if TYPE_CHECKING:[^\n]*\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
 _FROM = re.compile(r"^[ \t]*from ([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _PLAIN = re.compile(r"^[ \t]*import ([\w., ]+)", re.MULTILINE)
@@ -46,6 +48,16 @@ def sources_of(module: str) -> tuple[Path, ...]:
         files.add(path)
         wanted += [(other, what) for other, what, _ in _imports(path)]
     return tuple(sorted(files))
+
+
+def code_digest(root: Path = _ROOT / _NAME) -> str:
+    """SHA-256 over every file of the package in `root` that a drive may run or read: commands and pictures are none."""
+    text = hashlib.sha256()
+    for path in sorted(path for kind in ("*.py", "*.toml") for path in root.rglob(kind)):
+        place = path.relative_to(root)
+        if place.parts[0] not in _ABOVE:
+            text.update(place.as_posix().encode() + b"\0" + path.read_bytes())
+    return text.hexdigest()
 
 
 def libraries_of(files: tuple[Path, ...]) -> frozenset[str]:

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.agents.rounds.small_runs import SMALL, outcome, run_in, weights_of
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_manifest, read_segment
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_segment
 from wcsim.agents.collecting.segment import NETWORK
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.rounds.run_of_rounds import train_danger
@@ -22,31 +23,8 @@ from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError
-from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import find_town, streets_hash
-
-SMALL = (
-    *("learn.head=danger", "collect.rounds=3", "collect.segments=2", "collect.ticks=12", "collect.chairs=2"),
-    *("collect.scene_share=0", "danger.updates=4", "danger.batch=8", "collect.network_share=1.0"),
-    *("sensors.odometry=typical", "env.observe_gyro=true"),
-)
-
-
-def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:
-    config = dqn_config(*SMALL, *overrides)
-    town = find_town(str(corner))
-    info = RunInfo(seed=3, town=town.name, town_sha256=streets_hash(town))
-    return ResolvedRun(config=config, out=out, info=info, resume=resume)
-
-
-def outcome(out: Path) -> tuple[str, str]:
-    """SHA-256 of the data and of the weights."""
-    return read_manifest(out / DATA).data_sha256, weights_of(out)
-
-
-def weights_of(out: Path) -> str:
-    """SHA-256 of the weights alone."""
-    return files.sha256(out / "policies" / "final" / "weights.safetensors")
+from wcsim.server.workers.machines import Machines
+from wcsim.towns.scenario.town import find_town
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +79,7 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
 
     thread = threading.Thread(target=kill_one, daemon=True)
     thread.start()
-    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), worlds=2)
+    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), Machines(count=2))
     assert killed
     assert outcome(tmp_path / "two") == outcome(straight)
 
@@ -154,3 +132,22 @@ def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path)
     other = ResolvedRun(config=config, out=straight, info=run_in(corner, straight).info, resume=True)
     with pytest.raises(PolicyError, match="resume with its own"):
         train_danger(other, find_town(str(corner)))
+
+
+def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: Path, tmp_path: Path):
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
+    out, told = tmp_path / "ray", []
+    seen: set[str] = set()
+
+    def show(now: RoundProgress) -> None:
+        seen.update(worker.name for worker in now.workers)
+
+    machines = Machines(cluster="local", say=told.append)
+    train_danger(run_in(corner, out), find_town(str(corner)), machines, show)
+    assert outcome(out) == outcome(straight)
+    assert seen == {"127.0.0.1/1"} and not [line for line in told if "processor" in line]
+    rows = [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]
+    keys = [f"3-{number:03d}-{index:04d}" for number in range(3) for index in range(2)]
+    assert sorted(row["key"] for row in rows) == keys
+    assert all(row["how"] == "done" and row["bytes"] > 0 for row in rows)
+    assert "token" not in (out / "cluster" / "ray.log").read_text().lower()

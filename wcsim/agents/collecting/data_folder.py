@@ -47,10 +47,14 @@ def segment_path(folder: Path, key: SegmentKey) -> Path:
 
 def write_segment(path: Path, segment: Segment) -> str:
     """Write a segment, whole or not at all; returns its SHA-256 (hex). Raises DiskFullError."""
-    data = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(_packed(segment))
-    path.parent.mkdir(parents=True, exist_ok=True)
+    data = packed_segment(segment)
     files.write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
+
+
+def packed_segment(segment: Segment) -> bytes:
+    """A segment as its file holds it, compressed."""
+    return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(_packed(segment))
 
 
 def read_segment(path: Path, sha256: str = "") -> Segment:

@@ -99,7 +99,7 @@ def unpack(blobs: list[bytes], size: int) -> U8:
 def pack_each(frames: U8) -> list[bytes]:
     """Frames (K, size) as a compressed blob each."""
     packer = zstandard.ZstdCompressor(level=LEVEL)
-    # Copied: a blob as it comes lies in a block for a frame that cannot be compressed, and what it leaves of it is lost.
+    # Copied: a blob as it comes lies in a block for a frame that cannot be compressed, whose rest is lost.
     return [bytes(memoryview(packer.compress(frame.tobytes()))) for frame in frames]
 
 

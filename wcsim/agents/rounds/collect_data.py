@@ -6,12 +6,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.agents.collecting.data_folder import MANIFEST, read_manifest, require_same_settings, write_manifest
+from wcsim.agents.collecting.data_folder import (
+    MANIFEST,
+    SEGMENTS,
+    read_manifest,
+    require_same_settings,
+    write_manifest,
+)
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import orders_of
-from wcsim.agents.rounds.workers import Workers
+from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
+from wcsim.server.workers.machines import HERE, LOGS, Machines
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 
@@ -25,7 +32,7 @@ class DataOrder:
     seed: int
     segments: int
     policy: str = ""  # folder of a danger network that drives a share of the episodes
-    worlds: int = 1
+    machines: Machines = HERE
 
 
 def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda done, of: None) -> str:
@@ -38,7 +45,9 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
         told: Called with the number of segments that are there, of how many.
 
     Raises:
-        PolicyError: The folder holds data of other settings, or worlds died too often.
+        PolicyError: The folder holds data of other settings.
+        ConfigError: The cluster cannot be used, or what the order needs does not travel to it.
+        WorkersError: Worlds died too often, or there is no machine left.
         TownError: A town is missing.
         DiskFullError: There is no room.
     """
@@ -48,7 +57,7 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
         file = read_manifest(order.folder)
         require_same_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
-    elif order.folder.is_dir() and any(path.name != "segments" for path in order.folder.iterdir()):
+    elif order.folder.is_dir() and any(path.name not in (SEGMENTS, LOGS) for path in order.folder.iterdir()):
         raise PolicyError(f"{order.folder} holds something else than recorded driving; choose another --out")
     for name in order.towns:
         town = find_town(name)
@@ -62,6 +71,7 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
         done += 1
         told(done, len(orders))
 
-    with Workers(order.worlds, order.folder) as workers:
+    drivers = SegmentDrivers(machines=order.machines, data=order.folder, logs=order.folder, config=order.config)
+    with drivers.open() as workers:
         kept |= workers.take(orders, back)
     return write_manifest(order.folder, order.config, towns, kept)

@@ -11,13 +11,14 @@ from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError
+from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import Town
 
 
 def train_danger(
     run: ResolvedRun,
     town: Town,
-    worlds: int = 1,
+    machines: Machines = HERE,
     progress: Progress = lambda now: None,
     stage: Callable[[str], object] = lambda told: None,
 ) -> Path:
@@ -26,18 +27,18 @@ def train_danger(
     Args:
         run: The run; with `resume` it goes on after the last whole round.
         town: The one that it is trained in; others may be beside it, see `CollectConfig`.
-        worlds: Processes that drive beside the one that learns; how many changes nothing but the time.
+        machines: Who drives beside the process that learns; how many and where changes nothing but the time.
         progress: Told what comes of it.
         stage: Told what takes long before the first round.
 
     Raises:
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
-        PolicyError, TownError, DiskFullError: See `train_rounds` and `folder_of`.
+        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `train_rounds` and `folder_of`.
     """
     folder = folder_of(run)
     with files.locked(folder.path):
         towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)
-        rounds = Rounds(folder=folder, towns=towns, worlds=worlds)
+        rounds = Rounds(folder=folder, towns=towns, machines=machines)
         total = folder.config.collect.rounds
         try:
             sha256 = train_rounds(rounds, progress)

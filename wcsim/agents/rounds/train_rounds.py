@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
 from typing import Final
@@ -31,10 +31,12 @@ from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.round_checkpoint import digest_of, load_round, newest_round, save_round
-from wcsim.agents.rounds.workers import Workers
+from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.run_folder import METRICS, RunFolder
 from wcsim.config import RunConfig
 from wcsim.core import files, seeding
+from wcsim.server.workers.crew import WorkerNow
+from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 _COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
@@ -50,6 +52,7 @@ class RoundProgress:
     of: int
     updates: int = 0
     loss: float = float("nan")
+    workers: tuple[WorkerNow, ...] = ()  # who drives what
 
 
 Progress = Callable[[RoundProgress], object]
@@ -61,7 +64,7 @@ class Rounds:
 
     folder: RunFolder
     towns: tuple[str, ...]  # folders or names
-    worlds: int = 1
+    machines: Machines = HERE
 
     @property
     def config(self) -> RunConfig:
@@ -74,7 +77,9 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
 
     Raises:
         TownError: A town is missing.
-        PolicyError: Something that is kept does not fit, worlds died too often, or the loss left the finite numbers.
+        ConfigError: The cluster cannot be used, or what the run needs does not travel to it.
+        WorkersError: Worlds died too often, or there is no machine left.
+        PolicyError: Something that is kept does not fit, or the loss left the finite numbers.
         DiskFullError: There is no room.
     """
     config, folder = rounds.config, rounds.folder
@@ -92,11 +97,12 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             lectures.add(lessons_of(read_segment(data / SEGMENTS / name, sha256), config))
     for name in sorted(segments):
         lectures.add(lessons_of(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
-    with Workers(rounds.worlds, folder.path / DATA) as workers:
+    with _drivers(rounds).open() as workers:
         for number in range(first, total):
             began_s = time.monotonic()
             now = _orders(rounds, number)
-            came = workers.take(now, _told(progress, number, total, len(now)))
+            told = _Told(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
+            came = workers.take(now, told.back, told.watch)
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
             waited_s = time.monotonic() - began_s
@@ -143,15 +149,27 @@ def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     return orders_of(config, rounds.towns, first, config.collect.segments, policy)
 
 
-def _told(progress: Progress, number: int, total: int, of: int) -> Callable[[SegmentKey], None]:
-    back = 0
+def _drivers(rounds: Rounds) -> SegmentDrivers:
+    path = rounds.folder.path
+    return SegmentDrivers(machines=rounds.machines, data=path / DATA, logs=path, config=rounds.config)
 
-    def done(key: SegmentKey) -> None:
-        nonlocal back
-        back += 1
-        progress(RoundProgress(round=number, rounds=total, segments=back, of=of))
 
-    return done
+class _Told:
+    """How far a round has come, for whoever looks on."""
+
+    def __init__(self, progress: Progress, now: RoundProgress) -> None:
+        self._progress, self._now = progress, now
+
+    def back(self, key: SegmentKey) -> None:
+        """A segment is there."""
+        self._now = replace(self._now, segments=self._now.segments + 1)
+        self._progress(self._now)
+
+    def watch(self, workers: tuple[WorkerNow, ...]) -> None:
+        """Who is at what."""
+        self._now = replace(self._now, workers=workers)
+        if self._now.segments < self._now.of:
+            self._progress(self._now)
 
 
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:

@@ -1,153 +1,152 @@
-"""Worlds in processes of their own: segments are driven in any order, come back by key, and again if they are lost."""
+"""Segments by their keys: driven by whoever has time, kept as soon as they are there, driven again if they are lost."""
 
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from multiprocessing import active_children, get_context
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import read_segment, segment_path, write_segment
+from wcsim.agents.collecting.data_folder import packed_segment, read_segment, segment_path
 from wcsim.agents.collecting.drive_segment import MakeLearned
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.collecting.work import collect
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net
+from wcsim.agents.runs.parcels import folder_parcel, plant_parcels, require_travels, town_parcel, with_plant_at
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import PolicyError
+from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
+from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.work import At, Parcel, Work
 
-_MOST_DEATHS: Final = 5  # of worlds before the run gives up
-_LATE: Final = 5.0  # times the longest segment so far: then it is driven again by another process
-_LEAST_LATE_S: Final = 180.0
+_LOOK_S = 1.0
 
 Done = Callable[[SegmentKey], object]
 """Told of each segment that has come back."""
+Watch = Callable[[tuple[WorkerNow, ...]], object]
+"""Told every second who drives what."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SegmentPiece:
-    """What is sent to a process."""
+class SegmentDrivers:
+    """What a crew that drives segments is made of."""
 
-    order: SegmentOrder
-    folder: Path  # of the data
+    machines: Machines
+    data: Path  # folder of the data
+    logs: Path  # folder of the run, for the logs of a cluster
+    config: RunConfig
+
+    def open(self) -> SegmentCrew:
+        """Find the workers. Raises ConfigError when there are none, or they could not be sent what they need."""
+        if self.machines.cluster:
+            require_travels(self.config, own_code=(self.config.learn.network,))
+        return SegmentCrew(self)
 
 
-class Workers:
-    """So many processes, a world each; a context manager.
+class SegmentCrew:
+    """Worlds that drive segments into a data folder; a context manager."""
 
-    Args:
-        worlds: How many.
-        folder: Of the data.
-    """
+    def __init__(self, drivers: SegmentDrivers) -> None:
+        self._folder = drivers.data
+        self._crew = Crew(drivers.machines.open(drivers.logs), self._keep, least_late_s=LEAST_LATE_S)
+        self._sha256: dict[str, str] = {}  # of what has come, by key
 
-    def __init__(self, worlds: int, folder: Path) -> None:
-        self._worlds, self._folder = worlds, folder
-        self._pool: ProcessPoolExecutor | None = None
-        self._longest_s = _LEAST_LATE_S / _LATE
-        self._under_way: dict[SegmentKey, Future[str]] = {}
-        self._began_s: dict[SegmentKey, float] = {}
-
-    def __enter__(self) -> Workers:
+    def __enter__(self) -> SegmentCrew:
+        self._crew.__enter__()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self.close()
+        self._crew.__exit__(*exception)
 
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         """Begin to drive what is not there yet."""
-        for order in orders:
-            if not segment_path(self._folder, order.key).is_file():
-                self._send(order)
+        self._crew.ask([_work(order) for order in orders if not self._path(order.key).is_file()])
 
-    def take(self, orders: Sequence[SegmentOrder], done: Done = lambda key: None) -> dict[str, str]:
+    def take(
+        self, orders: Sequence[SegmentOrder], done: Done = lambda key: None, watch: Watch = lambda now: None
+    ) -> dict[str, str]:
         """Wait for these segments; their SHA-256 by file name.
 
         Raises:
-            PolicyError: The worlds died too often, or the network cannot drive.
+            WorkersError: The worlds died too often, or there is no machine left.
+            PolicyError: The network cannot drive.
             TownError: A town is missing.
         """
         found: dict[str, str] = {}
-        left = {order.key: order for order in orders}
-        deaths = 0
+        left = {work_key(order.key): order.key for order in orders}
+        asked = []
+        for order in orders:
+            word = work_key(order.key)
+            kept = self._kept(order.key) if word not in self._sha256 and self._path(order.key).is_file() else ""
+            if kept:
+                found[self._path(left.pop(word)).name] = kept
+                done(order.key)
+            else:
+                asked.append(_work(order))
+        self._crew.ask(asked)
         while left:
-            try:
-                for key, sha256 in self._come_back(left):
-                    found[segment_path(self._folder, key).name] = sha256
-                    del left[key]
-                    done(key)
-            except BrokenProcessPool:
-                deaths += 1
-                self.close()
-                if deaths >= _MOST_DEATHS:
-                    raise PolicyError(
-                        f"the processes of the worlds died {deaths} times in a round; expected them to live: is there "
-                        "memory left? Go on with --resume"
-                    ) from None
+            for word in sorted(self._crew.come(left, _LOOK_S)):
+                key = left.pop(word)
+                found[self._path(key).name] = self._sha256[word]
+                done(key)
+            watch(self._crew.now())
         return found
 
-    def close(self) -> None:
-        """End the processes at once; what they were at is driven again when it is asked for."""
-        if self._pool is not None:
-            mine = set(self._pool._processes or ())
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():
-                if process.pid in mine:
-                    process.kill()
-            self._pool = None
-        self._under_way.clear()
-        self._began_s.clear()
+    def _path(self, key: SegmentKey) -> Path:
+        return segment_path(self._folder, key)
 
-    def _send(self, order: SegmentOrder) -> None:
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(self._worlds, mp_context=get_context("spawn"))
-        self._under_way[order.key] = self._pool.submit(drive_piece, SegmentPiece(order=order, folder=self._folder))
-
-    def _come_back(self, left: dict[SegmentKey, SegmentOrder]) -> Iterator[tuple[SegmentKey, str]]:
-        """Those of `left` that are there now; asks for the others, and waits a while for one of them."""
-        for key, order in list(left.items()):
-            future = self._under_way.get(key)
-            if future is None and (sha256 := self._kept(key)):
-                yield key, sha256
-            elif future is None:
-                self._send(order)
-            elif future.done():
-                del self._under_way[key]
-                self._longest_s = max(self._longest_s, time.monotonic() - self._began_s.pop(key, time.monotonic()))
-                yield key, future.result()
-            elif future.running():
-                self._began_s.setdefault(key, time.monotonic())
-        if self._under_way:
-            wait(self._under_way.values(), timeout=0.5, return_when=FIRST_COMPLETED)
-        now_s = time.monotonic()
-        if any(now_s - began_s > _LATE * self._longest_s for began_s in self._began_s.values()):
-            self.close()  # a process that hangs, or was stopped, holds its segment: all that was under way begins anew
+    def _keep(self, word: str, data: bytes) -> None:
+        """In the crew's thread: what has come is on the disk before anybody hears of it."""
+        files.write_bytes(self._path(_key_of(word)), data)
+        self._sha256[word] = hashlib.sha256(data).hexdigest()
 
     def _kept(self, key: SegmentKey) -> str:
         """The SHA-256 of a segment from before, "" where there is none that is whole."""
-        path = segment_path(self._folder, key)
+        path = self._path(key)
         with contextlib.suppress(PolicyError):
-            if path.is_file():
-                read_segment(path)
-                return files.sha256(path)
+            read_segment(path)
+            return files.sha256(path)
         path.unlink(missing_ok=True)
         return ""
 
 
-def drive_piece(piece: SegmentPiece) -> str:
-    """Drive one piece of work in this process and keep its segment; returns the SHA-256."""
+def work_key(key: SegmentKey) -> str:
+    """What a segment is called wherever something is said of it.
+
+    >>> work_key(SegmentKey(run=3, round=0, index=12))
+    '3-000-0012'
+    """
+    return f"{key.run}-{key.round:03d}-{key.index:04d}"
+
+
+def _key_of(word: str) -> SegmentKey:
+    run, number, index = word.split("-")
+    return SegmentKey(run=int(run), round=int(number), index=int(index))
+
+
+def _work(order: SegmentOrder) -> Work:
+    return Work(key=work_key(order.key), call=drive_order, piece=order, needs=needs_of)
+
+
+def needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
+    """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
+    policy = (folder_parcel(Path(order.policy), order.policy),) if order.policy else ()
+    return (*map(town_parcel, order.towns), *policy, *plant_parcels(order.config))
+
+
+def drive_order(order: SegmentOrder, at: At) -> bytes:
+    """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
-    order = piece.order
-    make = learned_of(Path(order.policy), order.config) if order.policy else None
-    return write_segment(segment_path(piece.folder, order.key), collect(order, make))
+    config = with_plant_at(order.config, at)
+    here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
+    make = learned_of(Path(here.policy), config) if here.policy else None
+    return packed_segment(collect(here, make))
 
 
 def learned_of(folder: Path, config: RunConfig) -> MakeLearned:

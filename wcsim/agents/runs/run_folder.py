@@ -38,7 +38,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
 MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
-_PLANT = "plant.toml"
+PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES, _REPLAY = "checkpoints", "policies", "replay"
 STAGES = ("phase1", "final")
 _LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
@@ -143,7 +143,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
     if plant:
-        files.write_bytes(path / _PLANT, plant)
+        files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
     return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
@@ -179,9 +179,9 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
 
 def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
     """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
-    if not is_file(path / _PLANT):
+    if not is_file(path / PLANT):
         return config
-    chair = config.chair.model_copy(update={"plant": str(path / _PLANT)})
+    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
     return config.model_copy(update={"chair": chair})
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,13 +14,18 @@ from rich.console import Console
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
-from wcsim.cli.shared.common import MOST_JOBS, OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.machines import machines_of, said_of
 from wcsim.errors import ConfigError
+from wcsim.server.workers.crew import WorkerNow
+from wcsim.server.workers.machines import Machines
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.run import SuiteOrder
+
+_TOLD_EVERY_S = 20.0
 
 
 @dataclass
@@ -32,6 +38,8 @@ class SuiteOptions:
     """The list: the name of one that comes with wcsim, or a file of --make-suite."""
     jobs: int = 1
     """Processes that drive side by side; the result is the same for any number."""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """HOST:PORT of a Ray cluster whose nodes drive, or `local`: the same result (docs/cluster.md)."""
     out: OutFolder = None
     """Folder for the result and what is kept of it. (default: runs/suite-SET)"""
     resume: bool = False
@@ -59,7 +67,7 @@ class SuiteOptions:
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; a table for each part and one for all."""
     options = parse(SuiteOptions, words, "test")
-    in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
+    machines_of(options.cluster, options.jobs, "--jobs")
     in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
     from wcsim.agents.evaluation.suite.list_file import open_suite
 
@@ -77,9 +85,9 @@ def run_suites(words: list[str]) -> int:
 
     added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
-    order = _order(options, suite, out)
-    changed = order.settings
     told = Console(stderr=True, highlight=False)
+    order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))
+    changed = order.settings
     told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
     if options.sensitivity:
         moved = sensitivity(order, names, lambda text: told.print(text, style="dim"))
@@ -94,6 +102,24 @@ def run_suites(words: list[str]) -> int:
     if options.json is not None:
         write_json(options.json, result)
     return 0
+
+
+def _machines(options: SuiteOptions, told: Console) -> Machines:
+    machines = machines_of(options.cluster, options.jobs, "--jobs")
+    return replace(machines, say=lambda text: told.print(text, markup=False, style="dim"))
+
+
+def _look(options: SuiteOptions, told: Console) -> Callable[[tuple[WorkerNow, ...]], object]:
+    """Says now and then who drives what, where that is another machine."""
+    said_s = time.monotonic()
+
+    def look(workers: tuple[WorkerNow, ...]) -> None:
+        nonlocal said_s
+        if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
+            said_s = time.monotonic()
+            told.print(said_of(workers), markup=False, style="dim")
+
+    return look
 
 
 def _order(options: SuiteOptions, suite: Suite, out: Path) -> SuiteOrder:

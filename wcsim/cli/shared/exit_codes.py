@@ -13,6 +13,7 @@ from wcsim.errors import (
     PhysicsError,
     StaleSessionError,
     WcsimError,
+    WorkersError,
 )
 
 
@@ -28,7 +29,10 @@ class Exit(IntEnum):
     TERMINATED = 143  # ended by SIGTERM with nothing to keep
 
 
-_ON_THE_WAY = (DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError)
+_ON_THE_WAY = (
+    *(DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError),
+    WorkersError,
+)
 
 
 class NothingKept(KeyboardInterrupt):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import tyro
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.machines import machines_of
 from wcsim.cli.shared.run_config import require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
@@ -34,6 +36,8 @@ class Options:
     """A trained danger network that drives a share of the episodes; without one users and the oracle drive."""
     worlds: int = 1
     """Worlds that drive at once, each in a process of its own: the data is the same for any number."""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """HOST:PORT of a Ray cluster whose nodes drive, or `local`: the same data (docs/cluster.md)."""
     seed: int = 0
     """Seed of everything: equal seeds give equal data."""
     out: OutFolder = None
@@ -49,6 +53,7 @@ def run(words: list[str]) -> int:
     require_trained_users(config)
     if options.segments < 1 or options.worlds < 1:
         raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected 1 or more of each")
+    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
@@ -62,10 +67,14 @@ def run(words: list[str]) -> int:
         seed=options.seed,
         segments=options.segments,
         policy=str(policy_path(options.policy)) if options.policy else "",
-        worlds=options.worlds,
+        machines=machines,
     )
     sha256 = collect_data(order, lambda done, of: print(f"{done} of {of} segments", flush=True))
     print(f"data folder: {out}, SHA-256 {sha256}    learn from it: wcsim train --preset laptop --data {out}")
     if options.json is not None:
         write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE
+
+
+def _say(told: str) -> None:
+    print(f"wcsim: {told}", file=sys.stderr, flush=True)

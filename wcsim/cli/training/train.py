@@ -12,8 +12,9 @@ from typing import Annotated, Literal
 import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, worlds_of, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.machines import machines_of, require_no_cluster
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_to_test,
@@ -66,6 +67,9 @@ class Options:
     worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Worlds that drive beside a danger network that learns, or that compare clients, each in a process of its own:
     data, weights and choice are the same for any number. (default: one for each core, 4 at the most)"""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """HOST:PORT of a Ray cluster whose nodes drive for a danger network that learns, or `local`: the same data and
+    weights (docs/cluster.md)."""
     data: Repeated = ()
     """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
     times."""
@@ -96,6 +100,7 @@ def run(words: list[str]) -> int:
         return _train_clients(options, words)
     if options.clients is not None:
         return _train_clients(options, words)
+    machines_of(options.cluster, options.worlds, "--worlds")
     if options.resume:
         return _resume(options, words)
     if options.select_by:
@@ -107,7 +112,7 @@ def run(words: list[str]) -> int:
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     note = steps_note(config, options.steps)
-    train_in(resolved, town, note=note, verbose=options.verbose, worlds=worlds_of(options.worlds))
+    train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
 
 
@@ -138,7 +143,7 @@ def _resume(options: Options, words: list[str]) -> int:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
     resolved, town = resumed(out, typed(options, words))
-    train_in(resolved, town, verbose=options.verbose, worlds=worlds_of(options.worlds))
+    train_in(resolved, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
 
 
@@ -184,6 +189,7 @@ def _train_clients(options: Options, words: list[str]) -> int:
     from wcsim.cli.training.clients import GroupRun, resolved, resumed_group
     from wcsim.cli.training.phases_apart import train_group
 
+    require_no_cluster(options.cluster, "is of several clients, which share a world")
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
     if options.resume:
@@ -207,12 +213,15 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
-def train_in(run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int = 1) -> Path:
+def train_in(
+    run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int | None = None, cluster: str = ""
+) -> Path:
     """Train with a progress bar; returns the run folder."""
     if learns_in_rounds(run.config):
         from wcsim.cli.training.rounds import train_rounds_in
 
-        return train_rounds_in(run, town, worlds)
+        return train_rounds_in(run, town, worlds, cluster)
+    require_no_cluster(cluster, "learns from every step")
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train

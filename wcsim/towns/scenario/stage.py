@@ -46,6 +46,7 @@ class Scenario:
     author_scale: float
     begin_s: float
     digest: str  # SHA-256 over everything SUMO reads, without seed and place
+    inputs: tuple[Path, ...]  # everything SUMO reads, as its author wrote it
 
 
 def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()) -> Scenario:
@@ -93,6 +94,7 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         author_scale=author_scale(config),
         begin_s=seconds_of(config.value("begin") or "0", town.sumocfg),
         digest=_digest(text, settings, names.folder, files),
+        inputs=tuple(files.read),
     )
 
 
@@ -102,8 +104,19 @@ def require_files(town: Town, config: RunConfig) -> None:
     Raises:
         TownError: as `stage_scenario`.
     """
+    files_of(town, config)
+
+
+def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
+    """Every file that a scenario is made of, its .sumocfg first, and what wcsim itself knows of it.
+
+    Raises:
+        TownError: as `stage_scenario`.
+    """
     with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
-        stage_scenario(town, settings_of(config, 1), Path(folder))
+        inputs = stage_scenario(town, settings_of(config, 1), Path(folder)).inputs
+    known = town.folder.absolute() / "town.toml"
+    return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))
 
 
 def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:

@@ -14,7 +14,8 @@ from wcsim.agents.evaluation.suite.list_file import (
     write_list,
 )
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import SuiteOrder, code_digest, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, TownError
 
 

@@ -5,32 +5,49 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
-from dataclasses import dataclass
-from multiprocessing import active_children, get_context
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
-from wcsim.agents.evaluation.suite.named_policy import identity_of, open_named, sensing, settings_of
+from wcsim.agents.evaluation.suite.named_policy import (
+    identity_of,
+    is_onnx,
+    is_own_class,
+    open_named,
+    sensing,
+    settings_of,
+)
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
+from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.policy_api import Policy
+from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
+from wcsim.agents.runs.run_folder import split_level
+from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
 from wcsim.core.reading import FileKind, read_json
+from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
+from wcsim.server.workers.crew import Crew, WorkerNow
+from wcsim.server.workers.machines import HERE, Machines
+from wcsim.server.workers.work import At, Parcel, Work, Workers
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 TOWNS: Final = "towns"  # made ones lie there, in a result's folder
-_ABOVE: Final = ("bench", "cli", "scenes", "view")  # layers that agents may not import: `make lint` sees to it
 _KEPT: Final = FileKind(what="a kept result of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
+_LEAST_LATE_S: Final = 1800.0  # blocks differ by much
+_LOOK_S: Final = 1.0
+
 Done = Callable[[str, int, int], object]  # policy, blocks done, blocks in all
+Look = Callable[[tuple[WorkerNow, ...]], object]  # told every second who drives what
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +80,8 @@ class SuiteOrder:
     suite: Suite
     out: Path
     jobs: int = 1
+    machines: Machines = HERE  # where; `jobs` says how many
+    look: Look = lambda now: None
     preset: str = "quick"  # of policies that bring no settings of their own
     settings: tuple[str, ...] = ()  # over those of the suite: what is changed on purpose
     network: str = ""
@@ -79,6 +98,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
         ConfigError: The list cannot be used, or a kept result is broken.
         TownError: A town is missing or another one than the list's.
         PolicyError: There is no such policy.
+        WorkersError: Processes or machines died too often, or there are none left.
     """
     file = order.suite.file
     require_towns(file)
@@ -130,24 +150,62 @@ def _drive_all(
     done: Done,
     blocks: int,
 ) -> None:
-    waiting: dict[Future[list[dict[str, Any]]], tuple[Piece, Path]] = {}
-    with ProcessPoolExecutor(order.jobs, mp_context=get_context("spawn")) as pool:
-        try:
-            for piece, path in left:
-                waiting[pool.submit(drive_piece, piece)] = piece, path
-            while waiting:
-                ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    piece, path = waiting.pop(future)
-                    records = future.result()
-                    write_json(path, {"records": records})
-                    kept[piece.policy, piece.index] = tuple(record_of(record) for record in records)
-                    done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for driver in active_children():  # a block may have minutes to go, and is driven again by --resume
-                driver.terminate()
-            raise
+    asked = {work_key(piece): (piece, path) for piece, path in left}
+    if not asked:
+        return
+
+    def keep(key: str, data: bytes) -> None:
+        write_json(asked[key][1], {"records": json.loads(data)})
+
+    pieces = [piece for piece, _ in asked.values()]
+    waiting = set(asked)
+    with Crew(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as crew:
+        crew.ask([Work(key=work_key(piece), call=drive_alone, piece=piece, needs=needs_of) for piece in pieces])
+        while waiting:
+            for key in sorted(crew.come(waiting, _LOOK_S)):
+                waiting.remove(key)
+                piece, path = asked[key]
+                kept[piece.policy, piece.index] = _read_kept(path)
+                done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
+            order.look(crew.now())
+
+
+def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
+    machines = replace(order.machines, count=order.jobs)
+    if machines.cluster:
+        policies = {piece.policy for piece in pieces}
+        for policy in sorted(policies):
+            if is_served(policy):
+                told = "is a process of this machine; expected others, or --jobs without --cluster"
+                raise ConfigError(f"--cluster: {policy} {told}")
+        own = [policy for policy in policies if is_own_class(policy)]
+        require_travels(RunConfig(), (*order.suite.file.settings, *order.settings), (*own, order.network))
+    return machines.open(order.out)
+
+
+def work_key(piece: Piece) -> str:
+    """What a piece is called wherever something is said of it."""
+    return f"{piece.policy}/{piece.index}"
+
+
+def needs_of(piece: Piece) -> tuple[Parcel, ...]:
+    """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
+    towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
+    if is_baseline(piece.policy):
+        return towns
+    if is_onnx(piece.policy):
+        return (*towns, folder_parcel(Path(piece.policy), piece.policy))
+    return (*towns, policy_parcel(split_level(piece.policy)[0]))
+
+
+def drive_alone(piece: Piece, at: At) -> bytes:
+    """Drive one block in this process, wherever that is; its records as JSON."""
+    where = {name: policy_at(name, at) for name in (piece.policy,) if not is_baseline(name)}
+    policy = where.get(piece.policy, piece.policy)
+    records = drive_piece(replace(piece, town=at(piece.town), policy=policy))
+    for record in records:
+        record["reason"] = str(record["reason"]).replace(policy, piece.policy)  # it may name the policy
+    return json.dumps(records).encode()
 
 
 def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]]:
@@ -184,7 +242,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, wcsim's own code."""
-    said = [order.settings, order.forks, code_digest(Path(__file__).parents[3]), *identity_of(name, order.preset)]
+    said = [order.settings, order.forks, code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
@@ -204,13 +262,3 @@ def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     data = read_json(path, _KEPT)
     return tuple(record_of(record) for record in data["records"])
-
-
-def code_digest(root: Path) -> str:
-    """Of every file of the package in `root` that a drive may run or read: those above the agents are none."""
-    text = hashlib.sha256()
-    for path in sorted(path for kind in ("*.py", "*.toml") for path in root.rglob(kind)):
-        place = path.relative_to(root)
-        if place.parts[0] not in _ABOVE:
-            text.update(place.as_posix().encode() + b"\0" + path.read_bytes())
-    return text.hexdigest()

@@ -1,0 +1,13 @@
+# wcsim without a GPU: `make demo`, or a node of a Ray cluster (docs/cluster.md). Run it with --shm-size=1g.
+FROM python:3.11-slim-bookworm
+
+RUN apt-get update \
+ && apt-get install --yes --no-install-recommends make libgl1 libglib2.0-0 libgomp1 \
+ && rm -rf /var/lib/apt/lists/*
+RUN useradd --create-home wcsim && install --directory --owner=wcsim --group=wcsim /home/wcsim/wcsim
+USER wcsim
+WORKDIR /home/wcsim/wcsim
+COPY --chown=wcsim:wcsim . .
+RUN make setup TORCH_INDEX=https://download.pytorch.org/whl/cpu
+ENV OMP_NUM_THREADS=1
+CMD ["make", "demo", "TORCH_INDEX=https://download.pytorch.org/whl/cpu"]

@@ -1,0 +1,36 @@
+"""Small trainings in rounds, and what came of them: for tests that do the same one in different ways."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.support.worlds import dqn_config
+from wcsim.agents.collecting.data_folder import read_manifest
+from wcsim.agents.rounds.train_rounds import DATA
+from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.core import files
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town, streets_hash
+
+SMALL = (
+    *("learn.head=danger", "collect.rounds=3", "collect.segments=2", "collect.ticks=12", "collect.chairs=2"),
+    *("collect.scene_share=0", "danger.updates=4", "danger.batch=8", "collect.network_share=1.0"),
+    *("sensors.odometry=typical", "env.observe_gyro=true"),
+)
+
+
+def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:
+    config = dqn_config(*SMALL, *overrides)
+    town = find_town(str(corner))
+    info = RunInfo(seed=3, town=town.name, town_sha256=streets_hash(town))
+    return ResolvedRun(config=config, out=out, info=info, resume=resume)
+
+
+def outcome(out: Path) -> tuple[str, str]:
+    """SHA-256 of the data and of the weights."""
+    return read_manifest(out / DATA).data_sha256, weights_of(out)
+
+
+def weights_of(out: Path) -> str:
+    """SHA-256 of the weights alone."""
+    return files.sha256(out / "policies" / "final" / "weights.safetensors")

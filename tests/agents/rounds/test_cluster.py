@@ -1,0 +1,140 @@
+"""A training on three Ray nodes, of which one is killed and one is stopped: the same data and weights as on processes.
+
+The nodes are processes of this machine, on 127.0.0.1, each with a cache of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.agents.rounds.small_runs import outcome, run_in
+from tests.support.cluster.ray_nodes import RayNode, quiet_environment
+from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
+from wcsim.errors import WorkersError
+from wcsim.server.workers.machines import Machines
+from wcsim.towns.scenario.town import find_town
+
+pytestmark = pytest.mark.proof
+LONGER = ("collect.segments=4", "collect.ticks=60")
+
+
+@pytest.fixture(autouse=True)
+def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
+    for name, value in quiet_environment().items():
+        monkeypatch.setenv(name, value)
+
+
+def trained(
+    corner: Path, out: Path, machines: Machines, *, resume: bool = False, show=lambda now: None
+) -> tuple[str, str]:
+    train_danger(run_in(corner, out, *LONGER, resume=resume), find_town(str(corner)), machines, show)
+    return outcome(out)
+
+
+def rows_of(out: Path) -> list[dict]:
+    return [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def by_processes(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """With one world, with two and with three: the same."""
+    out = tmp_path_factory.mktemp("processes")
+    found = {trained(corner, out / str(worlds), Machines(count=worlds)) for worlds in (1, 2, 3)}
+    assert len(found) == 1
+    return found.pop()
+
+
+def test_a_node_that_is_killed_and_one_that_is_stopped_change_nothing(by_processes, corner, tmp_path):
+    told: list[str] = []
+    with (
+        RayNode(tmp_path / "head") as head,
+        RayNode(tmp_path / "a", head.address) as killed,
+        RayNode(tmp_path / "b", head.address) as stopped,
+    ):
+        hit: list[str] = []
+
+        def harm(now: RoundProgress) -> None:
+            busy = sum(bool(worker.key) for worker in now.workers)
+            if len(now.workers) == 3 and busy == 3 and not hit:
+                hit.append("killed")
+                threading.Thread(target=killed.kill).start()
+                stopped.signal(signal.SIGSTOP)
+
+        try:
+            machines = Machines(cluster=head.address, say=told.append)
+            assert trained(corner, tmp_path / "out", machines, show=harm) == by_processes
+        finally:
+            stopped.signal(signal.SIGCONT)
+    assert hit and sum("is gone" in line for line in told) == 2, told
+    rows = rows_of(tmp_path / "out")
+    done = Counter(row["key"] for row in rows if row["how"] == "done")
+    assert set(done.values()) == {1} and len(done) == 12
+    assert [row for row in rows if row["how"] == "lost"]
+
+
+def test_a_node_that_joins_works_and_a_town_comes_to_each_node_once(by_processes, corner, tmp_path):
+    told: list[str] = []
+    joined: list[RayNode] = []
+    with RayNode(tmp_path / "head") as head:
+
+        def join(now: RoundProgress) -> None:
+            if now.segments and not joined:
+                joined.append(RayNode(tmp_path / "late", head.address))
+
+        try:
+            machines = Machines(cluster=head.address, say=told.append)
+            assert trained(corner, tmp_path / "out", machines, show=join) == by_processes
+        finally:
+            for node in joined:
+                node.kill()
+    rows = rows_of(tmp_path / "out")
+    assert len({row["worker"] for row in rows}) == 2
+    first_rounds = [row for row in rows if row["key"].split("-")[1] in ("000", "001")]  # no network travels with these
+    fetched = Counter(row["worker"] for row in first_rounds if row["fetched_bytes"])
+    assert set(fetched.values()) == {1}, rows
+    for cache in ("head", "late"):
+        assert len([p for p in (tmp_path / cache / "wcsim" / "parcels").iterdir() if p.is_dir()]) == 1
+
+
+def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoint(by_processes, corner, tmp_path):
+    out = tmp_path / "out"
+    with RayNode(tmp_path / "head") as head:
+
+        def die(now: RoundProgress) -> None:
+            if now.round == 1 and now.segments == 1:
+                head.kill()
+
+        with pytest.raises(WorkersError, match=r"is lost; expected its head to live.*--resume"):
+            trained(corner, out, Machines(cluster=head.address), show=die)
+    assert (out / "checkpoints" / "round-000").is_dir()
+    with RayNode(tmp_path / "again") as head:
+        assert trained(corner, out, Machines(cluster=head.address), resume=True) == by_processes
+
+
+def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path, monkeypatch):
+    """Its segment is driven again."""
+    monkeypatch.setattr("wcsim.agents.rounds.workers.LEAST_LATE_S", 20.0)
+    with RayNode(tmp_path / "head", cpus=2) as head:
+        hit: list[int] = []
+
+        def stop(now: RoundProgress) -> None:
+            busy = [p for p in head.processes() if "ray::wcsim" in " ".join(p.cmdline())]
+            if now.round == 1 and busy and not hit:
+                hit.append(busy[0].pid)
+                os.kill(busy[0].pid, signal.SIGSTOP)
+
+        began_s = time.monotonic()
+        assert trained(corner, tmp_path / "out", Machines(cluster=head.address), show=stop) == by_processes
+    assert hit and time.monotonic() - began_s < 900
+    assert not Path(f"/proc/{hit[0]}").exists()
+    assert len(list((tmp_path / "out" / DATA / "segments").iterdir())) == 12

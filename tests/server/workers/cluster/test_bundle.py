@@ -1,0 +1,91 @@
+"""What travels: files by the hash of their content, kept once by a node, the same there as here."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from tests.support.cluster.workpieces import blunder, read_parcel, refuse
+from wcsim.errors import ConfigError, TownError
+from wcsim.server.workers.cluster import bundle, on_node
+from wcsim.server.workers.cluster.on_node import SentParcel, SentWork, do_work, kill_worker
+from wcsim.server.workers.work import Parcel
+
+
+@pytest.fixture
+def parcel(tmp_path: Path) -> Parcel:
+    folder = tmp_path / "corner"
+    folder.mkdir()
+    for name in ("a.net.xml", "b.rou.xml", "secret.txt"):
+        (folder / name).write_text(name)
+    return Parcel(address=str(folder), folder=folder, names=("a.net.xml", "b.rou.xml"), kept=True)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "wcsim"
+
+
+def sent(parcel: Parcel, call=read_parcel) -> SentWork:
+    digest = bundle.digest_of(parcel.folder, parcel.names)
+    one = SentParcel(
+        address=parcel.address, digest=digest, name=parcel.folder.name, inner=parcel.inner, kept=parcel.kept, ref=("r",)
+    )
+    return SentWork(run="t", key="a/1", call=call, piece=parcel.address, parcels=(one,))
+
+
+def test_a_town_is_fetched_once_and_again_when_it_was_changed(parcel, cache):
+    fetched = []
+
+    def fetch(ref: str) -> bytes:
+        fetched.append(ref)
+        return bundle.packed(parcel)
+
+    first = do_work(sent(parcel), fetch)
+    where, *texts = first.data.decode().splitlines()
+    assert texts == ["a.net.xml", "b.rou.xml"] and Path(where).name == "corner"
+    assert Path(where).is_relative_to(cache / "parcels")
+    again = do_work(sent(parcel), fetch)
+    assert again.data == first.data and again.fetched_bytes == 0 < first.fetched_bytes and len(fetched) == 1
+    (Path(where) / "a.net.xml").write_text("spoilt")
+    assert do_work(sent(parcel), fetch).data == first.data and len(fetched) == 2
+
+
+def test_a_network_is_there_for_its_piece_alone(parcel):
+    loose = Parcel(address=parcel.address, folder=parcel.folder, names=parcel.names)
+    reply = do_work(sent(loose), lambda ref: bundle.packed(loose))
+    assert not Path(reply.data.decode().splitlines()[0]).exists()
+
+
+def test_a_name_that_leads_elsewhere_is_not_written(tmp_path):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as held:
+        held.writestr("../x", b"")
+    with pytest.raises(ValueError, match="leads out"):
+        bundle.unpack(zstandard.compress(out.getvalue()), tmp_path)
+
+
+def test_too_much_is_not_sent(parcel, monkeypatch):
+    monkeypatch.setattr(bundle, "MOST_BYTES", 3)
+    with pytest.raises(ConfigError, match="--cluster"):
+        bundle.packed(parcel)
+
+
+def test_a_node_tells_what_the_user_can_mend_from_what_only_another_node_can(parcel, monkeypatch):
+    def fetch(ref: str) -> bytes:
+        return bundle.packed(parcel)
+
+    assert isinstance(do_work(sent(parcel, refuse), fetch).error, TownError)
+    assert "ZeroDivisionError" in do_work(sent(parcel, blunder), fetch).fault
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(on_node, "_received", full)
+    assert "No space" in do_work(sent(parcel), fetch).lost
+    assert not kill_worker("t", "a/1")

@@ -1,0 +1,127 @@
+"""What cannot be used is refused in one line, before anything begins, and Ray's own words stay in its log."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from wcsim.cli.main import main
+from wcsim.cli.shared.machines import machines_of
+from wcsim.config import load_run_config
+from wcsim.errors import ConfigError
+from wcsim.server.workers.cluster import joining, ray_workers
+from wcsim.server.workers.cluster.joining import LinkSpec
+from wcsim.server.workers.cluster.node_facts import facts_here, facts_of, notes_on, why_refused
+
+
+@pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(ConfigError, match=r"expected `local`, or HOST:PORT"):
+        machines_of(address, 1, "--worlds")
+
+
+def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setattr(ray_workers, "REACH_S", 0.5)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
+        with pytest.raises(ConfigError, match=r"nobody answers there .*`ray start --head"):
+            machines_of(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
+
+
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr(ray_workers, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'wcsim\[cluster\]'"):
+        machines_of("local", 1, "--jobs")
+
+
+def test_the_nodes_say_how_many_work_at_once():
+    with pytest.raises(ConfigError, match="--num-cpus"):
+        machines_of("10.0.0.1:6379", 2, "--jobs")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["train", "--clients", "patch,gru", "--cluster", "local"],
+        ["train", "--preset", "dqn", "--cluster", "local"],
+        ["train", "--cluster", "nowhere"],
+        ["collect", "--cluster", "nowhere"],
+        ["test", "--suite", "dev", "--cluster", "nowhere"],
+    ],
+)
+def test_commands_refuse_it_with_code_2_and_leave_nothing(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--out", "out"]) == 2
+    told = capsys.readouterr().err
+    assert "--cluster" in told and "expected" in told and "Traceback" not in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_lies_on_this_machine_alone_is_refused():
+    from wcsim.agents.runs.parcels import require_travels
+
+    config = load_run_config("quick")
+    require_travels(config, ("env.profile=slow",), ("patch",))
+    for own in (
+        lambda: require_travels(config, own_code=("own_network:OwnNet",)),
+        lambda: require_travels(config, ("chair.plant=my.toml",)),
+        lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
+    ):
+        with pytest.raises(ConfigError, match=r"does not travel; expected .* without --cluster"):
+            own()
+
+
+def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
+    here = facts_here()
+    assert why_refused(here, here) == ""
+    assert "code 0000" in why_refused(replace(here, code="0000"), here)
+    other = tuple((name, "9.9" if name == "libsumo" else version) for name, version in here.versions)
+    assert "libsumo 9.9" in why_refused(replace(here, versions=other), here)
+    assert "wcsim 9.9" in why_refused(replace(here, versions=tuple((n, "9.9") for n, _ in here.versions)), here)
+    assert "Python 3.12.1" in why_refused(replace(here, python="3.12.1"), here)
+    small = notes_on(replace(here, shm_bytes=64 << 20, cpu="another"), here)
+    assert "64 MiB" in small[0] and "--shm-size=1g" in small[0] and "another" in small[1]
+    with pytest.raises(ConfigError, match="another version"):
+        facts_of({"host": "old"})
+    with pytest.raises(ConfigError, match="cannot be loaded"):
+        facts_of("wcsim cannot be loaded there")
+
+
+class _Ray:
+    __version__ = "2.60.0"
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            RuntimeError(
+                "Version mismatch: The cluster was started with:\n    Ray: 2.59.0\n    Python: 3.11.7\n"
+                "This process on node x was started with:\n    Ray: 2.60.0\n    Python: 3.11.7\n"
+            ),
+            r"runs Ray 2\.59\.0 with Python 3\.11\.7; expected Ray 2\.60\.0 .*'ray==2\.59\.0'",
+        ),
+        (type("AuthenticationError", (Exception,), {})("InvalidAuthToken abc"), r"~/\.ray/auth_token .*chmod 600"),
+        (ConnectionError("Could not find a node\nTraceback"), r"ConnectionError: Could not find a node\).*ray start"),
+    ],
+)
+def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
+    import re
+
+    spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
+    text = joining._told(spec, error, _Ray)
+    assert re.search(told, text) and "\n" not in text and "abc" not in text
+
+
+def test_help_and_refusals_load_no_ray():
+    code = (
+        "import sys; from wcsim.cli.main import main; main(['train', '--help']); main(['train', '--cluster', 'x']);"
+        "print('ray' in sys.modules, file=sys.stderr)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stderr.splitlines()[-1] == "False"

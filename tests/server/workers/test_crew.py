@@ -1,0 +1,165 @@
+"""A crew: every piece is done, whoever dies, hangs or goes; what cannot be done is told in a line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
+from wcsim.errors import DiskFullError, TownError, WorkersError
+from wcsim.server.workers.crew import Crew
+from wcsim.server.workers.processes import ProcessWorkers
+from wcsim.server.workers.work import Ended, Work
+
+
+def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
+    return Work(key=key, call=call, piece=piece or key)
+
+
+def done_by(crew: Crew, keys: set[str], limit_s: float = 60.0) -> None:
+    until_s, left = time.monotonic() + limit_s, set(keys)
+    while left and time.monotonic() < until_s:
+        left -= crew.come(left, 0.2)
+    assert not left
+
+
+class Scripted:
+    """Workers whose ends are written down: by worker, a list of what becomes of each of its pieces."""
+
+    def __init__(self, **ends: list[str]) -> None:
+        self.ends = {name: list(rest) for name, rest in ends.items()}
+        self.at: dict[str, str] = {}
+        self.begun: list[tuple[str, str]] = []
+        self.stopped: list[str] = []
+
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.ends)
+
+    def begin(self, worker: str, work: Work) -> None:
+        self.begun.append((worker, work.key))
+        self.at[worker] = work.key
+
+    def ended(self, timeout_s: float) -> list[Ended]:
+        time.sleep(0.005)
+        found = []
+        for worker, key in list(self.at.items()):
+            rest = self.ends.get(worker, [])
+            how = rest.pop(0) if rest else "done"
+            if how == "hang" and worker not in self.stopped:
+                rest.insert(0, how)
+                continue
+            del self.at[worker]
+            data = key.encode() if how == "done" else None
+            found.append(Ended(worker=worker, key=key, data=data, lost=how, counts=how == "dead"))
+        return found
+
+    def stop(self, worker: str) -> None:
+        self.stopped.append(worker)
+
+    def close(self) -> None:
+        self.ends = {}
+
+
+def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
+    kept: dict[str, bytes] = {}
+    with Crew(ProcessWorkers(2), kept.__setitem__) as crew:
+        crew.ask([work("a"), work("b", die_once, str(tmp_path / "once")), work("c")])
+        done_by(crew, {"a", "b", "c"})
+        assert [each.name for each in crew.now()] == ["process 1", "process 2"]
+    assert kept == {"a": b"a", "b": b"lived", "c": b"c"}
+
+
+def test_a_process_that_was_stopped_is_killed_and_its_piece_done_again(tmp_path):
+    kept: dict[str, bytes] = {}
+    with Crew(ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as crew:
+        crew.ask([work("a", hang_once, str(tmp_path / "once"))])
+        done_by(crew, {"a"})
+    assert kept == {"a": b"lived"}
+
+
+def test_what_is_asked_for_twice_is_done_once():
+    workers, kept = Scripted(w=[]), []
+    with Crew(workers, lambda key, data: kept.append(key)) as crew:
+        crew.ask([work("a")])
+        crew.ask([work("a"), work("b")])
+        done_by(crew, {"a", "b"})
+    assert kept == ["a", "b"]
+
+
+def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
+    workers, kept = Scripted(slow=["hang"], quick=[]), []
+    with Crew(workers, lambda key, data: kept.append(key), least_late_s=0.1) as crew:
+        crew.ask([work("a"), work("b"), work("c")])
+        done_by(crew, {"a", "b", "c"})
+    assert sorted(kept) == ["a", "b", "c"]
+    assert workers.stopped == ["slow"]
+    assert sum(key == "a" for _, key in workers.begun) == 2
+
+
+def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
+    with (
+        Crew(Scripted(w=["dead"] * 5), lambda key, data: None) as crew,
+        pytest.raises(WorkersError, match=r"a was begun 5 times .*--resume"),
+    ):
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+
+
+def test_machines_may_go_as_often_as_they_like():
+    with Crew(Scripted(w=["gone"] * 12), lambda key, data: None) as crew:
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+
+
+def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_run():
+    workers = Scripted()
+    with Crew(workers, lambda key, data: None) as crew:
+        crew.ask([work("a")])
+        time.sleep(0.1)
+        workers.ends["late"] = []
+        done_by(crew, {"a"})
+    with (
+        Crew(Scripted(), lambda key, data: None, nobody_s=0.1) as crew,
+        pytest.raises(WorkersError, match="nobody to work"),
+    ):
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+
+
+ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersError)]
+
+
+@pytest.mark.parametrize(("call", "error"), ENDS)
+def test_what_cannot_be_done_is_raised_where_it_is_waited_for(call, error):
+    with Crew(ProcessWorkers(1), lambda key, data: None) as crew, pytest.raises(error):
+        crew.ask([work("a", call)])
+        done_by(crew, {"a"})
+
+
+def test_a_full_disk_is_raised_where_it_is_waited_for():
+    def full(key: str, data: bytes) -> None:
+        raise DiskFullError("no room")
+
+    with Crew(Scripted(w=[]), full) as crew, pytest.raises(DiskFullError):
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+
+
+def test_closing_leaves_no_process(tmp_path: Path):
+    import psutil
+
+    with Crew(ProcessWorkers(1), lambda key, data: None) as crew:
+        crew.ask([work("a"), work("b", hang_once, str(tmp_path / "once"))])
+        done_by(crew, {"a"})
+        time.sleep(0.3)
+    until_s = time.monotonic() + 10.0
+    while time.monotonic() < until_s:
+        left = [p for p in psutil.Process().children() if "spawn_main" in " ".join(p.cmdline())]
+        if not left:
+            return
+        time.sleep(0.1)
+    raise AssertionError(left)

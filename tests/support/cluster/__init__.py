@@ -1,0 +1,1 @@
+"""Clusters on one machine: nodes, their network, small pieces of work."""

@@ -1,0 +1,56 @@
+"""Small pieces of work for tests of crews."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from wcsim.errors import TownError
+from wcsim.server.workers.work import At
+
+
+def echo(piece: Any, at: At) -> bytes:
+    """The piece as text."""
+    return str(piece).encode()
+
+
+def read_parcel(piece: str, at: At) -> bytes:
+    """All files of a parcel, and where they lie."""
+    folder = Path(at(piece))
+    return b"\n".join([str(folder).encode(), *(path.read_bytes() for path in sorted(folder.iterdir()))])
+
+
+def refuse(piece: Any, at: At) -> bytes:
+    """Fails as something that the user has to mend."""
+    raise TownError(f"town {piece} is not there; expected another")
+
+
+def blunder(piece: Any, at: At) -> bytes:
+    """Fails as a fault of the program."""
+    raise ZeroDivisionError("one by nothing")
+
+
+def die_once(piece: str, at: At) -> bytes:
+    """Dies when it is done for the first time."""
+    if not Path(piece).exists():
+        Path(piece).write_text("x")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return b"lived"
+
+
+def always_die(piece: Any, at: At) -> bytes:
+    """Dies."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return b""
+
+
+def hang_once(piece: str, at: At) -> bytes:
+    """Stops as if the machine had, when it is done for the first time."""
+    if not Path(piece).exists():
+        Path(piece).write_text("x")
+        os.kill(os.getpid(), signal.SIGSTOP)
+        time.sleep(600.0)
+    return b"lived"

@@ -1,0 +1,97 @@
+"""What a piece of driving needs of this machine's files, for machines that have no disk in common with it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+from pathlib import Path
+
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path, split_level
+from wcsim.config import RunConfig
+from wcsim.core.constants import RECORDED
+from wcsim.core.reading import is_file, shown
+from wcsim.errors import ConfigError, TownError
+from wcsim.server.workers.work import At, Parcel
+from wcsim.towns.scenario.stage import files_of
+from wcsim.towns.scenario.town import find_town
+
+
+@lru_cache(maxsize=256)
+def town_parcel(address: str) -> Parcel:
+    """A town, as its SUMO files and its town.toml. Raises TownError."""
+    town = find_town(address)
+    folder, files = town.folder.absolute(), files_of(town, RunConfig())
+    outside = [path for path in files if not path.is_relative_to(folder)]
+    if outside:
+        raise TownError(
+            f"town {town.name} has a file outside of its folder, {shown(outside[0])}; expected all in {shown(folder)}, "
+            "as it travels to other machines"
+        )
+    names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
+    inner = "" if Path(town.address).is_dir() else town.sumocfg.name
+    return Parcel(address=address, folder=folder, names=names, inner=inner, kept=True)
+
+
+def policy_parcel(name: str) -> Parcel:
+    """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
+    policy = policy_path(name).resolve()
+    run = policy.parent.parent
+    if is_file(run / MANIFEST):
+        said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
+        inner = policy.relative_to(run).as_posix()
+        return Parcel(address=name, folder=run, names=(*said, *_files(policy, f"{inner}/")), inner=inner)
+    return folder_parcel(policy, name)
+
+
+def folder_parcel(folder: Path, address: str = "") -> Parcel:
+    """The files of a folder, without those in folders of it."""
+    return Parcel(address=address or str(folder), folder=folder.absolute(), names=_files(folder))
+
+
+def plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
+    """The user's own wheelchair, where the configuration names one."""
+    plant = config.chair.plant
+    if not plant.endswith(".toml"):
+        return ()
+    path = Path(plant).absolute()
+    return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
+
+
+def with_plant_at(config: RunConfig, at: At) -> RunConfig:
+    """The configuration with that wheelchair where it lies now."""
+    if not config.chair.plant.endswith(".toml"):
+        return config
+    return config.model_copy(update={"chair": config.chair.model_copy(update={"plant": at(config.chair.plant)})})
+
+
+def policy_at(name: str, at: At) -> str:
+    """A policy's name, level included, where it lies now."""
+    plain, _ = split_level(name)
+    return at(plain) + name.removeprefix(plain)
+
+
+def require_travels(config: RunConfig, settings: Collection[str] = (), own_code: Collection[str] = ()) -> None:
+    """Refuse what other machines cannot have: code of the user's own, and files that settings name.
+
+    Args:
+        config: Of the run.
+        settings: What else is set, as section.key=value.
+        own_code: Classes that are named.
+
+    Raises:
+        ConfigError: It says what, and how to go on without a cluster.
+    """
+    users = (config.env.profile, *config.collect.profiles)
+    words = " ".join((*settings, *config.collect.variants)).split()
+    found = [f"class {shown(name, 80)}" for name in own_code if ":" in name]
+    found += [f"user {shown(user, 80)}" for user in users if user.startswith(RECORDED)]
+    found += [shown(word, 80) for word in words if word.endswith(".toml") or RECORDED in word]
+    if found:
+        raise ConfigError(
+            f"--cluster: {', '.join(found)} lies on this machine alone and does not travel; expected what comes with "
+            "wcsim: leave it out, or drive without --cluster"
+        )
+
+
+def _files(folder: Path, before: str = "") -> tuple[str, ...]:
+    return tuple(f"{before}{path.name}" for path in sorted(folder.iterdir()) if path.is_file())

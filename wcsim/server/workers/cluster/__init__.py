@@ -1,0 +1,1 @@
+"""Workers on other machines, by Ray: who may join, what travels to them, what came of it. Ray is loaded here only."""

@@ -1,0 +1,176 @@
+"""Workers that are nodes of a Ray cluster, as the run sees them: names, pieces that go out, answers that come in."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import socket
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError, DiskFullError, WorkersError
+from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec
+from wcsim.server.workers.cluster.link import run_link
+from wcsim.server.workers.work import Ended, Work
+
+RAY_LOG, PIECES = "ray.log", "pieces.jsonl"
+REACH_S: Final = 5.0
+JOIN_S: Final = 90.0
+_SILENT_S: Final = 120.0
+_CLOSE_S: Final = 30.0
+_GIVE_UP_S: Final = 3.0  # for a process that has not joined
+_ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
+
+Say = Callable[[str], object]
+
+
+class RayWorkers:
+    """The CPUs of the nodes of a cluster, each of them a worker.
+
+    Args:
+        address: HOST:PORT of its head, or `local` for one that is made here.
+        count: Workers of a local one.
+        folder: For logs: what Ray says, and a line for each piece.
+        say: Told of nodes that come, go, or are refused.
+        join_s: So long Ray may take to join, and the first node to answer.
+
+    Raises:
+        ConfigError: There is no Ray, or no cluster at that address, or none of its nodes can be used.
+    """
+
+    def __init__(self, address: str, count: int, folder: Path, say: Say, join_s: float = JOIN_S) -> None:
+        require_address(address)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._address, self._say, self._folder = address, say, folder
+        spec = LinkSpec(address=address, count=count, run=secrets.token_hex(6), log=folder / RAY_LOG)
+        self._names: tuple[str, ...] = ()
+        self._asked = 1  # nodes that have not answered yet
+        self._refused: list[str] = []
+        self._ended: list[Ended] = []
+        self._heard_s = time.monotonic()
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._link = context.Process(target=run_link, args=(theirs, spec), name="cluster link", daemon=True)
+        self._link.start()
+        theirs.close()
+        try:
+            self._join(join_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def names(self) -> tuple[str, ...]:
+        """The workers of nodes that may work now. Raises WorkersError when the cluster is lost."""
+        return self._names
+
+    def begin(self, worker: str, work: Work) -> None:
+        """Give a piece to a node, with what it needs."""
+        self._send("begin", (worker, work, work.needs(work.piece)))
+
+    def ended(self, timeout_s: float) -> list[Ended]:
+        """What has come back; waits a while for it. Raises WorkersError when the cluster is lost."""
+        self._hear(timeout_s)
+        found, self._ended = self._ended, []
+        for each in found:
+            self._note(each)
+        return found
+
+    def stop(self, worker: str) -> None:
+        """Have the process killed that a worker's piece is in."""
+        self._send("stop", worker)
+
+    def close(self) -> None:
+        """Leave the cluster; one that was made here ends."""
+        self._pipe.close()
+        self._link.join(_CLOSE_S if self._names else _GIVE_UP_S)
+        if self._link.is_alive():
+            self._link.kill()
+            self._link.join()
+
+    def _join(self, join_s: float) -> None:
+        """Wait for the first node that may work."""
+        until_s = time.monotonic() + join_s
+        while not self._names:
+            if self._refused and not self._asked:
+                raise ConfigError(f"--cluster {self._address}: {'; '.join(self._refused)}")
+            if time.monotonic() > until_s:
+                raise ConfigError(
+                    f"--cluster {self._address}: no node of it was ready within {join_s:.0f} s; expected a Ray head at "
+                    f"that address, a node on this machine and CPUs (`ray start --address={self._address} "
+                    f"--num-cpus=N`); what Ray said is in {self._folder / RAY_LOG}"
+                )
+            try:
+                self._hear(0.2)
+            except WorkersError as error:
+                raise ConfigError(f"--cluster {self._address}: {error}") from None
+
+    def _hear(self, timeout_s: float) -> None:
+        try:
+            while self._pipe.poll(timeout_s if not self._ended else 0.0):
+                self._heard_s, timeout_s = time.monotonic(), 0.0
+                self._take(*self._pipe.recv())
+        except (EOFError, OSError):
+            raise self._lost() from None
+        if time.monotonic() - self._heard_s > _SILENT_S:
+            raise self._lost()
+
+    def _take(self, word: str, what: Any) -> None:
+        if word == "workers":
+            self._names, self._asked = what
+        elif word == "ended":
+            self._ended.append(what)
+        elif word == "say":
+            self._say(what)
+        elif word == "refused node":
+            self._refused.append(what)
+            self._say(what)
+        elif word == "refused":
+            raise ConfigError(what)
+
+    def _send(self, word: str, what: Any) -> None:
+        try:
+            self._pipe.send((word, what))
+        except OSError:
+            raise self._lost() from None
+
+    def _lost(self) -> WorkersError:
+        return WorkersError(
+            f"the Ray cluster at {self._address} is lost; expected its head to live: start it again, then go on with "
+            f"--resume; what Ray said is in {self._folder / RAY_LOG}"
+        )
+
+    def _note(self, ended: Ended) -> None:
+        """A line for a piece: who was at it, and what came of it. Raises DiskFullError."""
+        how = "done" if ended.data is not None else "failed" if ended.error is not None else "lost"
+        row = {"key": ended.key, "worker": ended.worker, "how": how, "why": ended.lost, **ended.facts}
+        try:
+            with (self._folder / PIECES).open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+        except OSError as error:
+            raise DiskFullError(f"{self._folder / PIECES}: not written ({error.strerror}); make room") from None
+
+
+def require_address(address: str) -> None:
+    """Refuse what is no address of a cluster, or one where nobody answers. Raises ConfigError."""
+    found = _ADDRESS.fullmatch(address)
+    if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
+        raise ConfigError(
+            f"--cluster {shown(address, 80)!r}: expected `local`, or HOST:PORT as `ray start --head` prints it, such "
+            "as 10.0.0.1:6379"
+        )
+    if find_spec("ray") is None:
+        raise ConfigError("--cluster needs Ray, which is not here: python -m pip install 'wcsim[cluster]'")
+    if found is not None:
+        try:
+            socket.create_connection((found[1].strip("[]"), int(found[2])), REACH_S).close()
+        except OSError as error:
+            raise ConfigError(
+                f"--cluster {address}: nobody answers there within {REACH_S:g} s ({error.strerror or error}); "
+                "expected a Ray head, as by `ray start --head --port=6379` on it, and no firewall between"
+            ) from None
