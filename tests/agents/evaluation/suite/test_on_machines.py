@@ -6,22 +6,41 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.agents.rounds.small_runs import run_in
+from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.rule import rule_of
+from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_alone, needs_of, piece_of, run_suite, town_addresses
+from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.errors import ConfigError
 from wcsim.server.workers.cluster import bundle
 from wcsim.server.workers.machines import Machines
+from wcsim.supervisor.actions import action_set
 
 
-def test_a_block_with_what_travels_gives_the_same_records(corner, tmp_path):
+@pytest.fixture(scope="module")
+def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A run with a policy that has learned nothing."""
+    resolved = run_in(corner, tmp_path_factory.mktemp("trained") / "run")
+    folder = create_run(resolved.out, resolved.config, make_manifest(resolved.config, resolved.info))
+    torch.manual_seed(3)
+    net = DangerNet(spec_of(folder.config), torch.as_tensor(action_set("square81").points))
+    save_danger(folder.policy("final"), laid_out(net).eval(), rule_of(folder.config.danger), folder.config)
+    return str(folder.path)
+
+
+def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path):
     order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=12)), out=tmp_path)
     towns = town_addresses(order)
-    for policy in ("dwa", "shipped"):
+    for number, policy in enumerate(("dwa", run, f"{run}@0.3", f"{run}:final")):
+        work = tmp_path / f"node-{number}"
         piece = piece_of(order, 0, policy, towns, judged=False)
         places = {}
-        for number, parcel in enumerate(needs_of(piece)):
-            there = tmp_path / f"{policy}-{number}" / parcel.folder.name
+        for parcel in needs_of(piece):
+            there = work / bundle.digest_of(parcel.folder, parcel.names) / parcel.folder.name
             there.mkdir(parents=True)
             bundle.unpack(bundle.packed(parcel), there)
             assert bundle.digest_of(there, parcel.names) == bundle.digest_of(parcel.folder, parcel.names)
@@ -40,13 +59,13 @@ def test_what_does_not_travel_is_refused_before_a_cluster_is_asked(corner, tmp_p
 
 
 @pytest.mark.proof
-def test_a_suite_on_ray_is_the_same_bytes(corner: Path, tmp_path: Path):
+def test_a_suite_on_ray_is_the_same_bytes(corner: Path, run: str, tmp_path: Path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
     block = block_of(corner, max_steps=40)
     suite = suite_in(corner, block, block.model_copy(update={"seed": 77}))
     here = SuiteOrder(suite=suite, out=tmp_path / "here")
     there = SuiteOrder(suite=suite, out=tmp_path / "there", jobs=2, machines=Machines(cluster="local"))
-    names = ["follow", "dwa", "shipped"]
+    names = ["follow", "dwa", run]
     found = [
         {name: [record.to_json() for record in records] for name, records in run_suite(order, names, print).items()}
         for order in (here, there)
