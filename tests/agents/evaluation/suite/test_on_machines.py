@@ -1,0 +1,77 @@
+"""Blocks on other machines: what travels with them is enough, and the records are those of this machine."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.agents.rounds.small_runs import run_in
+from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.rule import rule_of
+from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_alone, needs_of, piece_of, run_suite, town_addresses
+from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.errors import ConfigError
+from wcsim.server.workers.cluster import bundle
+from wcsim.server.workers.machines import Machines
+from wcsim.supervisor.actions import action_set
+
+
+@pytest.fixture(scope="module")
+def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A run with a policy that has learned nothing."""
+    resolved = run_in(corner, tmp_path_factory.mktemp("trained") / "run")
+    folder = create_run(resolved.out, resolved.config, make_manifest(resolved.config, resolved.info))
+    torch.manual_seed(3)
+    net = DangerNet(spec_of(folder.config), torch.as_tensor(action_set("square81").points))
+    save_danger(folder.policy("final"), laid_out(net).eval(), rule_of(folder.config.danger), folder.config)
+    return str(folder.path)
+
+
+def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path):
+    order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=12)), out=tmp_path)
+    towns = town_addresses(order)
+    for number, policy in enumerate(("dwa", run, f"{run}@0.3", f"{run}:final")):
+        work = tmp_path / f"node-{number}"
+        piece = piece_of(order, 0, policy, towns, judged=False)
+        places = {}
+        for parcel in needs_of(piece):
+            there = work / bundle.digest_of(parcel.folder, parcel.names) / parcel.folder.name
+            there.mkdir(parents=True)
+            bundle.unpack(bundle.packed(parcel), there)
+            assert bundle.digest_of(there, parcel.names) == bundle.digest_of(parcel.folder, parcel.names)
+            places[parcel.address] = str(there / parcel.inner)
+        assert len(places) == (1 if policy == "dwa" else 2)
+        there_found = drive_alone(piece, lambda address, places=places: places.get(address, address))
+        assert there_found == drive_alone(piece, str)
+
+
+def test_what_does_not_travel_is_refused_before_a_cluster_is_asked(corner, tmp_path):
+    order = SuiteOrder(
+        suite=suite_in(corner, block_of(corner)), out=tmp_path, machines=Machines(cluster="10.255.255.1:6379")
+    )
+    with pytest.raises(ConfigError, match=r"class tests.*does not travel"):
+        run_suite(order, ["tests.agents.evaluation.suite.lists:Held"], lambda *said: None)
+
+
+@pytest.mark.proof
+def test_a_suite_on_ray_is_the_same_bytes(corner: Path, run: str, tmp_path: Path):
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
+    block = block_of(corner, max_steps=40)
+    suite = suite_in(corner, block, block.model_copy(update={"seed": 77}))
+    here = SuiteOrder(suite=suite, out=tmp_path / "here")
+    there = SuiteOrder(suite=suite, out=tmp_path / "there", jobs=2, machines=Machines(cluster="local"))
+    names = ["follow", "dwa", run]
+    found = [
+        {name: [record.to_json() for record in records] for name, records in run_suite(order, names, print).items()}
+        for order in (here, there)
+    ]
+    assert json.dumps(found[0]) == json.dumps(found[1])
+    kept = [sorted(p.name for p in (tmp_path / where / "kept").iterdir()) for where in ("here", "there")]
+    assert kept[0] == kept[1]
+    for name in kept[0]:
+        assert (tmp_path / "here" / "kept" / name).read_bytes() == (tmp_path / "there" / "kept" / name).read_bytes()
