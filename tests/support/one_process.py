@@ -1,4 +1,4 @@
-"""Pieces of a suite in the process of the test: one of their own costs two seconds before it drives."""
+"""Pictures of failures in the process of the test: one of their own costs two seconds before it drives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from wcsim.agents.evaluation.suite import run
 from wcsim.view.report import illustrate
 
 
@@ -40,8 +39,7 @@ class OneProcess:
 
 @contextmanager
 def in_this_process() -> Iterator[None]:
-    """Suites are driven, and failures illustrated, without further processes; those have tests of their own."""
+    """Failures are illustrated without further processes; those have a test of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (run, illustrate):
-            patch.setattr(module, "ProcessPoolExecutor", OneProcess)
+        patch.setattr(illustrate, "ProcessPoolExecutor", OneProcess)
         yield

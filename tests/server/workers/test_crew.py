@@ -7,13 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import Crew
 from wcsim.server.workers.processes import ProcessWorkers
-from wcsim.server.workers.work import Ended, Work
+from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
 def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
@@ -43,7 +44,7 @@ class Scripted:
         self.begun.append((worker, work.key))
         self.at[worker] = work.key
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
         time.sleep(0.005)
         found = []
         for worker, key in list(self.at.items()):
@@ -54,7 +55,7 @@ class Scripted:
                 continue
             del self.at[worker]
             data = key.encode() if how == "done" else None
-            found.append(Ended(worker=worker, key=key, data=data, lost=how, counts=how == "dead"))
+            found.append(WorkEnd(worker=worker, key=key, data=data, lost=how, counts=how == "dead"))
         return found
 
     def stop(self, worker: str) -> None:
@@ -149,16 +150,21 @@ def test_a_full_disk_is_raised_where_it_is_waited_for():
         done_by(crew, {"a"})
 
 
-def test_closing_leaves_no_process(tmp_path: Path):
-    import psutil
+def is_worker(process: psutil.Process) -> bool:
+    try:
+        return "spawn_main" in " ".join(process.cmdline())
+    except (psutil.NoSuchProcess, psutil.ZombieProcess):  # it has ended meanwhile
+        return False
 
+
+def test_closing_leaves_no_process(tmp_path: Path):
     with Crew(ProcessWorkers(1), lambda key, data: None) as crew:
         crew.ask([work("a"), work("b", hang_once, str(tmp_path / "once"))])
         done_by(crew, {"a"})
         time.sleep(0.3)
     until_s = time.monotonic() + 10.0
     while time.monotonic() < until_s:
-        left = [p for p in psutil.Process().children() if "spawn_main" in " ".join(p.cmdline())]
+        left = [child for child in psutil.Process().children() if is_worker(child)]
         if not left:
             return
         time.sleep(0.1)

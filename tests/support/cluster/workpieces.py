@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.errors import TownError
-from wcsim.server.workers.work import At
+from wcsim.server.workers.worker_api import At
 
 
 def echo(piece: Any, at: At) -> bytes:

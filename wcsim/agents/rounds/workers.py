@@ -23,7 +23,7 @@ from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
 from wcsim.server.workers.machines import Machines
-from wcsim.server.workers.work import At, Parcel, Work
+from wcsim.server.workers.worker_api import At, Parcel, Work
 
 _LOOK_S = 1.0
 

@@ -11,7 +11,7 @@ from wcsim.config import RunConfig
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import is_file, shown
 from wcsim.errors import ConfigError, TownError
-from wcsim.server.workers.work import At, Parcel
+from wcsim.server.workers.worker_api import At, Parcel
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
 

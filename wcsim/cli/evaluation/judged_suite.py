@@ -15,7 +15,7 @@ from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
-from wcsim.cli.shared.machines import machines_of, said_of
+from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.errors import ConfigError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines

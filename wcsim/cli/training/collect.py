@@ -11,7 +11,7 @@ import tyro
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machines import machines_of
+from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.run_config import require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config

@@ -13,7 +13,7 @@ from wcsim.agents.rounds.run_of_rounds import train_danger
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
-from wcsim.cli.shared.machines import machines_of
+from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
 from wcsim.errors import InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow

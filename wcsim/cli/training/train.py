@@ -14,7 +14,7 @@ import tyro
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machines import machines_of, require_no_cluster
+from wcsim.cli.shared.machine_options import machines_of, require_no_cluster
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_to_test,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from wcsim.errors import WorkersError
-from wcsim.server.workers.work import Ended, Work, Workers
+from wcsim.server.workers.worker_api import Work, WorkEnd, Workers
 
 MOST_DEATHS: Final = 5  # of workers at the same piece, before the run gives up
 LATE: Final = 5.0  # times the longest piece so far: then it is done again by another one
@@ -144,7 +144,7 @@ class Crew:
         for name, work in given:
             self._workers.begin(name, work)
 
-    def _take_back(self, ended: Ended) -> None:
+    def _take_back(self, ended: WorkEnd) -> None:
         task = self._at.pop(ended.worker)
         key = ended.key
         if key in self._done:

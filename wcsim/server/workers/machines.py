@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.server.workers.processes import ProcessWorkers
-from wcsim.server.workers.work import Workers
+from wcsim.server.workers.worker_api import Workers
 
 LOGS: Final = "cluster"  # of a run or a result: its folder for what Ray said, and who did what
 

@@ -7,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from time import sleep
 
-from wcsim.server.workers.work import Ended, Work
+from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
 class ProcessWorkers:
@@ -35,7 +35,7 @@ class ProcessWorkers:
             future = self._pool(worker).submit(_do, work)
         self._under_way[future] = worker, work.key
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
         """What has come back; waits a while for it."""
         if not self._under_way:
             sleep(timeout_s)
@@ -64,14 +64,14 @@ class ProcessWorkers:
     def _drop(self, worker: str) -> None:
         self._pools.pop(worker).shutdown(wait=False, cancel_futures=True)
 
-    def _ended(self, future: Future[bytes], worker: str, key: str) -> Ended:
+    def _ended(self, future: Future[bytes], worker: str, key: str) -> WorkEnd:
         error = future.exception()
         if error is None:
-            return Ended(worker=worker, key=key, data=future.result())
+            return WorkEnd(worker=worker, key=key, data=future.result())
         if isinstance(error, BrokenProcessPool):
             self._drop(worker)
-            return Ended(worker=worker, key=key, lost="its process died")
-        return Ended(worker=worker, key=key, error=error)
+            return WorkEnd(worker=worker, key=key, lost="its process died")
+        return WorkEnd(worker=worker, key=key, error=error)
 
 
 def _do(work: Work) -> bytes:

@@ -13,7 +13,7 @@ from tests.support.cluster.workpieces import blunder, read_parcel, refuse
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.workers.cluster import bundle, on_node
 from wcsim.server.workers.cluster.on_node import SentParcel, SentWork, do_work, kill_worker
-from wcsim.server.workers.work import Parcel
+from wcsim.server.workers.worker_api import Parcel
 
 
 @pytest.fixture

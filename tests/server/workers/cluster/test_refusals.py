@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from wcsim.cli.main import main
-from wcsim.cli.shared.machines import machines_of
+from wcsim.cli.shared.machine_options import machines_of
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 from wcsim.server.workers.cluster import joining, ray_workers

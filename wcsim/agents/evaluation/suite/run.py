@@ -37,7 +37,7 @@ from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
-from wcsim.server.workers.work import At, Parcel, Work, Workers
+from wcsim.server.workers.worker_api import At, Parcel, Work, Workers
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 TOWNS: Final = "towns"  # made ones lie there, in a result's folder

@@ -14,7 +14,7 @@ import zstandard
 
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.server.workers.work import Parcel
+from wcsim.server.workers.worker_api import Parcel
 
 MOST_BYTES: Final = 512 << 20
 _LEVEL: Final = 3

@@ -21,7 +21,7 @@ from wcsim.server.workers.cluster.bundle import digest_of, packed
 from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec, join
 from wcsim.server.workers.cluster.node_facts import facts_here, facts_of, notes_on, why_refused
 from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, do_work, kill_worker
-from wcsim.server.workers.work import Ended, Parcel, Work
+from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
 
 _LOOK_S: Final = 2.0  # at which nodes there are
 _WAIT_S: Final = 0.05
@@ -144,12 +144,12 @@ class _Link:
         name = worker.rpartition("/")[0]
         node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), None)
         if node is None:
-            self._pipe.send(("ended", Ended(worker=worker, key=work.key, lost="its node is gone", counts=False)))
+            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, lost="its node is gone", counts=False)))
             return
         try:
             sent = tuple(self._sent(parcel) for parcel in parcels)
         except (OSError, WcsimError) as error:
-            self._pipe.send(("ended", Ended(worker=worker, key=work.key, error=error)))
+            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, error=error)))
             return
         whole = SentWork(run=self._spec.run, key=work.key, call=work.call, piece=work.piece, parcels=sent)
         options = {"scheduling_strategy": self._on(node), "name": f"wcsim {work.key}"}
@@ -242,7 +242,7 @@ def _look_at_node() -> Callable[[], Any]:
     return look
 
 
-def _with_reply(begun: _Begun, reply: Reply) -> Ended:
+def _with_reply(begun: _Begun, reply: Reply) -> WorkEnd:
     total_s = time.monotonic() - begun.since_s
     facts = {
         "pid": reply.pid,
@@ -254,25 +254,25 @@ def _with_reply(begun: _Begun, reply: Reply) -> Ended:
     }
     worker, key = begun.worker, begun.work.key
     if reply.error is not None:
-        return Ended(worker=worker, key=key, error=reply.error, facts=facts)
+        return WorkEnd(worker=worker, key=key, error=reply.error, facts=facts)
     if reply.fault:
         told = f"{key} failed on {worker}: {reply.fault[:300]}; expected it to be done; Ray's log there tells more"
-        return Ended(worker=worker, key=key, error=WorkersError(told), facts=facts)
+        return WorkEnd(worker=worker, key=key, error=WorkersError(told), facts=facts)
     if reply.lost:
-        return Ended(worker=worker, key=key, lost=reply.lost, facts=facts)
-    return Ended(worker=worker, key=key, data=reply.data, facts=facts)
+        return WorkEnd(worker=worker, key=key, lost=reply.lost, facts=facts)
+    return WorkEnd(worker=worker, key=key, data=reply.data, facts=facts)
 
 
-def _lost_with_its_node(begun: _Begun) -> Ended:
+def _lost_with_its_node(begun: _Begun) -> WorkEnd:
     waited_s = round(time.monotonic() - begun.since_s, 3)
     facts = {"total_s": waited_s}
-    return Ended(worker=begun.worker, key=begun.work.key, lost="its node is gone", counts=False, facts=facts)
+    return WorkEnd(worker=begun.worker, key=begun.work.key, lost="its node is gone", counts=False, facts=facts)
 
 
-def _without_reply(begun: _Begun, error: Exception, ray: Any) -> Ended:
+def _without_reply(begun: _Begun, error: Exception, ray: Any) -> WorkEnd:
     known = ray.exceptions
     of_machine = (known.NodeDiedError, known.TaskUnschedulableError, known.ObjectLostError, known.OwnerDiedError)
-    return Ended(
+    return WorkEnd(
         worker=begun.worker,
         key=begun.work.key,
         lost=f"{type(error).__name__}: {_first_line(error)}",

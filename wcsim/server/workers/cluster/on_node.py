@@ -17,7 +17,7 @@ from typing import Any
 
 from wcsim.errors import WcsimError
 from wcsim.server.workers.cluster.bundle import is_kept, keep, kept_folder, unpack
-from wcsim.server.workers.work import Call
+from wcsim.server.workers.worker_api import Call
 from wcsim.towns.cache.folder import cache_folder
 
 Fetch = Callable[[Any], bytes]

@@ -17,7 +17,7 @@ from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, DiskFullError, WorkersError
 from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec
 from wcsim.server.workers.cluster.link import run_link
-from wcsim.server.workers.work import Ended, Work
+from wcsim.server.workers.worker_api import Work, WorkEnd
 
 RAY_LOG, PIECES = "ray.log", "pieces.jsonl"
 REACH_S: Final = 5.0
@@ -52,7 +52,7 @@ class RayWorkers:
         self._names: tuple[str, ...] = ()
         self._asked = 1  # nodes that have not answered yet
         self._refused: list[str] = []
-        self._ended: list[Ended] = []
+        self._ended: list[WorkEnd] = []
         self._heard_s = time.monotonic()
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -73,7 +73,7 @@ class RayWorkers:
         """Give a piece to a node, with what it needs."""
         self._send("begin", (worker, work, work.needs(work.piece)))
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
         """What has come back; waits a while for it. Raises WorkersError when the cluster is lost."""
         self._hear(timeout_s)
         found, self._ended = self._ended, []
@@ -145,7 +145,7 @@ class RayWorkers:
             f"--resume; what Ray said is in {self._folder / RAY_LOG}"
         )
 
-    def _note(self, ended: Ended) -> None:
+    def _note(self, ended: WorkEnd) -> None:
         """A line for a piece: who was at it, and what came of it. Raises DiskFullError."""
         how = "done" if ended.data is not None else "failed" if ended.error is not None else "lost"
         row = {"key": ended.key, "worker": ended.worker, "how": how, "why": ended.lost, **ended.facts}

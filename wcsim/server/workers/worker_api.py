@@ -44,7 +44,7 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ended:
+class WorkEnd:
     """What a worker has come to with a piece: `data`, or an `error` that is final, or neither: the piece is lost."""
 
     worker: str
@@ -65,7 +65,7 @@ class Workers(Protocol):
     def begin(self, worker: str, work: Work) -> None:
         """Give a piece to a worker that has none."""
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
         """What has come back; waits a while for it. Raises WorkersError as `names`."""
 
     def stop(self, worker: str) -> None:
