@@ -125,8 +125,8 @@ def _cut_when_it_drives(net: SlowNet, out: Path, cut: list[str]) -> None:
 
 def _told(rows: list[dict], took_s: float) -> str:
     done = [row for row in rows if row["how"] == "done" and not row["worker"].startswith(f"{address_of(0)}/")]
-    begun: set[str] = set()  # with a worker's first piece its process starts
-    done = [row for row in done if row["worker"] in begun or begun.add(row["worker"])]
+    begun: set[int] = set()  # with its first piece a process starts
+    done = [row for row in done if row["pid"] in begun or begun.add(row["pid"])]
     sent, came = sum(row["fetched_bytes"] for row in done), sum(row["bytes"] for row in done)
     total_s, work_s = sum(row["total_s"] for row in done), sum(row["work_s"] for row in done)
     lost = sum(row["how"] == "lost" for row in rows)
