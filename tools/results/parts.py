@@ -67,7 +67,7 @@ def parts(out: Path) -> list[Part]:
 
 def _small(out: Path, preset: str) -> Part:
     runs = tuple(f"{preset}-{seed}" for seed in SEEDS)
-    steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, "dev", runs))
+    steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, "dev", runs, alone=True))
     return Part(name=preset, says=f"preset {preset}, three seeds, on the suite dev", steps=steps)
 
 
