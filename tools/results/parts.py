@@ -9,8 +9,10 @@ from typing import Final
 
 SEEDS: Final = (1, 2, 3)
 BASELINES: Final = ("follow", "dwa", "oracle-visible", "oracle", "stop", "zero", "random")
-# What each ablation changes of preset `laptop`; the full recipe is row `laptop`.
-ABLATIONS: Final[dict[str, tuple[str, ...]]] = {
+# What each ablation changes of preset `laptop`. These learn from the driving of `laptop-1`, all at once, as `again`
+# does, their row of comparison.
+OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
+    "again": (),
     "pictures": ("danger.eye=picture", "learn.network=patch"),
     "map-and-pictures": ("danger.eye=both", "learn.network=patch"),
     "no-roll-out": ("danger.roll_out=false",),
@@ -21,12 +23,16 @@ ABLATIONS: Final[dict[str, tuple[str, ...]]] = {
     "no-rival": ("danger.rival=false",),
     "no-context": ("danger.context=false",),
     "all-knowing-teacher": ("danger.teacher=truth",),
+}
+# These change the driving itself: `laptop-1` is their row of comparison.
+OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
     "no-own-driving": ("collect.network_share=0.0",),
     "no-delay": ("world.action_delay_ticks=0", "collect.variants=[]"),
     "no-variants": ("collect.variants=[]",),
     "one-town": ("collect.made_towns=0",),
     "no-scenes": ("collect.scene_share=0.0",),
 }
+ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=5000")  # as many as the rounds have
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,17 +78,30 @@ def _small(out: Path, preset: str) -> Part:
 
 
 def _ablations(out: Path) -> Iterator[Part]:
-    for name, settings in ABLATIONS.items():
+    first = trained(out, "laptop-1", 1)
+    for name, settings in OF_THE_NETWORK.items():
         run = f"ablation-{name}"
-        steps = trained(out, run, 1, "laptop", settings), judged(out, "dev", ("laptop-1", run), alone=True)
-        yield Part(name=run, says=f"preset laptop with {', '.join(settings)}", steps=steps)
+        learned = trained(out, run, 1, settings=(*ALL_AT_ONCE, *settings), data=out / "laptop-1" / "data")
+        steps = first, learned, judged(out, "dev", (run,), alone=True)
+        yield Part(name=run, says=f"of laptop-1's driving, {_told(settings)}", steps=steps)
+    for name, settings in OF_THE_DRIVING.items():
+        run = f"ablation-{name}"
+        steps = first, trained(out, run, 1, settings=settings), judged(out, "dev", ("laptop-1", run), alone=True)
+        yield Part(name=run, says=f"preset laptop {_told(settings)}", steps=steps)
 
 
-def trained(out: Path, name: str, seed: int, preset: str = "laptop", settings: tuple[str, ...] = ()) -> Step:
-    """A training run in Helsinki."""
+def _told(settings: tuple[str, ...]) -> str:
+    return f"with {', '.join(settings)}" if settings else "all at once"
+
+
+def trained(
+    out: Path, name: str, seed: int, preset: str = "laptop", settings: tuple[str, ...] = (), data: Path | None = None
+) -> Step:
+    """A training run in Helsinki, or one that learns from a data folder."""
     run = out / name
     changed = [word for setting in settings for word in ("--set", setting)]
     words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *changed)
+    words = (*words, "--data", str(data)) if data is not None else words
     again = ("train", "--resume", "--out", str(run))
     return Step(words=words, again=again, folder=run, makes=run / "policies" / "final" / "policy.json")
 
