@@ -36,9 +36,7 @@ demo: $(STAMP)
 	$(BIN)/wcsim demo
 
 look: $(STAMP)
-	@mkdir -p look
-	$(BIN)/wcsim snapshot helsinki --seed 4 --out look/helsinki.png
-	$(BIN)/wcsim video helsinki --seed 4 --out look/helsinki.webm
+	$(BIN)/wcsim look
 
 lint: $(STAMP)
 	$(BIN)/ruff check wcsim tests examples tools

@@ -16,6 +16,7 @@ from tests.cli.conftest import QUICK, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
 from wcsim.physics import engine
+from wcsim.towns.scenario.town import find_town
 
 BASELINES = ("follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle")
 ROW_KEYS = {
@@ -263,6 +264,14 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
     assert frames[0].shape == (60, 80 + 60, 3)
     assert (frames[0] != frames[-1]).any()
     assert files_in(folder) == {"new", "new/film.webm"}
+
+
+def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
+    told = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
+    assert (told.code, told.err) == (0, "note: made the folder new\n")
+    name = find_town(str(corner)).name
+    assert [line.split(": ")[0] for line in told.out.splitlines()] == [f"new/{name}.png", f"new/{name}.webm"]
+    assert files_in(folder) == {"new", f"new/{name}.png", f"new/{name}.webm"}
 
 
 def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):

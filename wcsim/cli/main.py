@@ -42,6 +42,7 @@ SUBCOMMANDS = (
     Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),
+    Subcommand("look", "wcsim.cli.pictures.look", "a picture and a video of a town, without any training"),
     Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
     Subcommand("networks", "wcsim.cli.networks", "what each network costs: parameters, memory, time of a decision"),
