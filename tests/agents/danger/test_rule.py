@@ -31,17 +31,24 @@ def test_where_nothing_is_safe_the_least_dangerous_is_taken():
     assert choose(danger, STICK, ACTIONS, RULE) == 17
 
 
-def test_the_last_action_is_kept_a_little_longer():
+def test_the_last_action_is_allowed_a_little_longer():
     wish = ACTIONS.nearest(STICK)
-    other = int(np.argsort(ACTIONS.distances(STICK[None])[0])[1])
-    near = np.array([0.13, 0.9])  # halfway between two positions, hardly nearer to one
-    first = choose(np.zeros(81), near, ACTIONS, RULE)
-    second = wish if first == other else other
-    assert choose(np.zeros(81), near, ACTIONS, RULE, last=second) in (first, second)
     danger = np.zeros(81)
     danger[wish] = 1.1 * RULE.threshold
     assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE, last=wish) == wish
     assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE) != wish
+
+
+def test_a_way_round_is_kept_but_never_kept_from_who_can_be_followed():
+    wish = ACTIONS.nearest(STICK)
+    danger = np.zeros(81)
+    danger[ACTIONS.points[:, 1] > 0.3] = 0.9
+    left, right = ACTIONS.nearest((-0.25, 0.25)), ACTIONS.nearest((0.25, 0.25))
+    ahead = np.array([0.0, 0.9])
+    assert [choose(danger, ahead, ACTIONS, RULE, last=last) for last in (left, right)] == [left, right]
+    calm = DangerRule(keep=0.0)
+    assert choose(danger, ahead, ACTIONS, calm, last=left) == choose(danger, ahead, ACTIONS, calm, last=right)
+    assert choose(np.zeros(81), STICK, ACTIONS, DangerRule(keep=5.0), last=left) == wish
 
 
 @given(hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)), st.tuples(st.floats(-1, 1), st.floats(-1, 1)))

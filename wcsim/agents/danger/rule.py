@@ -1,6 +1,7 @@
-"""From dangers to an action: the nearest to the user's stick that is safe enough; the last one is kept a little longer.
+"""From dangers to an action: the nearest to the user's stick that is safe enough.
 
-The threshold is the assistance level, and can be set at run time.
+The user's own is taken whenever it is safe enough; among the others the choice is calm, so that the chair does not waver between two
+ways round. The threshold is the assistance level, and can be set at run time.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 class DangerRule:
     """How dangers are answered."""
 
-    threshold: float = 0.3  # of danger: below it an action is allowed
-    keep: float = 0.06  # joystick distance by which the last action is taken for nearer
+    threshold: float = 0.2  # of danger: below it an action is allowed
+    keep: float = 0.2  # joystick distance by which the last action is taken for nearer, where the user's own is not safe
     lenient: float = 1.3  # times the threshold for the last action
-    shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth
-    warn: float = 0.5  # of the user's own stick's danger, smoothed: above it, warn
+    shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    warn: float = 0.3  # of the user's own stick's danger, smoothed: above it, warn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,9 @@ def choose(danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: 
     if last >= 0:
         limit[last] *= rule.lenient
         cost[last] -= rule.keep
+    own = int(np.argmin(distance))
+    if danger[own] < limit[own]:
+        return own
     allowed = danger < limit
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))

@@ -36,8 +36,8 @@ class DangerConfig(Model):
     tight_share: Share = 0.5  # of a batch, from steps in which something is unsafe
     ahead: Annotated[int, Field(ge=0, le=20)] = 1  # an action is unsafe already, so many steps before it is
     teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = "visible"  # the oracle: blinded, or all-knowing
-    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3  # the assistance level: what is more dangerous is out
-    keep: NotNegative = 0.06  # joystick distance by which the last action is taken for nearer
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2  # the assistance level: what is more dangerous is out
+    keep: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: Positive = 1.3  # times the threshold for the last action
-    shy: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth
-    warn: Share = 0.5  # the danger of the user's own stick, over about three ticks, above which it warns
+    shy: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    warn: Share = 0.3  # the danger of the user's own stick, over about three ticks, above which it warns

@@ -279,6 +279,8 @@ class DangerGraph(nn.Module):
         kept = (numbers == last).to(danger.dtype)
         limit = rule.threshold * (1.0 + (rule.lenient - 1.0) * kept)
         cost = distance + rule.shy * danger / rule.threshold - rule.keep * kept
+        own = numbers == distance.argmin(dim=1, keepdim=True) + 1
+        cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
