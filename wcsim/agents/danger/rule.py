@@ -1,7 +1,7 @@
 """From dangers to an action: the nearest to the user's stick that is safe enough.
 
-The user's own is taken whenever it is safe enough; among the others the choice is calm, so that the chair does not waver between two
-ways round. The threshold is the assistance level, and can be set at run time.
+The user's own is taken whenever it is safe enough; among the others the choice is calm, so that the chair does not
+waver between two ways round. The threshold is the assistance level, and can be set at run time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class DangerRule:
     """How dangers are answered."""
 
     threshold: float = 0.2  # of danger: below it an action is allowed
-    keep: float = 0.2  # joystick distance by which the last action is taken for nearer, where the user's own is not safe
+    keep: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
     warn: float = 0.3  # of the user's own stick's danger, smoothed: above it, warn
@@ -40,7 +40,7 @@ class Alarm:
 
 
 def next_alarm(before: Alarm, danger: float, rule: DangerRule) -> Alarm:
-    """The alarm a tick later: on above `rule.warn`, off again below 0.7 of it; a single tick of danger is not enough.
+    """The alarm a tick later: on above `rule.warn`, off again below 0.7 of it; a doubtful tick is not enough.
 
     Args:
         before: The alarm of the tick before.
