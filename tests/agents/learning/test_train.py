@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
-from wcsim.agents.learning.build import build_model, checked_device
+from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -352,12 +352,10 @@ def test_a_run_keeps_the_user_s_own_plant(tmp_path):
     assert Path(kept).read_bytes() == text
 
 
-def test_a_replay_beyond_the_memory_and_a_device_without_numbers_are_named(monkeypatch):
+def test_a_replay_beyond_the_memory_is_named(monkeypatch):
     def full(*words, **more):
         raise MemoryError
 
-    with pytest.raises(ConfigError, match=r"learn\.device='meta' cannot be used here"):
-        checked_device("meta")
     monkeypatch.setattr("wcsim.agents.learning.build.SeqDQN", full)
     with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into the memory"):
         build_model(config(), ToyStreet(CAMERA), 0)

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from wcsim.agents.danger.lessons import Lectures
 from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.networks.device import checked_device
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -29,13 +30,17 @@ class DangerLearner:
         config: Of the run.
         seed: Of the run.
         total: Updates of the whole run, over which the learning rate rises and falls.
+
+    Raises:
+        ConfigError: `learn.device` cannot be used here.
     """
 
     def __init__(self, config: RunConfig, seed: int, total: int) -> None:
         danger = config.danger
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
         points = torch.as_tensor(action_set(config.env.actions).points)
-        self.net = laid_out(DangerNet(spec_of(config), points))
+        self._device = checked_device(config.learn.device)
+        self.net = laid_out(DangerNet(spec_of(config), points)).to(self._device)
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
         )
@@ -49,7 +54,8 @@ class DangerLearner:
             for group in self._optimizer.param_groups:
                 group["lr"] = self._rate * rate_share(self.updates / self._total)
             batch = lectures.draw()
-            loss = functional.binary_cross_entropy_with_logits(self.net(*batch.inputs), batch.unsafe)
+            seen, unsafe = (part.to(self._device) for part in batch.inputs), batch.unsafe.to(self._device)
+            loss = functional.binary_cross_entropy_with_logits(self.net(*seen), unsafe)
             now = float(loss.detach())
             if not np.isfinite(now):
                 raise PolicyError(
@@ -70,7 +76,7 @@ class DangerLearner:
         state = self._optimizer.state
         names: dict[object, str] = {parameter: name for name, parameter in self.net.named_parameters()}
         return {
-            f"{names[parameter]}.{key}": value.detach().clone().contiguous()
+            f"{names[parameter]}.{key}": value.detach().cpu().clone().contiguous()
             for parameter, held in state.items()
             for key, value in held.items()
         }
@@ -79,7 +85,11 @@ class DangerLearner:
         """Go on after so many updates with what `moments` gave then. Raises KeyError when it is of another network."""
         parameters = dict(self.net.named_parameters())
         for name in sorted({name.rpartition(".")[0] for name in moments}):
-            self._optimizer.state[parameters[name]] = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
+            held = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
+            # The count of steps stays on the CPU, where AdamW keeps it.
+            self._optimizer.state[parameters[name]] = {
+                key: value if key == "step" else value.to(self._device) for key, value in held.items()
+            }
         self.updates, self.loss = updates, loss
 
 

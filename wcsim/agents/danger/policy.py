@@ -36,6 +36,7 @@ class DangerPolicy:
     ) -> None:
         self.name, self.senses = name, SENSES if net.spec.odometry else (GYRO,)
         self.rule, self._net, self._alarm = rule, net, Alarm()
+        self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
         self._eye = Eye(config, delay_ticks, net.spec.looks)
         self._last = -1
@@ -86,7 +87,7 @@ class DangerPolicy:
     def danger(self, sight: DangerSight) -> F64:
         """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         with torch.inference_mode():
-            logits = self._net(*inputs([sight], self._eye)).numpy()[0]
+            logits = self._net(*(part.to(self._device) for part in inputs([sight], self._eye))).cpu().numpy()[0]
         if not np.isfinite(logits).all():
             raise NotFinite(f"policy {self.name!r} gives dangers that are not finite; train it again")
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from stable_baselines3.common.type_aliases import GymEnv
 
 from wcsim.agents.learning.phases import PhasePlan
@@ -85,17 +84,6 @@ def phase_plan(learn: LearnConfig) -> PhasePlan:
         margin_fade=learn.margin_fade,
         aid=learn.aid_weight if learn.aid == "oracle" else 0.0,
     )
-
-
-def checked_device(name: str) -> str:
-    """The device's name. Raises ConfigError for one that PyTorch does not know or this machine does not have."""
-    try:
-        torch.zeros(1, device=name).item()
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        reason = str(error).splitlines()[0][:120]
-        message = f"learn.device={name!r} cannot be used here ({reason}); expected cpu, or cuda with a card"
-        raise ConfigError(message) from None
-    return name
 
 
 def build_model(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None = None) -> SeqDQN:

@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from wcsim.agents.learning.build import build_model, checked_device, with_window
+from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import set_aside
@@ -26,6 +26,7 @@ from wcsim.agents.learning.shielded.danger_part import danger_part
 from wcsim.agents.learning.shielded.shielded_dqn import shield_beside
 from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
+from wcsim.agents.networks.device import checked_device
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder

@@ -98,8 +98,9 @@ def fitted(config: RunConfig, world: RunConfig) -> RunConfig:
 def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
     # torch is loaded here, before there is a seat for which others would wait
     from wcsim.agents.envs.wheelchair_env import SeatedEnv
-    from wcsim.agents.learning.build import checked_device, with_window
+    from wcsim.agents.learning.build import with_window
     from wcsim.agents.learning.train import train
+    from wcsim.agents.networks.device import checked_device
     from wcsim.agents.runs.own_terms import find_reward_term
     from wcsim.server.links.socket import open_seat
 
