@@ -10,7 +10,7 @@ from wcsim.core.reading import parse_toml
 from wcsim.errors import ConfigError
 
 
-@pytest.mark.parametrize("preset", ["quick", "laptop", "dqn", "paper"])
+@pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
 def test_presets_are_complete(preset):
     assert isinstance(load_run_config(preset), RunConfig)
 

@@ -85,7 +85,7 @@ def test_a_danger_network_that_learns_as_it_drives_has_its_senses_and_its_teache
 
 
 def test_the_preset_with_rounds_has_worlds_of_its_own():
-    for preset in ("laptop", "quick"):
+    for preset in ("laptop", "best", "quick"):
         config = resolve_config(Options(preset=preset), "")
         assert config.learn.head == "danger" and not learns_dangers_online(config)
         assert learns_dangers_online(resolve_config(Options(preset=preset, set=("collect.rounds=0",)), ""))

@@ -43,8 +43,8 @@ class Options:
     town: str = "helsinki"
     """Town to train in; its split must be train."""
     preset: str = ""
-    """Settings to begin with: quick, laptop, dqn or paper. (default: quick, which learns dangers in rounds; dqn, which
-    learns by Q-learning, with --network, --clients, --steps, --reward, --hook or a setting of [learn])"""
+    """Settings to begin with: quick, laptop, best, dqn or paper. (default: quick, which learns dangers in rounds; dqn,
+    which learns by Q-learning, with --network, --clients, --steps, --reward, --hook or a setting of [learn])"""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()
