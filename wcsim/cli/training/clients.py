@@ -36,6 +36,7 @@ from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, JournalWriter
 from wcsim.server.journal.ledger import LedgerWriter
+from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
@@ -275,7 +276,7 @@ def _mend(folder: ClientsFolder) -> None:
     """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
-    if not path.exists() and any(file.stat().st_size for file in ledgers):
+    if not part_files(path) and any(file.stat().st_size for file in ledgers):
         raise JournalError(f"{path}: is missing, and the ledgers tell of ticks; restore it, or begin a new run")
     if path.exists():
         with JournalWriter.append_to(path) as journal:
@@ -312,6 +313,7 @@ def _world_order(
         run=str(folder.path.absolute()),
         hook=run.info.hook,
         recovery=options.recovery,
+        epochs_end=True,
     )
 
 

@@ -15,6 +15,7 @@ from wcsim.agents.clients.clients_folder import ClientsFolder
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
 from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
+from wcsim.server.journal.parts import part_files
 from wcsim.server.launch.states import LaunchState
 from wcsim.view.report.training.learning_curve import crossing, read_training
 
@@ -82,7 +83,7 @@ class ClientsReport:
 def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport:
     """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
     path = folder.path / JOURNAL
-    journal = path if path.is_file() else None
+    journal = path if part_files(path) else None
     return ClientsReport(
         run=str(folder.path),
         town=folder.manifest.town,

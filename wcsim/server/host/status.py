@@ -113,7 +113,7 @@ class Reporter:
                 master="" if master is None else master.name,
                 late=tuple(mate.name for mate in owing),
                 late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
-                rss_mb=_rss_mb(),
+                rss_mb=rss_mb(),
                 held=self._holdups.held([mate.name for mate in members]),
                 listening=self.listening,
             )
@@ -132,6 +132,7 @@ class Reporter:
                 os.write(self._pipe, line)
 
 
-def _rss_mb() -> float:
+def rss_mb() -> float:
+    """Memory of this process, in MB of 2**20 bytes."""
     pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20
