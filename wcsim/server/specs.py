@@ -143,6 +143,7 @@ class WorldStatus:
     late_s: float = 0.0  # since when
     rss_mb: float = 0.0
     held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
+    waited_s: tuple[tuple[float, ...], ...] = ()  # what each of `members` (rows) has waited for each (columns)
     listening: str = ""  # the address for clients on other machines
 
 

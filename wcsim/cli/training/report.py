@@ -12,12 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import ClientsFolder
+from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
 from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
 from wcsim.server.journal.parts import part_files
 from wcsim.server.launch.states import LaunchState
 from wcsim.view.report.training.learning_curve import crossing, read_training
+from wcsim.view.report.training.waiting import waiting_rows
 
 
 class TickRate:
@@ -74,13 +76,14 @@ class ClientsReport:
     ticks: int  # of the world
     journal_hash: str  # equal for equal runs
     ticks_per_s: float
+    waits: PaidTimes  # what sharing the world cost each client
 
     def as_json(self) -> dict[str, Any]:
         """As a result file."""
         return asdict(self)
 
 
-def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport:
+def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> ClientsReport:
     """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
     path = folder.path / JOURNAL
     journal = path if part_files(path) else None
@@ -93,6 +96,7 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport
         ticks=0 if journal is None else audit(iter_journal(journal), ()).ticks,
         journal_hash="" if journal is None else journal_digest(path),
         ticks_per_s=rate.ticks_per_s,
+        waits=waits,
     )
 
 
@@ -120,6 +124,12 @@ def print_report(console: Console, report: ClientsReport) -> None:
     for client in report.clients:
         table.add_row(*(str(value) for value in asdict(client).values()))
     console.print(table)
+    if len(report.waits.clients) > 1:
+        headings, rows = waiting_rows(report.waits)
+        paid = Table(*headings, box=box.SIMPLE_HEAD, pad_edge=False)
+        for row in rows:
+            paid.add_row(*("-" if cell is None else str(cell) for cell in row))
+        console.print(paid)
     console.print(
         f"{report.ticks} ticks of the world, {report.ticks_per_s:.1f} a second; journal {report.journal_hash}",
         markup=False,
