@@ -27,7 +27,7 @@ from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, Ticked, iter_journal
-from wcsim.server.journal.ledger import read_ledger
+from wcsim.server.journal.ledger import iter_ledger
 from wcsim.server.journal.parts import part_files
 from wcsim.types import CLIENT_NAME
 
@@ -190,7 +190,7 @@ def _stepped(ledger: Path) -> bool:
     if not ledger.exists():
         return False
     try:
-        return any(entry.stepped for entry in read_ledger(ledger))
+        return any(entry.stepped for entry in iter_ledger(ledger))
     except WcsimError:
         return True
 

@@ -19,7 +19,7 @@ from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predict
 from wcsim.bench.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
 from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import Audit, audit, read_ledger
+from wcsim.server.journal.ledger import Audit, audit, iter_ledger
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.protocol.events import Rules
@@ -88,7 +88,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
         watch.launcher = launcher
         outcome = launcher.run()
-    ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
+    ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
     times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
