@@ -20,7 +20,6 @@ from wcsim.server.journal.ledger import Audit, LedgerEntry, audits, iter_ledger,
 from wcsim.server.journal.parts import part_files
 from wcsim.server.launch.states import LaunchState
 from wcsim.view.report.training.learning_curve import crossing, read_training
-from wcsim.view.report.training.waiting import waiting_rows
 
 
 class TickRate:
@@ -132,16 +131,23 @@ def print_report(console: Console, report: ClientsReport) -> None:
         table.add_row(*(str(value) for value in asdict(client).values()))
     console.print(table)
     if len(report.waits.clients) > 1:
-        headings, rows = waiting_rows(report.waits)
-        paid = Table(*headings, box=box.SIMPLE_HEAD, pad_edge=False)
-        for row in rows:
-            paid.add_row(*("-" if cell is None else str(cell) for cell in row))
-        console.print(paid)
+        console.print(_paid(report.waits))
     console.print(
         f"{report.ticks} ticks of the world, {report.ticks_per_s:.1f} a second; journal {report.journal_hash}",
         markup=False,
         soft_wrap=True,
     )
+
+
+def _paid(waits: PaidTimes) -> Table:
+    """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
+    table = Table("client", "acts s", "learns s", "waits s", "most for", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, paid in waits.clients.items():
+        waited = waits.waited_s.get(name, {})
+        whom = max(waited, key=lambda other: waited[other], default="")
+        most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
+        table.add_row(name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most)
+    return table
 
 
 def print_crossings(run: Path) -> None:
