@@ -18,6 +18,7 @@ import numpy as np
 
 from tests.attack.files.damage import flipped, pick
 from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.report import TickRate, report_of
 from wcsim.errors import WcsimError
@@ -112,7 +113,7 @@ def audited(run: Path) -> str:
     if not (run / "manifest.json").is_file():
         return f"{run} is gone"
     try:
-        report = report_of(open_clients_folder(run), 0, TickRate())
+        report = report_of(open_clients_folder(run), 0, TickRate(), PaidTimes(clients={}, waited_s={}))
     except WcsimError as error:
         return str(error)
     bad = [client for client in report.clients if client.missing or client.duplicated]

@@ -57,10 +57,10 @@ def test_a_row_a_client_and_a_line_for_the_world():
     lines = shown(table_of(state(seen=late, clients=clients)))
     for text in ("epoch 1, tick 70", "9.5 ticks/s", "collect", "waits for gru (3.2 s)", "310 MB"):
         assert text in lines[0]
-    assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "waits", "2"]
+    assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "-", "waits", "2"]
     assert row(lines, "stack")[:2] == ["stack", "*"]
     assert row(lines, "gru")[-2] == "thinks"
-    assert row(lines, "new") == ["new", "3", "-", "-", "-", "-", "-", "starting", "0"]
+    assert row(lines, "new") == ["new", "3", "-", "-", "-", "-", "-", "-", "starting", "0"]
     assert "down: killed by SIGKILL" in next(line for line in lines if line.startswith("dead"))
 
 

@@ -18,6 +18,7 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.server.journal.journal import JOURNAL, JournalWriter
+from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
@@ -160,7 +161,7 @@ def _check_doors(options: Options) -> None:
 
 def _require_ours(folder: Path) -> None:
     """Refuse a folder with other things in it."""
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / JOURNAL).is_file())):
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not part_files(folder / JOURNAL))):
         raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or that of a world")
     if folder.exists():
         require_no_links(folder, ConfigError)
@@ -196,4 +197,5 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Worl
         listen=options.listen,
         keys="" if options.keys is None else str(options.keys.absolute()),
         recovery=options.recovery,
+        epochs_end=options.run is not None,
     )

@@ -14,6 +14,12 @@ STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.
 """Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
 
 
+EPOCH_TICKS = 6_000
+"""Ticks of an epoch: as many as a world does again from its journal within five minutes (docs/clients.md)."""
+
+EPOCH_GROWTH_MB = 1_000.0
+"""What a world's process may grow by in an epoch."""
+
 _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
@@ -41,6 +47,12 @@ class WorldConfig(Model):
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
     visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
     visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more
+    epoch_ticks: Annotated[int, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks == EPOCH_TICKS)] = (
+        EPOCH_TICKS  # after which a shared world is replaced by a fresh one; 0: never
+    )
+    epoch_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == EPOCH_GROWTH_MB)] = (
+        EPOCH_GROWTH_MB  # of memory that its process may take in an epoch, before it is replaced
+    )
     draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # for the cameras' pictures; 0: as many as there are cores
 
     @model_validator(mode="after")

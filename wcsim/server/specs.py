@@ -64,6 +64,7 @@ class WorldSpec:
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
     recovery: Recovery = "new_epoch"
+    epochs_end: bool = False  # by world.epoch_ticks and world.epoch_growth_mb; whoever starts it has to start it again
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
 
@@ -142,6 +143,7 @@ class WorldStatus:
     late_s: float = 0.0  # since when
     rss_mb: float = 0.0
     held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
+    waited_s: tuple[tuple[float, ...], ...] = ()  # what each of `members` (rows) has waited for each (columns)
     listening: str = ""  # the address for clients on other machines
 
 
@@ -160,6 +162,7 @@ class ClientStatus:
     barrier_s: float = 0.0  # waiting for others, and for messages
     inference_s: float = 0.0
     learning_s: float = 0.0
+    overlap_s: float = 0.0  # of learning_s, done while it waited: in one of the first two as well
 
 
 T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)

@@ -13,8 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.server.launch.states import ClientState, LaunchState
-from wcsim.server.specs import WorldStatus
+from wcsim.server.specs import ClientStatus, WorldStatus
 
+PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal
 _WAITS_S = 0.5  # who is waited for is said when it takes so long ...
 _SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
@@ -59,7 +60,7 @@ class LiveTable:
 def table_of(state: LaunchState) -> RenderableType:
     """A head line and a row for each client."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("client", "seat", "step", "phase", "episodes", "crashes", "KPI 1", "state", "restarts"):
+    for title in ("client", "seat", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
         table.add_column(title, justify="left" if title in ("client", "state") else "right", no_wrap=True)
     for client in state.clients:
         table.add_row(*_row(client, state.world))
@@ -104,11 +105,11 @@ def waits_of(world: WorldStatus) -> str:
 def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
     status = client.status
     master = world is not None and bool(world.master) and world.master == client.name
-    told = ("-",) * 5
+    told = ("-",) * 6
     if status is not None:
         kpi1 = "-" if status.kpi1 is None else f"{status.kpi1:.3f}"
         progress = f"{status.step}/{status.total_steps}"
-        told = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1)
+        told = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, pays_of(status))
     return (
         f"{client.name}{' *' if master else ''}",
         str(client.seat),
@@ -116,6 +117,18 @@ def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
         escape(_standing(client, world)),
         str(client.restarts),
     )
+
+
+def pays_of(status: ClientStatus) -> str:
+    """What share of its time a client spends on acting, learning and waiting, in percent.
+
+    >>> pays_of(ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0))
+    '10/60/30'
+    """
+    waits_s = max(0.0, status.simulation_s + status.barrier_s - status.overlap_s)
+    parts_s = (status.inference_s, status.learning_s, waits_s)
+    all_s = sum(parts_s)
+    return "/".join(f"{100.0 * part_s / all_s:.0f}" for part_s in parts_s) if all_s > 0.0 else "-"
 
 
 def _standing(client: ClientState, world: WorldStatus | None) -> str:

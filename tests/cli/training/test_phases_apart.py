@@ -12,12 +12,13 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.training.test_clients import SMALL, start, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
+from wcsim.agents.clients.group_run import GroupRun
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.clients import GroupRun, resolved
+from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.phases_apart import best_of, first_phase, judged_of, policy_of, second_phase
 from wcsim.cli.training.train import Options
 from wcsim.config import load_run_config

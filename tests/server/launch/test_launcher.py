@@ -143,6 +143,15 @@ def test_a_world_that_dies_is_started_again(tmp_path):
     assert counted(tmp_path, "death") == counted(tmp_path, "restart") == counted(tmp_path, "recovery") == ["world"]
 
 
+def test_a_world_whose_epoch_is_over_is_replaced_at_once_and_has_not_died(tmp_path):
+    states = []
+    outcome = launcher(tmp_path, {"a": "steps=200"}, world="exit5=20x3", show=states.append).run()
+    assert (outcome.code, standings(outcome)) == (0, {"a": "done"})
+    assert counted(tmp_path, "replaced") == ["world"] * 3 and counted(tmp_path, "death") == []
+    assert next(line["reason"] for line in read_events(tmp_path) if line["event"] == "replaced") == "a fault of kind 5"
+    assert counted(tmp_path, "restart") == ["world"] * 3 and states[-1].world_restarts == 0
+
+
 def test_a_world_that_hangs_is_ended_and_started_again(tmp_path):
     outcome = launcher(tmp_path, {"a": "steps=1500"}, world="hang=30x1").run()
     assert outcome.code == 0

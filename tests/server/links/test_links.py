@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -28,6 +30,7 @@ from wcsim.server.links.child_world import ProcessLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
 from wcsim.server.transport.keys import make_keys
@@ -219,3 +222,55 @@ def test_nobody_there_is_said_in_time(tmp_path):
     )
     with open_seat(order) as a, pytest.raises(ServerGoneError, match="is it running"):
         a.join()
+
+
+def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(tmp_path):
+    """It is waited for as any other: whoever started it starts it again."""
+    with socket.socket(socket.AF_UNIX) as door:
+        door.bind(str(tmp_path / "world"))
+        door.listen()
+        met = []
+
+        def hang_up() -> None:
+            while True:
+                try:
+                    caller, _ = door.accept()
+                except OSError:
+                    return
+                met.append(caller.recv(1))
+                caller.close()
+
+        greeter = threading.Thread(target=hang_up)
+        greeter.start()
+        request = SeatRequest(
+            endpoint=f"ipc://{tmp_path}/world", name="a", claim="a", patience=Patience(resend_s=0.2, reconnect_s=1.5)
+        )
+        with open_seat(request) as link, pytest.raises(ServerGoneError):
+            link.join()
+        door.shutdown(socket.SHUT_RDWR)
+        greeter.join()
+    assert met, "nobody came"
+
+
+def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
+    """The master works longer than the others wait for word of it, and its world has gone on all the same."""
+    rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
+    with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(server.seat(name, seat=k))) for k, name in enumerate("ab")]
+        driven(links, 3)
+        master, other = links if links[0].master else links[::-1]
+        ticked = threading.Event()
+        master.send(3, AHEAD)
+
+        def other_drives() -> None:
+            assert other.act(3, AHEAD).tick == 4
+            ticked.set()
+
+        beside = threading.Thread(target=other_drives)
+        beside.start()
+        master.while_waiting(lambda: ticked.wait(30.0))
+        assert ticked.is_set(), "the world stood still while its master worked"
+        beside.join()
+        assert master.receive().tick == 4
+        waits = master.waits
+        assert 0.0 < waits.worked_s <= waits.link_s and other.waits.worked_s == 0.0

@@ -68,6 +68,7 @@ class StatusPipe:
             barrier_s=max(0.0, waits.link_s - waits.simulation_s),
             inference_s=self._shares.inference.seconds,
             learning_s=self._shares.learning.seconds,
+            overlap_s=waits.worked_s,
         )
         if self._descriptor >= 0 and (time.monotonic() - self._said_s >= SAY_S or now.step >= now.total_steps):
             self._said_s = time.monotonic()
@@ -129,7 +130,7 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
     """Where the time of this life went."""
     if not out.is_dir():
         return
-    known_s = last.simulation_s + last.barrier_s + last.inference_s + last.learning_s
+    known_s = last.simulation_s + last.barrier_s + last.inference_s + last.learning_s - last.overlap_s
     times = {
         "step": last.step,
         "elapsed_s": elapsed_s,
@@ -137,6 +138,7 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
         "barrier_s": last.barrier_s,
         "inference_s": last.inference_s,
         "learning_s": last.learning_s,
+        "overlap_s": last.overlap_s,
         "other_s": max(0.0, elapsed_s - known_s),
     }
     with contextlib.suppress(DiskFullError):  # why this life ends is of more weight

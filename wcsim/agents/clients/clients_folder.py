@@ -27,7 +27,8 @@ from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, Ticked, iter_journal
-from wcsim.server.journal.ledger import read_ledger
+from wcsim.server.journal.ledger import iter_ledger
+from wcsim.server.journal.parts import part_files
 from wcsim.types import CLIENT_NAME
 
 _SEAL, _FILES = "seal", "files_sha256"
@@ -176,7 +177,7 @@ def _seal(data: dict[str, Any]) -> str:
 
 def _ticked(journal: Path) -> bool:
     """Whether the world of a journal has done a tick, or may have: one that cannot be read is somebody's work too."""
-    if not journal.exists():
+    if not part_files(journal):
         return False
     try:
         return any(isinstance(record, Ticked) for record in iter_journal(journal))
@@ -189,7 +190,7 @@ def _stepped(ledger: Path) -> bool:
     if not ledger.exists():
         return False
     try:
-        return any(entry.stepped for entry in read_ledger(ledger))
+        return any(entry.stepped for entry in iter_ledger(ledger))
     except WcsimError:
         return True
 

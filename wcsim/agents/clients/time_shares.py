@@ -49,4 +49,4 @@ class TimeShares(SeqCallback):
         learner = self.learner
         setattr(learner, "predict", self.inference.around(learner.predict))  # noqa: B010 - mypy knows methods as fixed
         setattr(learner.policy, "predict", self.inference.around(learner.policy.predict))  # noqa: B010
-        setattr(learner, "train", self.learning.around(learner.train))  # noqa: B010
+        setattr(learner, "do_updates", self.learning.around(learner.do_updates))  # noqa: B010

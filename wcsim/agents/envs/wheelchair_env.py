@@ -9,7 +9,7 @@ With `join` the environment makes no world: it takes its seat in a running one, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Unpack
 
 import gymnasium
@@ -61,6 +61,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._join = join
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
+        self.due_work: Callable[[], Callable[[], None] | None] = lambda: None  # to be done while a step is waited for
         self._chair = Chair(self._face.config, options.get("reward_terms", ()))
         self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
@@ -102,6 +103,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
             self._chair.send(link, action)
+            work = self.due_work()
+            if work is not None:
+                link.while_waiting(work)
             return self._chair.receive(link)
         except WorldRestartedError:
             return self._chair.cut()

@@ -162,6 +162,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             aid_ahead=learn.aid_ahead,
             aid_margin=learn.aid_margin,
             supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
+            later=learn.updates == "while_waiting",
         ),
         plan=phase_plan(learn),
         seed=seed,

@@ -10,7 +10,7 @@ carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -59,6 +59,7 @@ class SeqSettings:
     aid_ahead: int = 0
     aid_margin: float = 1.0
     supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
+    later: bool = False  # updates are done after the next action was chosen; see `SeqDQN.due_updates`
 
 
 class SeqDQN(DQN):
@@ -90,6 +91,8 @@ class SeqDQN(DQN):
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
+        self.meanwhile = False  # whether the environment does the due updates within its step
+        self._due: tuple[int, int] | None = None  # gradient steps and batch size of updates that were put off
         dqn.setdefault("replay_buffer_class", FrameReplay)
         super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
 
@@ -158,6 +161,8 @@ class SeqDQN(DQN):
                 self._greedy, self._next = self.policy.predict(observation, self._carried, deterministic=True)
         else:
             actions, self._next = self.predict(observation, self._carried, deterministic=False)
+        if not self.meanwhile:
+            self.catch_up()
         return actions, actions
 
     def greedy(self, observation: dict[str, npt.NDArray[Any]]) -> npt.NDArray[Any]:
@@ -204,7 +209,29 @@ class SeqDQN(DQN):
     # --- learning ---
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
-        """Do `gradient_steps` updates. Raises PolicyError when the loss stays out of the finite numbers."""
+        """Do `gradient_steps` updates, now or after the next action was chosen. Raises as `do_updates`."""
+        if self.settings.later:
+            self.catch_up()
+            self._due = gradient_steps, batch_size
+        else:
+            self.do_updates(gradient_steps, batch_size)
+
+    def due_updates(self) -> Callable[[], None] | None:
+        """What does the updates that were put off, between the choice of an action and what comes of it.
+
+        The action was chosen by the weights before them, and they draw from the steps before it, whenever they are
+        done: by the environment while it waits for the world (`meanwhile`), or before it moves. None without any.
+        """
+        return None if self._due is None else self.catch_up
+
+    def catch_up(self) -> None:
+        """Do the updates that were put off, if there are any. Raises as `do_updates`."""
+        if self._due is not None:
+            due, self._due = self._due, None
+            self.do_updates(*due)
+
+    def do_updates(self, gradient_steps: int, batch_size: int) -> None:
+        """Do so many updates. Raises PolicyError when the loss stays out of the finite numbers."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         buffer = self.replay_buffer

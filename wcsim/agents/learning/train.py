@@ -78,6 +78,7 @@ def train(
         env = DummyVecEnv([_shielded(make_env, folder)])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
+            _learn_meanwhile(model, env)
             with contextlib.closing(_replay(model)) as memory:
                 for note in () if memory.disk is None else memory.disk.notes:
                     say(note)
@@ -99,6 +100,13 @@ def _shielded(make_env: MakeEnv, run: RunFolder) -> MakeEnv:
     from wcsim.agents.learning.shielded.danger_sense import with_dangers  # loads what a chair's plant is checked by
 
     return with_dangers(make_env, run.config, part)
+
+
+def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
+    """Have an environment that can wait for its world do the due updates meanwhile; others do them before they wait."""
+    inner = env.envs[0].unwrapped
+    if model.settings.later and hasattr(inner, "due_work"):
+        inner.due_work, model.meanwhile = model.due_updates, True
 
 
 def _replay(model: SeqDQN) -> FrameReplay:
@@ -150,6 +158,7 @@ class _Session:
             remaining = total - self.model.num_timesteps
             if remaining > 0:
                 self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+                self.model.catch_up()
         except KeyboardInterrupt:
             if self.request.asked and not self.request.forced:
                 with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole

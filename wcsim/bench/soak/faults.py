@@ -46,6 +46,28 @@ class Fault:
     others: tuple[str, ...] = ()  # clients that had a seat beside the one that was hit, and have to go on without it
 
 
+class Striker:
+    """Kills and stops processes, and wakes those that were stopped."""
+
+    def __init__(self) -> None:
+        self._wakes: list[tuple[float, int]] = []  # (when, process) of stopped ones
+        self.faults: list[Fault] = []
+
+    def strike(self, fault: Fault, pid: int, wakes_s: float | None = None) -> None:
+        """Do it; what is stopped goes on after so long, or never."""
+        _send(pid, signal.SIGKILL if fault.what == "kill" else signal.SIGSTOP)
+        self.faults.append(fault)
+        if wakes_s is not None:
+            self._wakes.append((fault.time_s + wakes_s, pid))
+
+    def wake(self, now_s: float) -> None:
+        """Let those go on whose time has come."""
+        for due_s, pid in self._wakes:
+            if now_s >= due_s:
+                _send(pid, signal.SIGCONT)
+        self._wakes = [wake for wake in self._wakes if now_s < wake[0]]
+
+
 class Chaos:
     """Does one fault after another; `act` is called a few times a second with the state of the processes."""
 
@@ -53,15 +75,19 @@ class Chaos:
         """Go on until this time of the monotonic clock."""
         self._rng = seeding.generator(seed, "chaos")
         self._until_s = until_s
-        self._wakes: list[tuple[float, int]] = []  # (when, process) of stopped ones
+        self._striker = Striker()
         self._base = (-1, -1)  # epoch and tick at the last fault
         self._due_s: float | None = None
-        self.faults: list[Fault] = []
+
+    @property
+    def faults(self) -> list[Fault]:
+        """What was done so far."""
+        return self._striker.faults
 
     def act(self, state: LaunchState) -> None:
         """Do what is due now."""
         now_s = time.monotonic()
-        self._wake(now_s)
+        self._striker.wake(now_s)
         if state.stopping or now_s > self._until_s or state.world is None or state.world_standing != "running":
             return
         here = (state.world.epoch, state.world.tick)
@@ -80,7 +106,7 @@ class Chaos:
 
     def wake_all(self) -> None:
         """Let every stopped process go on."""
-        self._wake(float("inf"))
+        self._striker.wake(float("inf"))
 
     def _strike(self, state: LaunchState, now_s: float) -> None:
         shares = [share for _, _, share in _MENU]
@@ -99,17 +125,10 @@ class Chaos:
             self._do(what, client.pid, fault)
 
     def _do(self, what: What, pid: int, fault: Fault) -> None:
-        _send(pid, signal.SIGKILL if what == "kill" else signal.SIGSTOP)
-        self.faults.append(fault)
+        wakes_s = None
         if what == "pause" or (what == "stop" and fault.who != WORLD):
-            low_s, high_s = _PAUSE_S if what == "pause" else _STOP_S
-            self._wakes.append((fault.time_s + float(self._rng.uniform(low_s, high_s)), pid))
-
-    def _wake(self, now_s: float) -> None:
-        for due_s, pid in self._wakes:
-            if now_s >= due_s:
-                _send(pid, signal.SIGCONT)
-        self._wakes = [wake for wake in self._wakes if now_s < wake[0]]
+            wakes_s = float(self._rng.uniform(*(_PAUSE_S if what == "pause" else _STOP_S)))
+        self._striker.strike(fault, pid, wakes_s)
 
 
 def _send(pid: int, number: signal.Signals) -> None:

@@ -7,7 +7,6 @@ which frame), their ledgers, and the world's journal.
 
 from __future__ import annotations
 
-import contextlib
 import secrets
 import sys
 import time
@@ -15,14 +14,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import psutil  # type: ignore[import-untyped]
-
 from wcsim.bench.soak.faults import WORLD, Chaos, Fault
+from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predicted_s
 from wcsim.bench.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
 from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import Audit, audit, read_ledger
+from wcsim.server.journal.ledger import Audit, audit, iter_ledger
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.protocol.events import Rules
@@ -33,8 +30,6 @@ from wcsim.users.profiles import recordings
 
 _CALM_SHARE = 0.25  # of the time, at the end
 _LEAST_CALM_S = 14.0
-SETTLE_S = 3.0  # of the calm time, before memory is watched
-SAMPLE_S = 0.5
 _WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
 
 
@@ -71,7 +66,9 @@ class SoakFacts:
     times: RecoveryTimes
     orphans: int
     leaked: int  # folders of shared memory
-    rss_slope_mb_per_h: float
+    memory: dict[str, Slope]  # MB, by process
+    disk: Slope  # MB
+    bounds: LongRun
     outcome: LaunchOutcome
 
 
@@ -83,7 +80,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     end_s = time.monotonic() + order.seconds
-    watch = _Watch(Chaos(order.seed, end_s - _calm_s(order.seconds)), end_s, progress, order.seconds)
+    watch = _Watch(order, Chaos(order.seed, end_s - _calm_s(order.seconds)), end_s, progress)
     with workplace() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
@@ -91,15 +88,17 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
         watch.launcher = launcher
         outcome = launcher.run()
-    ledgers = [(seat, read_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
+    ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
     times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
         faults=tuple(watch.chaos.faults),
         times=times,
-        orphans=watch.orphans(),
+        orphans=watch.growth.orphans(),
         leaked=int(place.exists()),
-        rss_slope_mb_per_h=watch.slope_mb_per_h(),
+        memory=watch.growth.memory,
+        disk=watch.growth.disk,
+        bounds=_bounds(order, watch, times),
         outcome=outcome,
     )
 
@@ -171,56 +170,30 @@ def rejoin_s(fault: Fault, sights: dict[str, list[StubSight]]) -> float | None:
 class _Watch:
     """What happens while the launcher runs: faults, samples of memory, the end."""
 
-    def __init__(self, chaos: Chaos, end_s: float, progress: Callable[[float], object], seconds: float) -> None:
-        self.chaos = chaos
+    def __init__(self, order: SoakOrder, chaos: Chaos, end_s: float, progress: Callable[[float], object]) -> None:
+        self.chaos, self.growth = chaos, GrowthLog(order.folder)
         self.launcher: Launcher | None = None
-        self._end_s, self._seconds, self._progress = end_s, seconds, progress
-        self._seen: set[tuple[int, float]] = set()  # (pid, time of birth)
-        self._samples: list[tuple[float, float]] = []  # (time, MB) when it is calm
-        self._sampled_s = 0.0
+        self.ticks_per_s = 0.0
+        self._end_s, self._seconds, self._progress = end_s, order.seconds, progress
 
     def show(self, state: LaunchState) -> None:
         """Called a few times a second."""
         now_s = time.monotonic()
         self._progress(min(self._seconds, self._seconds - (self._end_s - now_s)))
         self.chaos.act(state)
-        if now_s - self._sampled_s >= SAMPLE_S:
-            self._sampled_s = now_s
-            self._sample(state, now_s)
+        self.growth.look(state, now_s)
+        if state.world is not None and state.world.ticks_per_s > 0.0:
+            self.ticks_per_s = state.world.ticks_per_s
         if now_s > self._end_s and self.launcher is not None and not state.stopping:
             self.chaos.wake_all()
             self.launcher.stop()
 
-    def orphans(self) -> int:
-        """Processes that were started and still run."""
-        return sum(self._lives(pid, born_s) for pid, born_s in self._seen)
 
-    def slope_mb_per_h(self) -> float:
-        """How all processes' memory grows while it is calm, by a straight line; 0 with too few samples."""
-        if len(self._samples) < 4:
-            return 0.0
-        times_s, sizes_mb = np.array(self._samples).T
-        return float(np.polyfit(times_s - times_s[0], sizes_mb, 1)[0] * 3600.0)
-
-    def _sample(self, state: LaunchState, now_s: float) -> None:
-        size_mb, pids = 0.0, [pid for pid in (state.world_pid, *(c.pid for c in state.clients)) if pid]
-        for pid in (psutil.Process().pid, *pids):
-            with contextlib.suppress(psutil.Error):
-                process = psutil.Process(pid)
-                size_mb += process.memory_info().rss / 1e6
-                if pid in pids:
-                    self._seen.add((pid, process.create_time()))
-        calm_s = _calm_s(self._seconds)
-        all_there = state.world is not None and len(state.world.members) == len(state.clients)
-        if not state.stopping and all_there and now_s > self._end_s - calm_s + SETTLE_S:
-            self._samples.append((now_s, size_mb))
-
-    def _lives(self, pid: int, born_s: float) -> bool:
-        try:
-            process = psutil.Process(pid)
-            return bool(process.create_time() == born_s and process.status() != psutil.STATUS_ZOMBIE)
-        except psutil.Error:
-            return False
+def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
+    """For a run of many hours; a recovery by replay is not in it, for which learners' soaks know the ticks."""
+    epoch_h = order.config.world.epoch_ticks / max(watch.ticks_per_s, 1e-3) / 3600.0
+    recovery_s = predicted_s([(0.0, took_s) for took_s in times.world_s], 0.0)
+    return long_run(watch.growth.memory, watch.growth.disk, epoch_h, recovery_s)
 
 
 def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
@@ -243,6 +216,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         name="soak",
         run=str(order.folder),
         recovery=order.recovery,
+        epochs_end=True,
     )
 
 

@@ -1,19 +1,22 @@
 """`wcsim bench parallel`: several networks learn in one world at once, and the same ones one after the other.
 
 Each run is the command `wcsim train --clients ...` in a process of its own, start-up included. Where the time went is
-what each client wrote into its times.json.
+what each client wrote into its times.json. From the runs of one client alone a model says what sharing would save on
+other machines; it is compared with every run that was measured.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -21,17 +24,26 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
 from wcsim.cli.training.clients import client_names
-from wcsim.errors import WcsimError
+from wcsim.config import load_run_config
+from wcsim.errors import ConfigError, WcsimError
 
-_SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "other_s", "elapsed_s")
+if TYPE_CHECKING:
+    from wcsim.bench.barrier.sharing_model import SharingParts
+
+_SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "overlap_s", "other_s", "elapsed_s")
+MODELLED_CORES = (1, 2, 4, 8, 16)
 
 
 @dataclass
 class ParallelOptions:
-    """Train several networks in one world together and one after the other, and say what each waited for."""
+    """Train several networks in one world together and one after the other, and say what sharing saves."""
 
     clients: str = "fig6,stack,gru"
     """Networks, joined by commas."""
+    sizes: str = ""
+    """How many of them together, counted from the first one, joined by commas, as 3,6. (default: all of them)"""
+    cores: str = ""
+    """Cores that each run of several may use, joined by commas, as 2,1. (default: all of this machine)"""
     steps: int = 3000
     """Steps of each."""
     town: str = "helsinki"
@@ -48,51 +60,66 @@ class ParallelOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """One run: its wall time, and each client's times."""
+    """One run: its wall time, the time before its first tick and after its last one, and each client's times."""
 
     wall_s: float
+    start_s: float
     ticks_per_s: float
     waited: dict[str, dict[str, float]]  # by client, then by share
+    cores: int
 
 
 def run(options: ParallelOptions) -> int:
-    """Run all, print the table."""
+    """Run all, print the tables."""
     networks = some_words("--clients", options.clients)
     in_bounds("--steps", options.steps, 1, 10_000_000)
-    names = client_names(networks)
+    names, here = client_names(networks), len(os.sched_getaffinity(0))
+    sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
+    cores = _numbers("--cores", options.cores, here) or (here,)
     console = Console(highlight=False)
     with tempfile.TemporaryDirectory(prefix="wcsim-parallel-") as work:
-        console.print(f"{len(networks)} clients together ...")
-        together = _trained(options, networks, Path(work) / "together")
         alone = []
         for number, network in enumerate(networks):
             console.print(f"{network} alone ...")
-            alone.append(_trained(options, (network,), Path(work) / f"alone-{number}"))
-    sequential_s = sum(one.wall_s for one in alone)
+            alone.append(_trained(options, (network,), Path(work) / f"alone-{number}", here))
+        groups = []
+        for size in sizes:
+            for count in cores:
+                console.print(f"{size} clients together, {count} cores ...")
+                groups.append(_trained(options, networks[:size], Path(work) / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
-    _print(console, together, apart, sequential_s)
+    told = [_print_group(console, options, group, alone, apart) for group in groups]
+    modelled = _print_model(console, _parts_of(options, names, alone, groups), options.steps, groups)
     if options.json is not None:
-        result = {
-            "together_s": together.wall_s,
-            "sequential_s": sequential_s,
-            "speedup": sequential_s / together.wall_s,
-            "waited": {"together": together.waited, "sequential": apart},
-            "ticks_per_s": {"together": together.ticks_per_s, "sequential": [one.ticks_per_s for one in alone]},
-            "steps": options.steps,
-            "clients": list(names),
-        }
+        largest = told[-1] | {"waited": {"together": groups[-1].waited, "sequential": apart}}
+        result = {**largest, "steps": options.steps, "clients": list(names), "groups": told, "model": modelled}
         write_json(options.json, result)
     return 0
 
 
-def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path) -> Trained:
-    """One training command. Raises WcsimError when it fails."""
+def _numbers(option: str, text: str, most: int) -> tuple[int, ...]:
+    """Whole numbers from 1 on, joined by commas; none for an empty text."""
+    if not text:
+        return ()
+    words = some_words(option, text)
+    if not all(word.isdecimal() and 1 <= int(word) <= most for word in words):
+        raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, joined by commas")
+    return tuple(int(word) for word in words)
+
+
+def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, cores: int) -> Trained:
+    """One training command on so many cores. Raises WcsimError when it fails."""
     result = folder.with_suffix(".json")
     words = ["train", "--town", options.town, "--preset", options.preset, "--clients", ",".join(networks)]
     words += ["--steps", str(options.steps), "--seed", str(options.seed), "--out", str(folder), "--json", str(result)]
     words += [word for item in options.set for word in ("--set", item)]
+    all_cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, set(sorted(all_cores)[:cores]))
     begun_s = time.monotonic()
-    done = subprocess.run([sys.executable, "-m", "wcsim", *words], capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run([sys.executable, "-m", "wcsim", *words], capture_output=True, text=True, check=False)
+    finally:
+        os.sched_setaffinity(0, all_cores)
     wall_s = time.monotonic() - begun_s
     if done.returncode:
         raise WcsimError(f"wcsim {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
@@ -100,18 +127,101 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path) ->
     for name in client_names(networks):
         times = json.loads((folder / name / "times.json").read_text(encoding="utf-8"))
         waited[name] = {share: float(times[share]) for share in _SHARES}
-    told = json.loads(result.read_text(encoding="utf-8"))
-    return Trained(wall_s=wall_s, ticks_per_s=float(told["ticks_per_s"]), waited=waited)
+    rate = float(json.loads(result.read_text(encoding="utf-8"))["ticks_per_s"])
+    start_s = wall_s - options.steps / rate if rate > 0.0 else wall_s
+    return Trained(wall_s=wall_s, start_s=max(0.0, start_s), ticks_per_s=rate, waited=waited, cores=cores)
 
 
-def _print(console: Console, together: Trained, apart: dict[str, dict[str, float]], sequential_s: float) -> None:
-    titles = ("world", "barrier", "infer", "learn", "other", "all")  # seconds, in the order of _SHARES
-    table = Table("client", "run", *titles, box=box.SIMPLE_HEAD, pad_edge=False)
-    for run_name, waited in (("together", together.waited), ("alone", apart)):
-        for client, shares in waited.items():
-            table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in _SHARES))
+def _print_group(
+    console: Console,
+    options: ParallelOptions,
+    group: Trained,
+    alone: Sequence[Trained],
+    apart: dict[str, dict[str, float]],
+) -> dict[str, float]:
+    """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
+    from wcsim.bench.barrier.sharing_model import SharingParts, saved
+
+    table = Table("client", "run", "world", "barrier", "infer", "learn", "waiting", "other", "all", "start")
+    table.box, table.pad_edge = box.SIMPLE_HEAD, False
+    for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
+        for (client, shares), one in zip(waited.items(), alone, strict=False):
+            start_s = group.start_s if run_name == "together" else one.start_s
+            table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in _SHARES), f"{start_s:.1f}")
     console.print(table)
+    same = alone[: len(group.waited)]
+    sequential_s = sum(one.wall_s for one in same)
+    world_s = {1: _mean_world_s(same, options.steps), len(group.waited): _mean_world_s([group], options.steps)}
+    parts = SharingParts(clients=(), world_s=world_s, barrier_s=0.0, start_s=0.0, start_cores=1)
+    by = saved(parts, options.steps, [(o.wall_s, o.start_s) for o in same], (group.wall_s, group.start_s))
     console.print(
-        f"together {together.wall_s:.1f} s, one after the other {sequential_s:.1f} s: "
-        f"{sequential_s / together.wall_s:.2f} times as fast"
+        f"{len(group.waited)} clients on {group.cores} cores: together {group.wall_s:.1f} s, one after the other "
+        f"{sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. Saved: {by.world_s:.1f} s by one "
+        f"world, {by.start_s:.1f} s by one start, {by.rest_s:.1f} s by cores that would be idle",
+        soft_wrap=True,
     )
+    return {
+        "size": len(group.waited),
+        "cores": group.cores,
+        "together_s": group.wall_s,
+        "sequential_s": sequential_s,
+        "speedup": sequential_s / group.wall_s,
+        "ticks_per_s": group.ticks_per_s,
+        **{f"saved_{key}": value for key, value in asdict(by).items()},
+    }
+
+
+def _mean_world_s(runs: Sequence[Trained], steps: int) -> float:
+    """The world's step in these runs."""
+    every_s = [shares["simulation_s"] for one in runs for shares in one.waited.values()]
+    return sum(every_s) / len(every_s) / steps
+
+
+def _parts_of(
+    options: ParallelOptions, names: Sequence[str], alone: Sequence[Trained], groups: Sequence[Trained]
+) -> SharingParts:
+    """The parts of the model, from runs of one client alone, and the world's steps with more."""
+    from wcsim.bench.barrier.sharing_model import ClientCost, SharingParts
+
+    steps, costs = options.steps, []
+    each = [next(iter(one.waited.values())) for one in alone]
+    for name, one, shares in zip(names, alone, each, strict=True):
+        waiting_s = shares["simulation_s"] + shares["barrier_s"] - shares["overlap_s"]
+        act_s = max(shares["inference_s"], one.wall_s - one.start_s - waiting_s - shares["learning_s"])
+        costs.append(ClientCost(name=name, act_s=act_s / steps, learn_s=shares["learning_s"] / steps))
+    world_s = {1: _mean_world_s(alone, steps)}
+    world_s |= {len(group.waited): _mean_world_s([group], steps) for group in groups if group.cores > 1}
+    return SharingParts(
+        clients=tuple(costs),
+        world_s=world_s,
+        barrier_s=sum(shares["barrier_s"] for shares in each) / len(each) / steps,
+        start_s=sum(one.start_s for one in alone) / len(alone),
+        start_cores=alone[0].cores,
+        later=load_run_config(options.preset, options.set).learn.updates == "while_waiting",
+    )
+
+
+def _print_model(
+    console: Console, parts: SharingParts, steps: int, groups: Sequence[Trained]
+) -> dict[str, list[dict[str, float]]]:
+    """What the model says for each group and number of cores, beside what was measured."""
+    from wcsim.bench.barrier.sharing_model import apart_s, together_s
+
+    told: dict[str, list[dict[str, float]]] = {"modelled": [], "errors": []}
+    for size in sorted({len(group.waited) for group in groups}):
+        clients = parts.clients[:size]
+        for cores in MODELLED_CORES:
+            shared_s = together_s(parts, clients, steps, cores)
+            times = apart_s(parts, clients, steps, cores) / shared_s
+            told["modelled"].append({"size": size, "cores": cores, "together_s": shared_s, "speedup": times})
+            console.print(f"model: {size} clients on {cores} cores: {shared_s:.0f} s, {times:.2f} times as fast")
+    for group in groups:
+        size, cores = len(group.waited), group.cores
+        reckoned_s = together_s(parts, parts.clients[:size], steps, cores)
+        error = reckoned_s / group.wall_s - 1.0
+        told["errors"].append({"size": size, "cores": cores, "error": error})
+        console.print(
+            f"measured: {size} clients on {cores} cores: {group.wall_s:.0f} s, by the model {reckoned_s:.0f} s, "
+            f"{100.0 * error:+.0f} %"
+        )
+    return told

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
+    from wcsim.bench.soak.growth import LongRun, Slope
+    from wcsim.bench.soak.planned import FaultOrder
     from wcsim.bench.soak.soak import SoakFacts
+    from wcsim.cli.training.soaked import LearnersFacts
 
 _CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 
@@ -27,16 +33,30 @@ _CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 class SoakOptions:
     """Kill and stop clients, master and world at random; then compare ledgers and journal."""
 
-    minutes: float = 30.0
-    """How long."""
+    minutes: float | None = None
+    """How long. (default: 30; with --networks as long as --steps take)"""
     clients: int = 3
     """How many, each without a learner, in a process of its own."""
-    town: str = "monaco"
-    """Town to run in."""
+    networks: str = ""
+    """Learners in their place: networks joined by commas, as `wcsim train --clients`."""
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 10_000
+    """Steps of each learner, where --minutes do not say how long."""
+    kills: int = 20
+    """How many kills, spread over the time of the learners ..."""
+    stops: int = 20
+    """... and how many stops; processes without learners are hit every few seconds instead."""
+    slow: int = 1
+    """The last learner does so many times the updates of the others in a step."""
+    twice: bool = False
+    """Do it with the learners twice and without faults: both runs must have the same journal hash."""
+    set: Repeated = ()
+    """section.key=value for the learners; may be given several times."""
+    town: str = ""
+    """Town to run in. (default: monaco; with --networks helsinki)"""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
     """What a restarted world does: begin a new epoch, or compute the old one again."""
-    lease: float = 3.0
-    """Seconds without progress after which a client is given up."""
+    lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Seconds without progress after which a client is given up. (default: 3; with --networks 10)"""
     seed: int = 0
     """Of the faults, and of the world."""
     out: OutFolder = None
@@ -47,21 +67,27 @@ class SoakOptions:
 
 def run(options: SoakOptions) -> int:
     """Soak, print what was seen, and say by the exit code whether it is as it should be."""
-    in_bounds("--minutes", options.minutes, 0.1, 6000.0)
+    in_bounds("--minutes", 30.0 if options.minutes is None else options.minutes, 0.1, 6000.0)
     in_bounds("--clients", options.clients, 2, 16)
-    in_bounds("--lease", options.lease, 0.5, 600.0)
+    in_bounds("--lease", 3.0 if options.lease is None else options.lease, 0.5, 600.0)
+    in_bounds("--steps", options.steps, 10, 10_000_000)
+    for name in ("kills", "stops"):
+        in_bounds(f"--{name}", getattr(options, name), 0, 100_000)
+    in_bounds("--slow", options.slow, 1, 100)
     kept = options.out
     if kept is not None and kept.exists() and any(kept.iterdir()):
         raise ConfigError(f"--out {kept} is not empty; choose a new folder")
-    town = find_town(options.town)
+    town = find_town(options.town or ("helsinki" if options.networks else "monaco"))
     folder = kept if kept is not None else Path(tempfile.mkdtemp(prefix="wcsim-soak-"))
     folder.mkdir(parents=True, exist_ok=True)
     try:
+        if options.networks:
+            return _of_learners(options, town, folder)
         facts = _run(options, town.address, folder)
     finally:
         if kept is None:
             shutil.rmtree(folder, ignore_errors=True)
-    _print(facts)
+    _print(result(facts), faults_of(facts))
     if options.json is not None:
         write_json(options.json, result(facts))
     if facts.outcome.code:
@@ -69,6 +95,71 @@ def run(options: SoakOptions) -> int:
     if facts.outcome.by_signal:
         return Exit.STOPPED
     return Exit.FAILED if faults_of(facts) else Exit.DONE
+
+
+def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
+    """The same with learners."""
+    from wcsim.bench.soak.planned import FaultOrder
+    from wcsim.cli.training.soaked import LearnersOrder, soak_learners
+
+    struck = FaultOrder(
+        kills=0 if options.twice else options.kills,
+        stops=0 if options.twice else options.stops,
+        lease_s=10.0 if options.lease is None else options.lease,
+        seed=options.seed,
+    )
+    every = []
+    for number in range(1 + options.twice):
+        order = LearnersOrder(
+            networks=options.networks,
+            town=town,
+            folder=folder / f"run-{number + 1}",
+            faults=struck,
+            steps=options.steps if options.minutes is None else None,
+            seconds=60.0 * (options.minutes or 0.0),
+            slow=options.slow,
+            recovery=options.recovery,
+            settings=options.set,
+        )
+        every.append(soak_learners(order))
+    results = [learners_result(facts) for facts in every]
+    wrong = [key for facts in every for key in learners_faults(facts, struck)]
+    if len({facts.journal_hash for facts in every}) > 1:
+        wrong.append("journal_hash")
+    for each in results:
+        _print(each, wrong)
+    if options.json is not None:
+        write_json(options.json, {"runs": results, "wrong": wrong})
+    return Exit.FAILED if wrong else Exit.DONE
+
+
+def learners_result(facts: LearnersFacts) -> dict[str, int | float | str | None]:
+    """The keys of a run in the JSON file."""
+    from wcsim.cli.training.soaked import p99
+
+    return {
+        "ticks": facts.ticks,
+        "kills": facts.kills,
+        "stops": facts.stops,
+        "lost": facts.missing,
+        "doubled": facts.duplicated,
+        "journal_hash": facts.journal_hash,
+        "recovery_client_p99_s": p99(facts.recovery_s(of_world=False)),
+        "recovery_world_p99_s": p99(facts.recovery_s(of_world=True)),
+        "unrecovered": facts.kills + facts.stops - len(facts.recovered) - facts.alone,
+        "orphans": facts.orphans,
+        "leaked_shm": facts.leaked,
+        "slowest_over_median": facts.slow_factor,
+        **growth_of(facts.memory, facts.disk, facts.bounds),
+    }
+
+
+def learners_faults(facts: LearnersFacts, struck: FaultOrder) -> list[str]:
+    """What is not as it should be."""
+    found = learners_result(facts)
+    wrong = [key for key in ("lost", "doubled", "unrecovered", "orphans", "leaked_shm") if found[key]]
+    wrong += [key for key, planned in (("kills", struck.kills), ("stops", struck.stops)) if found[key] != planned]
+    return wrong + (["exit code"] if facts.code else [])
 
 
 def result(facts: SoakFacts) -> dict[str, int | float | None]:
@@ -90,8 +181,22 @@ def result(facts: SoakFacts) -> dict[str, int | float | None]:
         - sum(map(len, (facts.times.client_s, facts.times.world_s, facts.times.overlap_s))),
         "orphans": facts.orphans,
         "leaked_shm": facts.leaked,
-        "rss_slope_mb_per_h": facts.rss_slope_mb_per_h,
+        **growth_of(facts.memory, facts.disk, facts.bounds),
     }
+
+
+def growth_of(memory: dict[str, Slope], disk: Slope, bounds: LongRun) -> dict[str, int | float | None]:
+    """Slopes with their 95 % bounds, and what follows for 600 hours; None for a bound that too few samples give."""
+    from wcsim.bench.soak.growth import Slope  # --help does without
+
+    clients = [slope for who, slope in memory.items() if who not in ("world", "launcher")]
+    fastest = max(clients, key=lambda slope: slope.upper_per_h, default=Slope())
+    grown = {"world": memory.get("world", Slope()), "client": fastest}
+    told: dict[str, float] = {}
+    for who, slope in (*grown.items(), ("disk", disk)):
+        told |= {f"{who}_mb_per_h": slope.per_h, f"{who}_mb_per_h_95": slope.upper_per_h}
+    told |= {"memory_600h_gb": bounds.memory_gb, "disk_600h_gb": bounds.disk_gb, "recovery_600h_s": bounds.recovery_s}
+    return {key: value if math.isfinite(value) else None for key, value in told.items()}
 
 
 def faults_of(facts: SoakFacts) -> list[str]:
@@ -112,11 +217,11 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
     order = SoakOrder(
         town=town,
         config=load_run_config("quick"),
-        seconds=60.0 * options.minutes,
+        seconds=60.0 * (30.0 if options.minutes is None else options.minutes),
         folder=folder,
         clients=options.clients,
         seed=options.seed,
-        lease_s=options.lease,
+        lease_s=3.0 if options.lease is None else options.lease,
         recovery=options.recovery,
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
@@ -124,11 +229,10 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
         return soak(order, lambda done_s: bar.update(task, completed=done_s))
 
 
-def _print(facts: SoakFacts) -> None:
+def _print(told: Mapping[str, int | float | str | None], wrong: Sequence[str]) -> None:
     console = Console(highlight=False)
-    for key, value in result(facts).items():
+    for key, value in told.items():
         console.print(f"{key:<24}{'-' if value is None else f'{value:.4g}' if isinstance(value, float) else value}")
-    wrong = faults_of(facts)
     console.print("all as it should be" if not wrong else f"not as it should be: {', '.join(wrong)}")
 
 

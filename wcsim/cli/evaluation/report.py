@@ -72,9 +72,10 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     from wcsim.view.report.training.learning_curve import read_training
     from wcsim.view.report.training.selection import selections
     from wcsim.view.report.training.training_page import crossings, write_training_page
+    from wcsim.view.report.training.waiting import waitings
 
     training = read_training(folders)
-    page = write_training_page(training, out, selections(training))
+    page = write_training_page(training, out, (*selections(training), *waitings(training)))
     for name, crossed in crossings(training).items():
         Console(highlight=False).print(f"{name}: {crossed.told()}", soft_wrap=True, markup=False)
     return page

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -18,6 +18,8 @@ from wcsim.agents.clients.clients_folder import (
     open_clients_folder,
     write_client_configs,
 )
+from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
+from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
@@ -31,70 +33,32 @@ from wcsim.cli.training.report import TickRate, print_crossings, print_report, r
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
-from wcsim.core import seeding
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, JournalWriter
 from wcsim.server.journal.ledger import LedgerWriter
+from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.launch.states import LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
-from wcsim.server.transport.world_folder import endpoint_in, workplace
+from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
-from wcsim.users.profiles import recordings
 from wcsim.view.live_table import LiveTable
 
 MOST_CLIENTS = 64
-GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
-RECONNECT_S = 330.0  # longer than a world may take to load again
 ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
-CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
 _NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
 _TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report")  # names in a run folder
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Client:
-    """One of them, resolved."""
-
-    name: str
-    seat: int
-    config: RunConfig
-    until: int | None = None  # steps after which it stops for now; None for all of them
-
-    @property
-    def ordered(self) -> RunConfig:
-        """The configuration that its process learns with; a rate that fades does so in the last part alone."""
-        if self.until is None:
-            return self.config
-        learn = self.config.learn.model_copy(update={"total_steps": self.until, "learning_rate_fade": 0.0})
-        return self.config.model_copy(update={"learn": learn})
-
-    @property
-    def steps(self) -> int:
-        """Steps that it learns for, for now."""
-        return self.ordered.learn.total_steps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroupRun:
-    """All of them in one world, as it is going to be: a `ResolvedRun` with a configuration for each."""
-
-    clients: tuple[Client, ...]
-    out: Path
-    info: RunInfo
-    resume: bool = False
-    best: str = ""  # the client that was chosen after the first phase
-    last: bool = True  # whether the run is done when all have learned for `Client.steps`
-
-
-def train_clients(options: Options, run: GroupRun, town: Town) -> int:
+def train_clients(
+    options: Options, run: GroupRun, town: Town, watch: Callable[[LaunchState], bool] = lambda state: False
+) -> int:
     """Train them all; returns the exit code: FAILED when a client was given up, or the world.
+
+    `watch` is told how things are a few times a second; the run is stopped, as by SIGTERM, when it says True.
 
     Raises:
         InterruptedRunError: The user stopped it.
@@ -108,22 +72,28 @@ def train_clients(options: Options, run: GroupRun, town: Town) -> int:
         folder = held.enter_context(_opened(run))
         place = held.enter_context(workplace())
         left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
-        plans = [_plan(run, folder, place, client) for client in left]
-        order = _world_order(options, run, town, folder, place, len(left))
-        rate = TickRate()
+        plans = [client_plan(run, folder, place, client) for client in left]
+        terms = WorldTerms(expected=len(left), lease_s=options.lease, recovery=options.recovery)
+        order = world_order(run, town.address, folder, place, terms)
+        rate, paid = TickRate(), PaidTimesLog(folder.path)
         with LiveTable() as table:
 
             def show(state: LaunchState) -> None:
+                paid.add(state)
                 if rate.add(state):
                     note = "" if run.resume else steps_note(run.clients[0].config, options.steps)
                     notes, told = (note,) if note else (), run.info.overrides
                     print_overrides(table.console, town.name, told, notes, verbose=options.verbose, kept=True)
                 table.show(state)
+                if watch(state) and not state.stopping:
+                    launcher.stop()
 
             rules = LaunchRules(client_lease_s=max(30.0, options.lease))
             launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
-        return _told(run, folder, options.json, outcome, rate)
+        with suppress(DiskFullError):  # what was learned is of more weight
+            paid.write()
+        return _told(run, folder, options.json, outcome, (rate, paid.times))
 
 
 def resolved(options: Options) -> tuple[Client, ...]:
@@ -275,7 +245,7 @@ def _mend(folder: ClientsFolder) -> None:
     """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
-    if not path.exists() and any(file.stat().st_size for file in ledgers):
+    if not part_files(path) and any(file.stat().st_size for file in ledgers):
         raise JournalError(f"{path}: is missing, and the ledgers tell of ticks; restore it, or begin a new run")
     if path.exists():
         with JournalWriter.append_to(path) as journal:
@@ -290,65 +260,8 @@ def _say_torn(path: Path, cut_bytes: int) -> None:
         print(f"wcsim: {told_torn(path, cut_bytes)}", file=sys.stderr)
 
 
-def _world_order(
-    options: Options, run: GroupRun, town: Town, folder: ClientsFolder, place: Path, expected: int
-) -> WorldSpec:
-    rules = Rules(
-        capacity=len(run.clients),
-        config=folder.config.world_digest(),
-        expected=expected,
-        gather_s=GATHER_S,
-        lease_s=options.lease,
-        recordings=recordings(client.config.env.profile for client in run.clients),
-    )
-    return WorldSpec(
-        town=town.address,
-        config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
-        seed=run.info.seed,
-        rules=rules,
-        endpoint=endpoint_in(place),
-        ring=str(place / "ring"),
-        name=folder.path.name,
-        run=str(folder.path.absolute()),
-        hook=run.info.hook,
-        recovery=options.recovery,
-    )
-
-
-def _plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
-    """A client's order, and how its process is started."""
-    config, env = client.ordered, client.config.env
-    out = (folder.path / client.name).absolute()
-    order = ClientSpec(
-        join=SeatRequest(
-            endpoint=endpoint_in(place),
-            name=client.name,
-            claim=folder.claim(client.name),
-            spec=seat_spec(env),
-            seat=client.seat,
-            config=config.world_digest(),
-            ledger=str(folder.ledger(client.name).absolute()),
-            patience=Patience(reconnect_s=RECONNECT_S),
-        ),
-        config_json=config.model_dump_json(),
-        out=str(out),
-        info=replace(run.info, seed=seeding.derive(run.info.seed, "client", client.seat)),
-    )
-    file = place / f"{client.name}.json"
-    return ClientPlan(
-        name=client.name,
-        seat=client.seat,
-        argv=(*CLIENT_ARGV, str(file)),
-        log=folder.log(client.name),
-        folder=out,
-        resume=run.resume,
-        order=to_line(order),
-        order_file=file,
-    )
-
-
 def _told(
-    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, rate: TickRate
+    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[TickRate, PaidTimes]
 ) -> int:
     """Write down how it ended and say so; returns the exit code.
 
@@ -363,7 +276,7 @@ def _told(
     folder = _with_status(run, folder, steps or folder.manifest.steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    report = report_of(folder, run.info.seed, rate)
+    report = report_of(folder, run.info.seed, *seen)
     print_report(Console(highlight=False), report)
     for kept in folder.kept_torn():
         print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)

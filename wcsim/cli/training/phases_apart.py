@@ -16,11 +16,12 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
+from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.networks.names import is_own
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.clients import Client, GroupRun, train_clients
+from wcsim.cli.training.clients import train_clients
 from wcsim.cli.training.train import Options
 from wcsim.core.files import locked
 from wcsim.core.reading import shown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import ClientsFolder
+from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
-from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
+from wcsim.server.journal.ledger import Audit, LedgerEntry, audits, iter_ledger, ledger_facts
+from wcsim.server.journal.parts import part_files
 from wcsim.server.launch.states import LaunchState
 from wcsim.view.report.training.learning_curve import crossing, read_training
 
@@ -73,34 +76,42 @@ class ClientsReport:
     ticks: int  # of the world
     journal_hash: str  # equal for equal runs
     ticks_per_s: float
+    waits: PaidTimes  # what sharing the world cost each client
 
     def as_json(self) -> dict[str, Any]:
         """As a result file."""
         return asdict(self)
 
 
-def report_of(folder: ClientsFolder, seed: int, rate: TickRate) -> ClientsReport:
+def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> ClientsReport:
     """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
     path = folder.path / JOURNAL
-    journal = path if path.is_file() else None
+    journal = path if part_files(path) else None
+    ledgers = [(seat, _entries(folder.ledger(name))) for seat, name in enumerate(folder.clients)]
+    ticks, against = audits(() if journal is None else iter_journal(journal), ledgers)
     return ClientsReport(
         run=str(folder.path),
         town=folder.manifest.town,
         seed=seed,
         status=folder.manifest.status,
-        clients=tuple(_client(name, seat, folder.ledger(name), journal) for seat, name in enumerate(folder.clients)),
-        ticks=0 if journal is None else audit(iter_journal(journal), ()).ticks,
+        clients=tuple(
+            _client(name, folder.ledger(name), journal, one) for name, one in zip(folder.clients, against, strict=True)
+        ),
+        ticks=ticks,
         journal_hash="" if journal is None else journal_digest(path),
         ticks_per_s=rate.ticks_per_s,
+        waits=waits,
     )
 
 
-def _client(name: str, seat: int, ledger: Path, journal: Path | None) -> ClientReport:
-    entries = read_ledger(ledger) if ledger.is_file() else ()
-    facts = ledger_facts(entries)
-    if journal is None and entries:
+def _entries(ledger: Path) -> Iterable[LedgerEntry]:
+    return iter_ledger(ledger) if ledger.is_file() else ()
+
+
+def _client(name: str, ledger: Path, journal: Path | None, against: Audit) -> ClientReport:
+    facts = ledger_facts(_entries(ledger))
+    if journal is None and facts.first_tick >= 0:
         raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} beside its folder")
-    against = audit(() if journal is None else iter_journal(journal), ((seat, entries),))
     return ClientReport(
         name=name,
         first_tick=facts.first_tick,
@@ -119,11 +130,24 @@ def print_report(console: Console, report: ClientsReport) -> None:
     for client in report.clients:
         table.add_row(*(str(value) for value in asdict(client).values()))
     console.print(table)
+    if len(report.waits.clients) > 1:
+        console.print(_paid(report.waits))
     console.print(
         f"{report.ticks} ticks of the world, {report.ticks_per_s:.1f} a second; journal {report.journal_hash}",
         markup=False,
         soft_wrap=True,
     )
+
+
+def _paid(waits: PaidTimes) -> Table:
+    """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
+    table = Table("client", "acts s", "learns s", "waits s", "most for", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, paid in waits.clients.items():
+        waited = waits.waited_s.get(name, {})
+        whom = max(waited, key=lambda other: waited[other], default="")
+        most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
+        table.add_row(name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most)
+    return table
 
 
 def print_crossings(run: Path) -> None:

@@ -186,7 +186,8 @@ def _out(options: Options, town: Town) -> Path:
 
 def _train_clients(options: Options, words: list[str]) -> int:
     """Several networks in one world."""
-    from wcsim.cli.training.clients import GroupRun, resolved, resumed_group
+    from wcsim.agents.clients.group_run import GroupRun
+    from wcsim.cli.training.clients import resolved, resumed_group
     from wcsim.cli.training.phases_apart import train_group
 
     require_no_cluster(options.cluster, "is of several clients, which share a world")

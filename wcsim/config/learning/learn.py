@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
+
+UpdateTime = Literal["before_acting", "while_waiting"]
 
 StepsOrNone = Annotated[int, Field(ge=0, le=10**9)]
 
@@ -44,6 +46,9 @@ class LearnConfig(Model):
     learning_starts: StepsOrNone = 500  # steps before the first update
     train_every: Annotated[int, Field(ge=1, le=10**4)] = 4  # steps between updates
     gradient_steps: Annotated[int, Field(ge=1, le=10**4)] = 1  # updates at a time
+    updates: Annotated[UpdateTime, Field(exclude_if=lambda when: when == "before_acting")] = (
+        "before_acting"  # when those that are due are done: while_waiting, after the next action was said
+    )
     n_step: Annotated[int, Field(ge=1, le=50)] = 5  # rewards before the value is taken
     tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01  # share by which the target network follows in an update
     reward_scale: Positive = 0.05  # times the reward: values stay in the range of a few
@@ -71,3 +76,12 @@ class LearnConfig(Model):
     threads: Annotated[int, Field(ge=1, le=64)] = 1  # of PyTorch
     device: Word = "cpu"  # cpu, or cuda
     episode_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1_000  # longest episode
+
+    @model_validator(mode="after")
+    def _can_wait(self) -> LearnConfig:
+        if self.updates == "while_waiting" and self.head == "danger":
+            raise ValueError(
+                "learn.updates=while_waiting with learn.head=danger; expected before_acting: only learners by "
+                "Q-learning do their updates while they wait"
+            )
+        return self

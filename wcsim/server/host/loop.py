@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import msgspec
 
 from wcsim.errors import AccessError, OverloadedError, WcsimError
+from wcsim.server.host.epoch_cap import EpochCap
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
@@ -57,10 +58,14 @@ class ServerLoop:
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
+        self._cap = EpochCap(hosted.order)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
         """Serve until somebody asks for the end, or whoever started this process is gone; returns why.
+
+        Also until the epoch is over, in a process that is to be replaced then: its clients hear nothing of that, and
+        join the next one.
 
         Raises:
             WcsimError: The world failed or the journal cannot be written; everybody has been told.
@@ -69,8 +74,9 @@ class ServerLoop:
             reason = asked_to_end()
             while not reason:
                 self._turn()
-                reason = asked_to_end() or ("nobody is left who started it" if self._alone else "")
-            self._feed(Stop(reason))
+                reason = asked_to_end() or ("nobody is left who started it" if self._alone else self._cap.reached)
+            if not self._cap.reached:
+                self._feed(Stop(reason))
         except WcsimError as error:
             self._tell_all(error)
             raise
@@ -83,6 +89,8 @@ class ServerLoop:
         self._clock.look(time.monotonic())
         for heard in self._doors.messages():
             self._hear(heard)
+            if self._cap.is_reached(self._core.cycle):
+                return
         due = self._clock.now_s - self._clock_s >= _CLOCK_S
         if woken or due:
             lost, self._alone = self._lifelines.news()
@@ -95,6 +103,7 @@ class ServerLoop:
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
+            self._cap.weigh(self._core.cycle.tick)
 
     def _hear(self, heard: Heard) -> None:
         peer = heard.peer

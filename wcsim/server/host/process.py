@@ -16,6 +16,7 @@ from pathlib import Path
 from types import FrameType
 
 from wcsim.errors import ConfigError, DiskFullError, HookError, JournalError, TownError, WcsimError
+from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.loop import Hosted, ServerLoop
 from wcsim.server.host.made_world import street_world
 from wcsim.server.host.recovery import Opened, open_server
@@ -62,7 +63,10 @@ def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
         limit = DiskFullError(told) if getattr(error, "errno", None) in NO_ROOM else ConfigError(told)
         reporter.failed(limit)
         return _failed(limit, order.quiet)
-    return 0
+    if not reason.startswith(EPOCH_OVER):
+        return WorldExit.DONE
+    last_words(f"wcsim: {reason}")
+    return WorldExit.EPOCH_OVER
 
 
 def _prepared(

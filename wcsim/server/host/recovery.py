@@ -7,10 +7,12 @@ from pathlib import Path
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.errors import ConfigError
+from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.made_world import epoch_seed, street_world
-from wcsim.server.journal.journal import JOURNAL, JournalWriter, iter_journal, read_header
-from wcsim.server.journal.records import EpochBegun, JournalHeader
-from wcsim.server.journal.replay import rebuild_world
+from wcsim.server.journal.journal import JOURNAL, JournalWriter, iter_part, read_header
+from wcsim.server.journal.parts import part_files, put_aside
+from wcsim.server.journal.records import Ended, EpochBegun, JournalHeader
+from wcsim.server.journal.replay import Seats, rebuild_world
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
@@ -19,6 +21,7 @@ from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec
 from wcsim.towns.scenario.town import find_town, streets_hash
 
+GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
 REGATHER_S = 5.0  # how long a server that was restarted waits for all to come back before it goes on with those here
 
 
@@ -45,16 +48,31 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
     if not order.run or not order.journal:
         return Opened(world=_fresh(order, make, 0), core=ServerCore(order.rules), journal=None)
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
-    if not path.exists():
+    parts = part_files(path)
+    if not parts:
         Path(order.run).mkdir(parents=True, exist_ok=True)
         return _begun(order, make, JournalWriter(path, header), 0, order.rules)
-    _require_same(path, header)
-    last = _last_epoch(path)
-    gather_s = order.rules.gather_s if last < 0 else min(order.rules.gather_s, REGATHER_S)  # nobody was in yet, or some
+    _require_same(parts[-1], header)
+    last = _last_epoch(parts[-1])
+    if last.is_over or parts[-1] != path:
+        return _next(order, make, path, header)
+    nobody_was_in = last.epoch < 0
+    gather_s = order.rules.gather_s if nobody_was_in else min(order.rules.gather_s, REGATHER_S)
     again = replace(order.rules, gather_s=gather_s)
-    if last < 0 or order.recovery == "new_epoch":
-        return _begun(order, make, _appended(path), last + 1, again)
+    if last.epoch < 0 or order.recovery == "new_epoch":
+        return _begun(order, make, _appended(path), last.epoch + 1, again)
     return _gone_on(order, make, path, again)
+
+
+def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: JournalHeader) -> Opened:
+    """The epoch after one that ended as planned, in a new part of the journal; all who were in it are waited for."""
+    if path.exists():
+        _appended(path).close()
+        put_aside(path)
+    last = _last_epoch(part_files(path)[-1])
+    gather_s = min(order.rules.gather_s, GATHER_AGAIN_S)
+    rules = replace(order.rules, gather_s=gather_s, expected=max(1, last.seated))
+    return _begun(order, make, JournalWriter(path, header), last.epoch + 1, rules)
 
 
 def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: JournalWriter, epoch: int, rules: Rules) -> Opened:
@@ -119,6 +137,19 @@ def _require_same(path: Path, new: JournalHeader) -> None:
             )
 
 
-def _last_epoch(path: Path) -> int:
-    begun = (record for record in iter_journal(path, ticks=False) if isinstance(record, EpochBegun))
-    return max((record.epoch for record in begun), default=-1)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LastEpoch:
+    epoch: int = -1  # -1 where none was begun
+    seated: int = 0  # clients in it at its end
+    is_over: bool = False  # it ended as planned
+
+
+def _last_epoch(part: Path) -> _LastEpoch:
+    """How the last epoch in a part of a journal stands."""
+    seats, epoch, is_over = Seats(), -1, False
+    for record in iter_part(part, ticks=False):
+        seats.note(record)
+        if isinstance(record, EpochBegun):
+            epoch = max(epoch, record.epoch)
+        is_over = isinstance(record, Ended) and record.reason.startswith(EPOCH_OVER)
+    return _LastEpoch(epoch=epoch, seated=len(seats.kept()), is_over=is_over)

@@ -30,31 +30,55 @@ class Stragglers:
     Adds up time in which some members had acted and others had not; a moment's late ones share it evenly.
 
     >>> holdups = Stragglers()
-    >>> holdups.saw(2, ("a", "b"), 0.0)  # nobody waits yet
-    >>> holdups.saw(2, ("b",), 1.0)  # a has acted
-    >>> holdups.saw(2, (), 3.5)  # b too
+    >>> holdups.saw(("a", "b"), ("a", "b"), 0.0)  # nobody waits yet
+    >>> holdups.saw(("a", "b"), ("b",), 1.0)  # a has acted
+    >>> holdups.saw(("a", "b"), (), 3.5)  # b too
     >>> holdups.held(("a", "b"))
     (Held(name='a', seconds=0.0), Held(name='b', seconds=2.5))
+    >>> holdups.waited(("a", "b"))
+    ((0.0, 2.5), (0.0, 0.0))
     """
 
     def __init__(self) -> None:
         self._seconds: dict[str, float] = {}
+        self._pairs: dict[str, dict[str, float]] = {}  # seconds by who waited, and for whom
         self._late: Sequence[str] = ()  # for whom somebody has waited since `_seen_s`
         self._seen_s = 0.0
+        self._shared_s = 0.0  # what each late one has been waited for, summed up over all that were late
+        self._acted: dict[str, float] = {}  # who waits, and `_shared_s` when they began to
 
-    def saw(self, members: int, late: Sequence[str], now_s: float) -> None:
-        """So many members there are from now on, of whom these are late; to be called whenever that has changed."""
+    def saw(self, members: Sequence[str], late: Sequence[str], now_s: float) -> None:
+        """These are in from now on, and these of them are late; to be called whenever that has changed."""
         if self._late:
             share_s = (now_s - self._seen_s) / len(self._late)
             for name in self._late:
                 self._seconds[name] = self._seconds.get(name, 0.0) + share_s
-        self._late = late if len(late) < members else ()
+            self._shared_s += share_s
+            for name in set(self._late).difference(late):
+                self._came(name)
+        if len(late) in (0, len(members)):
+            self._acted.clear()
+        else:
+            for name in set(members).difference(late, self._acted):
+                self._acted[name] = self._shared_s
+        self._late = late if len(late) < len(members) else ()
         self._seen_s = now_s
+
+    def _came(self, late: str) -> None:
+        """One that was late is not any more: note what each of those who waited has paid for it."""
+        for name, since_s in self._acted.items():
+            row = self._pairs.setdefault(name, {})
+            row[late] = row.get(late, 0.0) + self._shared_s - since_s
 
     def held(self, members: Sequence[str]) -> tuple[Held, ...]:
         """Seconds that each of these members was waited for; those of others are forgotten."""
         self._seconds = {name: self._seconds.get(name, 0.0) for name in members}
         return tuple(Held(name=name, seconds=seconds) for name, seconds in self._seconds.items())
+
+    def waited(self, members: Sequence[str]) -> tuple[tuple[float, ...], ...]:
+        """Seconds that each of these members (rows) has waited for each (columns); those of others are forgotten."""
+        self._pairs = {name: self._pairs.get(name, {}) for name in members}
+        return tuple(tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values())
 
 
 class Reporter:
@@ -88,7 +112,7 @@ class Reporter:
             members = core.cycle.roll.members
             waits = core.cycle.stage is BarrierState.COLLECT
             late = [mate.name for mate in members if mate.action is None and not mate.respawning] if waits else []
-            self._holdups.saw(len(members), late, now_s)
+            self._holdups.saw([mate.name for mate in members], late, now_s)
 
     def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
         """Say how things are, when it is time to."""
@@ -99,6 +123,7 @@ class Reporter:
         self._counts.append((real_s, hub.ticks))
         cycle = core.cycle
         members = cycle.roll.by_seat()
+        names = [mate.name for mate in members]
         master = cycle.roll.member(cycle.master)
         owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
         self._say(
@@ -109,12 +134,13 @@ class Reporter:
                 ticks=hub.ticks,
                 ticks_per_s=self._rate(),
                 step_ms=1e3 * statistics.median(self._steps_s) if self._steps_s else 0.0,
-                members=tuple(mate.name for mate in members),
+                members=tuple(names),
                 master="" if master is None else master.name,
                 late=tuple(mate.name for mate in owing),
                 late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
-                rss_mb=_rss_mb(),
-                held=self._holdups.held([mate.name for mate in members]),
+                rss_mb=rss_mb(),
+                held=self._holdups.held(names),
+                waited_s=self._holdups.waited(names),
                 listening=self.listening,
             )
         )
@@ -132,6 +158,7 @@ class Reporter:
                 os.write(self._pipe, line)
 
 
-def _rss_mb() -> float:
+def rss_mb() -> float:
+    """Memory of this process, in MB of 2**20 bytes."""
     pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import FileIO
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -22,6 +23,7 @@ from wcsim.bridge.recording.framing import MOST_TORN_BYTES, crc_of, framed, torn
 from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
+from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.records import Admitted as Admitted
 from wcsim.server.journal.records import Dismissed as Dismissed
 from wcsim.server.journal.records import Ended as Ended
@@ -186,32 +188,43 @@ class JournalWriter(Closing):
 
 
 def read_header(path: Path) -> JournalHeader:
-    """The header of a journal. Raises JournalError when it is none."""
-    return _Scan(path).header
+    """The header of a journal, of its newest part. Raises JournalError when it is none."""
+    return _Scan(_parts(path)[-1]).header
+
+
+def iter_part(path: Path, ticks: bool = True) -> Iterator[JournalRecord]:
+    """As `iter_journal`, of one part of a journal alone (`journal/parts.py`)."""
+    return _Scan(path).records(ticks)
 
 
 def iter_journal(path: Path, ticks: bool = True) -> Iterator[JournalRecord]:
-    """The records of a journal one by one, up to the last whole one; another process may be writing it.
+    """The records of a journal one by one, of all its parts, up to the last whole one; somebody may be writing it.
 
     Without `ticks` those of ticks are left out, unread: nearly all are, and reading them takes most of the time.
     Raises JournalError when it is no journal, and at the place of a damage that is no torn end.
     """
-    return _Scan(path).records(ticks)
+    first, *others = _parts(path)
+    return chain(_Scan(first).records(ticks), *(iter_part(part, ticks) for part in others))
 
 
 def read_journal(path: Path) -> Journal:
     """A whole journal in memory. Raises JournalError when it is none, or is damaged before its end."""
-    scan = _Scan(path)
-    records = tuple(scan.records())
-    return Journal(header=scan.header, records=records, torn=scan.torn_bytes > 0)
+    scans = [_Scan(part) for part in _parts(path)]
+    records = tuple(record for scan in scans for record in scan.records())
+    return Journal(header=scans[0].header, records=records, torn=scans[-1].torn_bytes > 0)
 
 
 def journal_digest(path: Path) -> str:
     """The same as `JournalWriter.digest`, up to the last whole record. Raises JournalError as `read_journal`."""
-    scan = _Scan(path)
-    for record in scan.records():
-        scan.digest.add(record)
-    return scan.digest.hex()
+    digest = _Digest(_Scan(_parts(path)[0]).header)
+    for record in iter_journal(path):
+        digest.add(record)
+    return digest.hex()
+
+
+def _parts(path: Path) -> tuple[Path, ...]:
+    """The parts of a journal; where there is none, the file that should be there."""
+    return part_files(path) or (path,)
 
 
 class _Digest:
@@ -249,7 +262,6 @@ class _Scan:
         self.end = first.end
         self.after = first.crc if is_chained(first.payload) else None
         self.torn_bytes = 0  # known in the end
-        self.digest = _Digest(self.header)
 
     def to_end(self) -> None:
         """Find where the last whole record ends, without a look at what the records say. Raises JournalError."""

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import FileIO
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
 
 from wcsim.core.closing import Closing
@@ -111,7 +111,12 @@ def read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
     Raises:
         JournalError: It cannot be read, or is damaged before its end.
     """
-    return tuple(_Scan(path).entries())
+    return tuple(iter_ledger(path))
+
+
+def iter_ledger(path: Path) -> Iterator[LedgerEntry]:
+    """The same, one by one. Raises JournalError."""
+    return _Scan(path).entries()
 
 
 class _Scan:
@@ -162,22 +167,29 @@ def _packed(entry: LedgerEntry, seal: int | None) -> tuple[bytes, int | None]:
     return _ENTRY.pack(entry.session, entry.epoch, entry.tick, seal << 1 | entry.stepped), seal
 
 
-def ledger_facts(entries: Sequence[LedgerEntry]) -> LedgerFacts:
+def ledger_facts(entries: Iterable[LedgerEntry]) -> LedgerFacts:
     """Count what a ledger shows by itself; a session that was taken over goes on with the same life."""
-    missing = doubled = 0
-    seen: set[tuple[int, int]] = set()
-    for before, now in pairwise(entries):
-        if now.stepped:
+    missing = doubled = ticks = lives = 0
+    first: LedgerEntry | None = None
+    before: LedgerEntry | None = None
+    seen: set[int] = set()  # ticks of this epoch
+    for now in entries:
+        if before is None or now.epoch != before.epoch:
+            seen.clear()
+        if before is None:
+            first = now
+        elif now.stepped:
             missing += max(0, now.tick - before.tick - 1)
-            doubled += (now.epoch, now.tick) in seen
-            seen.add((now.epoch, now.tick))
+            doubled += now.tick in seen
+            seen.add(now.tick)
+        ticks, lives, before = ticks + now.stepped, lives + (not now.stepped), now
     return LedgerFacts(
-        first_tick=entries[0].tick if entries else -1,
-        last_tick=entries[-1].tick if entries else -1,
-        ticks=sum(entry.stepped for entry in entries),
+        first_tick=-1 if first is None else first.tick,
+        last_tick=-1 if before is None else before.tick,
+        ticks=ticks,
         missing=missing,
         doubled=doubled,
-        lives=sum(not entry.stepped for entry in entries),
+        lives=lives,
     )
 
 
@@ -191,29 +203,73 @@ class Audit:
     phantom: int  # steps that a client saw and the journal does not have
 
 
-def audit(records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Sequence[LedgerEntry]]]) -> Audit:
+def audit(records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]) -> Audit:
     """Compare a journal with (seat, ledger) of each client.
 
     Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
     """
-    done: dict[int, set[tuple[int, int]]] = {}
-    ticks, seats = 0, {seat for seat, _ in ledgers}
-    for record in records:
-        if isinstance(record, Ticked):
+    ticks, each = audits(records, ledgers)
+    return Audit(
+        ticks=ticks,
+        lost=sum(one.lost for one in each),
+        doubled=sum(one.doubled for one in each),
+        phantom=sum(one.phantom for one in each),
+    )
+
+
+def audits(
+    records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]
+) -> tuple[int, tuple[Audit, ...]]:
+    """The same, and each ledger by itself: how many ticks the world did, and what is wrong with each.
+
+    Epoch by epoch, in their order, so that no more than one of them is in memory.
+    """
+    pages = [_Pages(seat, entries) for seat, entries in ledgers]
+    ticks, ticked = 0, (record for record in records if isinstance(record, Ticked))
+    for epoch, group in groupby(ticked, key=lambda record: record.epoch):
+        done: dict[int, set[int]] = {page.seat: set() for page in pages}
+        for record in group:
             ticks += 1
-            for command in (c for c in record.commands if c.seat in seats):
-                done.setdefault(command.seat, set()).add((record.epoch, record.tick))
-    lost = doubled = phantom = 0
-    for seat, entries in ledgers:
-        mine = done.get(seat, set())
-        seen = {(entry.epoch, entry.tick) for entry in entries if entry.stepped}
-        lost += len(mine - seen - _after_last_frames(entries))
-        phantom += len(seen - mine)
-        doubled += ledger_facts(entries).doubled
-    return Audit(ticks=ticks, lost=lost, doubled=doubled, phantom=phantom)
+            for command in (c for c in record.commands if c.seat in done):
+                done[command.seat].add(record.tick)
+        for page in pages:
+            page.compare(epoch, done[page.seat])
+    for page in pages:
+        page.compare(None, set())
+    return ticks, tuple(
+        Audit(ticks=ticks, lost=page.lost, doubled=page.doubled, phantom=page.phantom) for page in pages
+    )
 
 
-def _after_last_frames(entries: Sequence[LedgerEntry]) -> set[tuple[int, int]]:
-    """The steps that the dead may have asked for: one after the last frame of each life."""
-    ends = [before for before, now in pairwise(entries) if not now.stepped]
-    return {(entry.epoch, entry.tick + 1) for entry in (*ends, *entries[-1:])}
+class _Pages:
+    """A ledger, read epoch by epoch."""
+
+    def __init__(self, seat: int, entries: Iterable[LedgerEntry]) -> None:
+        self.seat = seat
+        self.lost = self.doubled = self.phantom = 0
+        self._entries = iter(entries)
+        self._next = next(self._entries, None)
+        self._before: LedgerEntry | None = None
+
+    def compare(self, epoch: int | None, done: set[int]) -> None:
+        """Read on to the end of an epoch, of all for None; `done` are the ticks that the world did for this seat."""
+        seen: set[int] = set()
+        ends: set[int] = set()  # what the dead may have asked for: one after the last frame of each life
+        while self._next is not None and (epoch is None or self._next.epoch <= epoch):
+            now = self._next
+            if not now.stepped:
+                self._end_life(epoch, ends)
+            elif now.epoch != epoch:  # the journal has no tick of that one, or not any more
+                self.phantom += 1
+            else:
+                self.doubled += now.tick in seen
+                seen.add(now.tick)
+            self._before, self._next = now, next(self._entries, None)
+        if self._next is None or not self._next.stepped:
+            self._end_life(epoch, ends)
+        self.lost += len(done - seen - ends)
+        self.phantom += len(seen - done)
+
+    def _end_life(self, epoch: int | None, ends: set[int]) -> None:
+        if self._before is not None and self._before.epoch == epoch:
+            ends.add(self._before.tick + 1)

@@ -28,6 +28,7 @@ from wcsim.server.journal.journal import (
     Respawned,
     Ticked,
     iter_journal,
+    iter_part,
     read_header,
 )
 from wcsim.server.protocol.barrier import Kept
@@ -116,7 +117,7 @@ def rebuild_world(journal: Path, make: MakesEpoch[W]) -> tuple[W, tuple[Kept, ..
     """
     player = _Player(make, read_header(journal).capacity)
     records: list[JournalRecord] = []
-    for record in iter_journal(journal):
+    for record in iter_part(journal):  # those before it are over
         if isinstance(record, EpochBegun):
             for before in records:
                 player.seats.note(before)

@@ -32,6 +32,7 @@ class WorldExit(IntEnum):
     USER_ERROR = 2  # another try would end in the same way
     FAILED = 3  # a simulator failed
     DISK_FULL = 4
+    EPOCH_OVER = 5  # as planned: a new process goes on with the next epoch
 
 
 Standing = Literal["starting", "running", "down", "done", "stopped", "given up"]

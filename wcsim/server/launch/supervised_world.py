@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from wcsim.errors import WcsimError
-from wcsim.server.journal.journal import JOURNAL, Ticked, iter_journal
+from wcsim.server.journal.journal import JOURNAL, Ticked, iter_part
 from wcsim.server.launch.child import Child
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner
@@ -44,6 +44,12 @@ class SupervisedWorld(Supervised[WorldStatus]):
         self._heard_s = 0.0
         self._loaded = False  # in any life
         self._death_tick = -1
+        self._replaced = 0  # lives that ended as planned, at the end of an epoch
+
+    @property
+    def restarts(self) -> int:
+        """How often it was started again after a death."""
+        return super().restarts - self._replaced
 
     @property
     def ticks(self) -> bool:
@@ -87,6 +93,9 @@ class SupervisedWorld(Supervised[WorldStatus]):
             self.standing = "stopped"
             self._log.add("end", who=WORLD, code=code)
             return
+        if code == WorldExit.EPOCH_OVER:
+            self._replace(words, now_s)
+            return
         tick = self._last_tick()
         reason = self._died(code, words, now_s, tick=tick)
         if code == WorldExit.DISK_FULL:
@@ -102,6 +111,13 @@ class SupervisedWorld(Supervised[WorldStatus]):
             deaths = self._restarts.in_vain
             self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
 
+    def _replace(self, words: str, now_s: float) -> None:
+        """Its epoch is over: no death, and no reason to wait."""
+        self._log.add("replaced", who=WORLD, reason=words)
+        self._replaced += 1
+        self._death_tick, self._died_s = -1, now_s
+        self.standing, self._due_s = "down", now_s
+
     def _give_up(self, fault: str, refused: bool) -> None:
         self.standing, self.fault, self.refused = "given up", fault, refused
         self._log.add("given up", who=WORLD, reason=fault)
@@ -114,7 +130,7 @@ class SupervisedWorld(Supervised[WorldStatus]):
             return tick
         epoch = 0 if self.status is None else self.status.epoch
         try:
-            done = [r.tick for r in iter_journal(journal) if isinstance(r, Ticked) and r.epoch == epoch]
+            done = [r.tick for r in iter_part(journal) if isinstance(r, Ticked) and r.epoch == epoch]
         except WcsimError:
             return tick
         return done[-1] if done else 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 import time
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from wcsim.core.closing import Closing
@@ -26,6 +27,7 @@ class Waits:
     steps: int = 0
     simulation_s: float = 0.0  # what the world took for the steps, as it said itself
     link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
+    worked_s: float = 0.0  # of link_s, in which something else was done: see `WorldLink.while_waiting`
 
 
 class WorldLink(Closing):
@@ -37,7 +39,7 @@ class WorldLink(Closing):
         self._frame: ClientSnapshot | None = None
         self._error: WcsimError | None = None
         self._closed = False
-        self._steps, self._simulation_s, self._link_s = 0, 0.0, 0.0
+        self._steps, self._simulation_s, self._link_s, self._worked_s = 0, 0.0, 0.0, 0.0
 
     # --- what a transport does ---
 
@@ -86,6 +88,13 @@ class WorldLink(Closing):
         """The second half of `act`, of `respawn` too: wait for the frame."""
         self._refuse_closed()
         return self._await()
+
+    def while_waiting(self, work: Callable[[], object]) -> None:
+        """Do something between `send` and `receive`; its time is part of the waiting as long as there is no answer.
+
+        A link whose world is elsewhere hears it meanwhile: as the master it ticks once the barrier is full.
+        """
+        work()
 
     def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
         """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
@@ -137,7 +146,9 @@ class WorldLink(Closing):
     @property
     def waits(self) -> Waits:
         """Where the time went so far."""
-        return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s)
+        return Waits(
+            steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s
+        )
 
     def close(self) -> None:
         """Leave; a second call does nothing."""

@@ -1,0 +1,55 @@
+"""Learners in one street whose processes are killed and stopped: `wcsim bench soak --networks`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.cli.training.test_clients import SMALL, start
+
+NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
+SIX = "fig6,stack,gru,patch,small,convlstm"
+
+
+def soaked(folder, corner, *words, timeout_s=280):
+    """The result of a soak, which must be as it should be."""
+    child = start(folder, "bench", "soak", "--town", corner, "--json", "soak.json", "--out", "kept", *words, *SMALL)
+    out, err = child.communicate(timeout=timeout_s)
+    assert (folder / "soak.json").is_file(), err
+    told = json.loads((folder / "soak.json").read_text())
+    assert (child.returncode, told["wrong"]) == (0, []), (out, err)
+    return told["runs"]
+
+
+def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
+    words = ("--networks", "small,patch", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
+    (run,) = soaked(tmp_path, corner, *words, "--seed", 2, "--set", "learn.checkpoint_every=20")
+    assert run["kills"] == 1 and run["ticks"] > 50
+    assert {key: run[key] for key in NOTHING} == NOTHING
+    waits = json.loads((tmp_path / "kept" / "run-1" / "waits.json").read_text())
+    assert set(waits["clients"]) == {"small", "patch"} and set(waits["waited_s"]) <= {"small", "patch"}
+    assert waits["clients"]["patch"]["learning_s"] > 0.0
+
+
+@pytest.mark.proof
+def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner):
+    words = ("--networks", SIX, "--steps", 240, "--kills", 4, "--stops", 3, "--lease", 8, "--slow", 6, "--seed", 4)
+    more = ("--set", "learn.checkpoint_every=40", "--set", "world.epoch_ticks=100")
+    (run,) = soaked(tmp_path, corner, *words, *more, timeout_s=590)
+    assert (run["kills"], run["stops"]) == (4, 3)
+    assert {key: run[key] for key in NOTHING} == NOTHING
+    assert run["slowest_over_median"] > 2.0
+
+
+@pytest.mark.proof
+def test_two_runs_of_six_learners_have_one_journal_through_an_end_of_an_epoch(tmp_path, corner):
+    words = ("--networks", SIX, "--steps", 120, "--twice", "--slow", 6, "--lease", 120)
+    runs = soaked(tmp_path, corner, *words, "--set", "world.epoch_ticks=50", timeout_s=590)
+    assert len({run["journal_hash"] for run in runs}) == 1
+    weights = [
+        (tmp_path / "kept" / run / name / "policies" / "final" / "weights.safetensors").read_bytes()
+        for name in ("gru", "convlstm")
+        for run in ("run-1", "run-2")
+    ]
+    assert weights[0] == weights[1] != weights[2] == weights[3], "learned while waiting, by the clock of a busy machine"

@@ -1,0 +1,123 @@
+"""Epochs that end as planned: the world's process is replaced, and nobody loses a step."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import threading
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+
+from tests.server.host.test_process import BOTH, audited, drive_through, two_seats
+from tests.server.servers import Server, stand_in_order, together
+from tests.support.worlds import quick_config
+from wcsim.config import with_overrides
+from wcsim.server.host.epoch_cap import SETTLED_TICKS, EpochCap
+from wcsim.server.journal.journal import JOURNAL, EpochBegun, iter_part, journal_digest, read_header
+from wcsim.server.journal.ledger import read_ledger
+from wcsim.server.journal.parts import part_files, put_aside
+from wcsim.server.launch.states import WorldExit
+from wcsim.server.links.socket import open_seat
+from wcsim.server.protocol.server_core import ServerCore
+
+CAP, TICKS = 20, 47
+
+
+def capped(folder, **changes):
+    """A stand-in whose epochs end after CAP ticks."""
+    config = with_overrides(quick_config(), (f"world.epoch_ticks={CAP}",)).model_dump_json()
+    order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config_json=config, **changes)
+    return replace(order, epochs_end=True)
+
+
+def kept_up(server, codes, until):
+    """Start the world again whenever its epoch is over, as a launcher does."""
+    while not until.is_set():
+        try:
+            code = server.process.wait(0.05)
+        except subprocess.TimeoutExpired:  # it runs
+            continue
+        codes.append(code)
+        server.kill()  # and close what it wrote to
+        server.start()
+
+
+def driven(folder, ticks):
+    """Two clients drive so many ticks through as many epochs as it takes; the exit codes of the worlds."""
+    folder.mkdir()
+    codes, over = [], threading.Event()
+    with Server(capped(folder), folder) as server, ExitStack() as held:
+        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, folder)]
+        server.status()
+        keeper = threading.Thread(target=kept_up, args=(server, codes, over))
+        keeper.start()
+        try:
+            restarts = together(links, lambda link: drive_through(link, ticks))
+        finally:
+            over.set()
+            keeper.join()
+    return codes, restarts
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A run through two ends of epochs."""
+    folder = tmp_path_factory.mktemp("epochs") / "a"
+    return folder, *driven(folder, TICKS)
+
+
+def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
+    folder, codes, restarts = first
+    assert codes == [WorldExit.EPOCH_OVER] * 2 and restarts == [2, 2]
+    records, found = audited(folder)
+    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+    for name in "ab":  # the last frame of an epoch was seen before its world went
+        seen = {(entry.epoch, entry.tick) for entry in read_ledger(folder / name) if entry.stepped}
+        assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
+    parts = part_files(folder / "run" / JOURNAL)
+    assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]
+    begun = [[r.epoch for r in iter_part(part) if isinstance(r, EpochBegun)] for part in parts]
+    assert begun == [[0], [1], [2]]
+    assert sum(isinstance(record, EpochBegun) for record in records) == 3
+
+
+def test_everybody_comes_back_before_the_next_epoch_begins_so_equal_runs_stay_equal(first, tmp_path):
+    driven(tmp_path / "b", TICKS)
+    one, other = (journal_digest(folder / "run" / JOURNAL) for folder in (first[0], tmp_path / "b"))
+    assert one == other
+
+
+def test_a_world_that_died_between_two_parts_goes_on_with_the_next_epoch(first, tmp_path):
+    run = tmp_path / "a" / "run"
+    shutil.copytree(first[0] / "run", run)
+    put_aside(run / JOURNAL)
+    assert read_header(run / JOURNAL).capacity == 2
+    with Server(capped(tmp_path / "a"), tmp_path) as server:
+        assert server.status().epoch == 3
+
+
+def ready_at(tick):
+    core = ServerCore(BOTH, 0, tick)
+    core.cycle.stage = type(core.cycle.stage).READY
+    return core.cycle
+
+
+def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
+    sizes = iter((500.0, 1400.0, 1600.0))
+    monkeypatch.setattr("wcsim.server.host.epoch_cap.rss_mb", lambda: next(sizes))
+    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epochs_end=True)
+    cap = EpochCap(order)
+    cap.weigh(SETTLED_TICKS - 1)
+    for grown in (False, False, True):
+        cap.weigh(SETTLED_TICKS)
+        assert cap.is_reached(ready_at(SETTLED_TICKS)) == grown
+    assert "from 500 to 1600 MB" in cap.reached
+
+
+@pytest.mark.parametrize(("ends", "tick", "over"), [(True, 5999, False), (True, 6000, True), (False, 6000, False)])
+def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
+    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epochs_end=ends)
+    assert EpochCap(order).is_reached(ready_at(tick)) == over
+    assert not EpochCap(order).is_reached(ServerCore(BOTH, 0, tick).cycle), "somebody has not seen its last tick yet"

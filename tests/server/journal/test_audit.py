@@ -1,0 +1,84 @@
+"""Ledgers against a journal, epoch by epoch: what was lost, doubled or never done."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.server.journal.journal import EpochBegun, Ticked
+from wcsim.server.journal.ledger import LedgerEntry, audit, audits, ledger_facts
+from wcsim.types import Command, Joystick
+
+
+def ticked(epoch, tick, *seats):
+    commands = tuple(Command(seat=seat, tick=tick - 1, joystick=Joystick(0.0, 0.0)) for seat in seats)
+    return Ticked(epoch=epoch, tick=tick, commands=commands, state_hash="00" * 8)
+
+
+def seen(*frames):
+    """Entries of (epoch, tick); those with a third item are first frames of a life."""
+    return [LedgerEntry(session=b"", epoch=e, tick=t, stepped=not first) for e, t, *first in frames]
+
+
+JOURNAL = [
+    EpochBegun(epoch=0, seed=1),
+    *(ticked(0, tick, 0) for tick in (1, 2, 3)),
+    EpochBegun(epoch=1, seed=2, fresh=True),
+    *(ticked(1, tick, 0) for tick in (1, 2)),
+]
+WHOLE = seen((0, 0, 1), (0, 1), (0, 2), (0, 3), (1, 0, 1), (1, 1), (1, 2))
+
+
+def counts(entries, records=JOURNAL):
+    found = audit(iter(records), [(0, iter(entries))])
+    return found.ticks, found.lost, found.doubled, found.phantom
+
+
+def test_what_is_whole_is_whole():
+    assert counts(WHOLE) == (5, 0, 0, 0)
+
+
+def test_the_last_step_of_a_life_may_be_missing_and_no_other():
+    assert counts([entry for entry in WHOLE if (entry.epoch, entry.tick) != (0, 3)]) == (5, 0, 0, 0)
+    assert counts([entry for entry in WHOLE if (entry.epoch, entry.tick) != (0, 2)]) == (5, 1, 0, 0)
+    assert counts(WHOLE[:-1]) == (5, 0, 0, 0) and counts(WHOLE[:-2]) == (5, 1, 0, 0)
+    assert counts([]) == (5, 5, 0, 0)
+
+
+def test_what_was_seen_twice_or_never_done_is_found():
+    assert counts([*WHOLE[:3], WHOLE[2], *WHOLE[3:]]) == (5, 0, 1, 0)
+    assert counts([*WHOLE, *seen((1, 3))]) == (5, 0, 0, 1)
+    assert counts([*WHOLE, *seen((2, 0, 1), (2, 1))]) == (5, 0, 0, 1), "an epoch that the journal does not have"
+    assert counts(WHOLE, JOURNAL[:4]) == (3, 0, 0, 2)
+    assert counts([*WHOLE, *seen((0, 2))]) == (5, 0, 0, 1), "an epoch that is over"
+
+
+def test_each_ledger_by_itself_and_a_ledger_by_itself():
+    records = [EpochBegun(epoch=0, seed=1), ticked(0, 1, 0, 1), ticked(0, 2, 0), ticked(0, 3, 0, 1)]
+    whole, gone = seen((0, 0, 1), (0, 1), (0, 2), (0, 3)), seen((0, 0, 1), (0, 3))
+    ticks, (one, other) = audits(records, [(0, whole), (1, gone)])
+    assert ticks == 3 and (one.lost, one.phantom) == (0, 0) and (other.lost, other.phantom) == (1, 0)
+    facts = ledger_facts(iter(gone))
+    assert (facts.first_tick, facts.last_tick, facts.ticks, facts.missing, facts.lives) == (0, 3, 1, 2, 1)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans()), max_size=12), st.data())
+def test_the_same_as_with_everything_in_memory(frames, data):
+    """Against counting by sets over all epochs at once, for ledgers and journals whose epochs do not go back."""
+    entries = [LedgerEntry(session=b"", epoch=e, tick=t, stepped=s) for e, t, s in sorted(frames, key=lambda f: f[0])]
+    done = data.draw(st.sets(st.tuples(st.integers(0, 3), st.integers(1, 4))))
+    records = [ticked(epoch, tick, 0) for epoch, tick in sorted(done)]
+    mine = {(entry.epoch, entry.tick) for entry in entries if entry.stepped}
+    lives = [a for a, b in pairwise(entries) if not b.stepped] + entries[-1:]
+    ends = {(entry.epoch, entry.tick + 1) for entry in lives}
+    found = audit(records, [(0, entries)])
+    assert (found.lost, found.phantom) == (len(done - mine - ends), _phantoms(entries, done))
+
+
+def _phantoms(entries, done):
+    """A step of an epoch that the journal has counts once; of one that it has not, as often as it was seen."""
+    epochs = {epoch for epoch, _ in done}
+    known = {(e.epoch, e.tick) for e in entries if e.stepped and e.epoch in epochs} - done
+    return len(known) + sum(e.stepped and e.epoch not in epochs for e in entries)

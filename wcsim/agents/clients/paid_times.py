@@ -1,0 +1,140 @@
+"""What sharing a world costs each client of a run: who waited for whom, and where each one's time went.
+
+Kept in the run folder as waits.json, over all lives of all processes and over `--resume`. What a process did in the
+half second before it was killed is not in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import msgspec
+
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_bytes
+from wcsim.errors import PolicyError
+from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.specs import ClientStatus, WorldStatus
+
+WAITS = "waits.json"
+_KIND = FileKind(what="what clients have waited for", limit_bytes=16 << 20, error=PolicyError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaidShares:
+    """Where a client's time went, in seconds."""
+
+    acting_s: float = 0.0
+    learning_s: float = 0.0
+    overlap_s: float = 0.0  # of that, while it waited
+    world_s: float = 0.0  # waiting for the world's own work
+    others_s: float = 0.0  # waiting for other clients, and for messages
+
+    @property
+    def waiting_s(self) -> float:
+        """Waiting in which nothing else was done."""
+        return max(0.0, self.world_s + self.others_s - self.overlap_s)
+
+    @property
+    def known_s(self) -> float:
+        """All of it; it never falls while a client lives."""
+        return self.acting_s + self.learning_s + self.world_s + self.others_s
+
+    def plus(self, now: PaidShares, before: PaidShares) -> PaidShares:
+        """This, and what has been added from `before` to `now`, two readings of one life."""
+        return PaidShares(
+            acting_s=self.acting_s + now.acting_s - before.acting_s,
+            learning_s=self.learning_s + now.learning_s - before.learning_s,
+            overlap_s=self.overlap_s + now.overlap_s - before.overlap_s,
+            world_s=self.world_s + now.world_s - before.world_s,
+            others_s=self.others_s + now.others_s - before.others_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaidTimes:
+    """All of it, by client; `waited_s` by who waited, then for whom."""
+
+    clients: dict[str, PaidShares]
+    waited_s: dict[str, dict[str, float]]
+
+
+def read_paid_times(run: Path) -> PaidTimes | None:
+    """What a run folder holds of it; None for one that was made before. Raises PolicyError when it is damaged."""
+    path = run / WAITS
+    if not path.is_file():
+        return None
+    try:
+        return msgspec.json.decode(read_bytes(path, _KIND), type=PaidTimes)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise PolicyError(f"{path}: is damaged ({str(error)[:120]}); remove it, and it is counted anew") from None
+
+
+def shares_of(status: ClientStatus) -> PaidShares:
+    """A client's own reading of one life."""
+    return PaidShares(
+        acting_s=status.inference_s,
+        learning_s=status.learning_s,
+        overlap_s=status.overlap_s,
+        world_s=status.simulation_s,
+        others_s=status.barrier_s,
+    )
+
+
+class PaidTimesLog:
+    """Adds up what the processes of a launch say, life by life."""
+
+    def __init__(self, run: Path) -> None:
+        """Go on with what a run folder holds. Raises PolicyError when that is damaged."""
+        self._run = run
+        known = read_paid_times(run) or PaidTimes(clients={}, waited_s={})
+        self._sums = dict(known.clients)
+        self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
+        self._last: dict[str, PaidShares] = {}  # reading of each client
+        self._world: tuple[int, WorldStatus | None] = (0, None)  # the same of the world
+
+    @property
+    def times(self) -> PaidTimes:
+        """The sums of now."""
+        return PaidTimes(clients=dict(self._sums), waited_s=self._waited_s)
+
+    def add(self, state: LaunchState) -> None:
+        """Take in how things are."""
+        for client in state.clients:
+            self._client(client)
+        if state.world is not None and state.world.members:
+            self._pairs(state.world_pid, state.world)
+
+    def write(self) -> None:
+        """Leave it in the run folder. Raises DiskFullError."""
+        times = self.times
+        if times.clients:
+            files.write_json(self._run / WAITS, asdict(times))
+
+    def _client(self, client: ClientState) -> None:
+        if client.status is None:
+            return
+        now, before = shares_of(client.status), self._last.get(client.name, PaidShares())
+        if now.known_s < before.known_s:  # of another life
+            before = PaidShares()
+        self._sums[client.name] = self._sums.get(client.name, PaidShares()).plus(now, before)
+        self._last[client.name] = now
+
+    def _pairs(self, pid: int, world: WorldStatus) -> None:
+        known_pid, before = self._world
+        last = _by_name(before) if before is not None and pid == known_pid else {}
+        for (who, whom), seconds in _by_name(world).items():
+            was_s = last.get((who, whom), 0.0)
+            row = self._waited_s.setdefault(who, {})
+            row[whom] = round(row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2)
+        self._world = (pid, world)
+
+
+def _by_name(world: WorldStatus) -> dict[tuple[str, str], float]:
+    return {
+        (who, whom): seconds
+        for who, row in zip(world.members, world.waited_s, strict=False)
+        for whom, seconds in zip(world.members, row, strict=False)
+        if who != whom
+    }

@@ -1,0 +1,189 @@
+"""What grows in a long run: memory of every process and the run folder, as slopes with upper bounds.
+
+A slope is fitted within the lives of processes, each with a level of its own, to means over blocks of time, which are
+nearly independent of each other where single samples are not. Bounds are of one side, 95 %.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]
+
+from wcsim.server.launch.states import LaunchState
+
+RUN_H: Final = 600.0
+"""Hours of the long run that bounds are reckoned for."""
+SAMPLE_S, WARM_S, BLOCKS = 1.0, 10.0, 12
+WORLD, LAUNCHER = "world", "launcher"
+_Z = 1.6449  # quantile of the normal distribution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slope:
+    """Growth an hour: the best estimate, and a bound that it is below with 95 %; infinite with too few samples."""
+
+    per_h: float = 0.0
+    upper_per_h: float = math.inf
+    most: float = 0.0  # the largest value that was seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongRun:
+    """Upper bounds for `RUN_H` hours."""
+
+    memory_gb: float
+    disk_gb: float
+    recovery_s: float  # of a world that was killed
+
+
+def t_quantile(freedom: int) -> float:
+    """The 95 % quantile of Student's distribution; infinite without freedom (Hill's expansion, within 1 % from 3 on).
+
+    >>> [round(t_quantile(n), 2) for n in (3, 10, 100)], t_quantile(0)
+    ([2.35, 1.81, 1.66], inf)
+    """
+    if freedom < 1:
+        return math.inf
+    z, n = _Z, float(freedom)
+    first = (z**3 + z) / (4 * n)
+    second = (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2)
+    third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * n**3)
+    return z + first + second + third
+
+
+def fitted(lives: Sequence[Sequence[tuple[float, float]]]) -> Slope:
+    """The slope of values over time that all lives share.
+
+    Args:
+        lives: Of each life (time in s, value); the first `WARM_S` of each are left out.
+    """
+    times_h, values, freedom = [], [], -1
+    most = max((value for life in lives for _, value in life), default=0.0)
+    for life in lives:
+        blocks = _blocks(life)
+        if len(blocks) < 2:
+            continue
+        at_h, of = np.array(blocks).T
+        times_h.append((at_h - at_h.mean()) / 3600.0)
+        values.append(of - of.mean())
+        freedom += len(blocks) - 1
+    if not times_h or freedom < 1:
+        return Slope(most=most)
+    x, y = np.concatenate(times_h), np.concatenate(values)
+    spread = float(x @ x)
+    per_h = float(x @ y) / spread
+    error = math.sqrt(float(np.sum((y - per_h * x) ** 2)) / freedom / spread)
+    return Slope(per_h=per_h, upper_per_h=per_h + t_quantile(freedom) * error, most=most)
+
+
+def _blocks(life: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Means over parts of a life."""
+    if not life:
+        return []
+    warm = [(t, v) for t, v in life if t >= life[0][0] + WARM_S]
+    parts = np.array_split(np.array(warm).reshape(-1, 2), min(BLOCKS, max(1, len(warm))))
+    return [(float(part[:, 0].mean()), float(part[:, 1].mean())) for part in parts if len(part)]
+
+
+def predicted_s(points: Sequence[tuple[float, float]], at: float) -> float:
+    """A bound for the next y at x=`at` by a straight line through (x, y), 95 %; where x does not vary, by the mean."""
+    if len(points) < 3:
+        return math.inf
+    x, y = np.array(points).T
+    off = x - x.mean()
+    spread = float(off @ off)
+    slope = max(0.0, float(off @ y) / spread) if spread > 0.0 else 0.0
+    freedom = len(points) - (2 if spread > 0.0 else 1)
+    error = math.sqrt(float(np.sum((y - y.mean() - slope * off) ** 2)) / freedom)
+    far = (at - float(x.mean())) ** 2 / spread if spread > 0.0 else 0.0
+    return (
+        float(y.mean())
+        + slope * (at - float(x.mean()))
+        + t_quantile(freedom) * error * math.sqrt(1.0 + 1.0 / len(points) + far)
+    )
+
+
+class GrowthLog:
+    """Samples of memory and disk, and which processes there were; `look` is called a few times a second."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._seen: set[tuple[int, float]] = set()  # (pid, time of birth)
+        self._memory: dict[tuple[str, int], list[tuple[float, float]]] = {}  # MB of each life
+        self._disk: list[tuple[float, float]] = []  # MB
+        self._looked_s = -math.inf
+
+    def look(self, state: LaunchState, now_s: float) -> None:
+        """Take samples when it is time to."""
+        if now_s - self._looked_s < SAMPLE_S or state.stopping:
+            return
+        self._looked_s = now_s
+        here = psutil.Process().pid
+        pids = {LAUNCHER: here, WORLD: state.world_pid, **{client.name: client.pid for client in state.clients}}
+        for who, pid in pids.items():
+            with contextlib.suppress(psutil.Error):
+                if pid:
+                    self._sample(who, psutil.Process(pid), now_s, ours=pid != here)
+        self._disk.append((now_s, _folder_mb(self._folder)))
+
+    def orphans(self) -> int:
+        """Processes that were started and still run."""
+        return sum(_lives(pid, born_s) for pid, born_s in self._seen)
+
+    @property
+    def memory(self) -> dict[str, Slope]:
+        """MB of each kind of process, by its name."""
+        by_name: dict[str, list[list[tuple[float, float]]]] = {}
+        for (who, _), life in self._memory.items():
+            by_name.setdefault(who, []).append(life)
+        return {who: fitted(lives) for who, lives in by_name.items()}
+
+    @property
+    def disk(self) -> Slope:
+        """MB of the run folder."""
+        return fitted([self._disk])
+
+    def _sample(self, who: str, process: psutil.Process, now_s: float, ours: bool) -> None:
+        self._memory.setdefault((who, process.pid), []).append((now_s, process.memory_info().rss / 1e6))
+        if ours:
+            self._seen.add((process.pid, process.create_time()))
+
+
+def long_run(memory: Mapping[str, Slope], disk: Slope, epoch_h: float, recovery_s: float) -> LongRun:
+    """Bounds for `RUN_H` hours.
+
+    Args:
+        memory: MB of each process; a world grows for an epoch, the others for the whole run.
+        disk: MB of the run folder.
+        epoch_h: Hours that an epoch lasts.
+        recovery_s: A bound for a world in its last tick of an epoch, after which it does not grow.
+    """
+    grown_mb = 0.0
+    for who, slope in memory.items():
+        hours = min(epoch_h, RUN_H) if who == WORLD else RUN_H
+        grown_mb += slope.most + max(0.0, slope.upper_per_h) * hours
+    disk_mb = disk.most + max(0.0, disk.upper_per_h) * RUN_H
+    return LongRun(memory_gb=grown_mb / 1e3, disk_gb=disk_mb / 1e3, recovery_s=recovery_s)
+
+
+def _folder_mb(folder: Path) -> float:
+    total = 0
+    for path in folder.rglob("*"):
+        with contextlib.suppress(OSError):
+            total += path.lstat().st_size if path.is_file() else 0
+    return total / 1e6
+
+
+def _lives(pid: int, born_s: float) -> bool:
+    try:
+        process = psutil.Process(pid)
+        return bool(process.create_time() == born_s and process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.Error:
+        return False

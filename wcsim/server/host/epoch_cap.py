@@ -1,0 +1,44 @@
+"""When an epoch of a shared world is over, so that journal, memory and recovery do not grow with the run."""
+
+from __future__ import annotations
+
+from wcsim.server.host.status import rss_mb
+from wcsim.server.protocol.barrier import Barrier
+from wcsim.server.protocol.events import BarrierState
+from wcsim.server.specs import WorldSpec
+
+EPOCH_OVER = "the epoch is over"
+"""How the reason begins by which a world's process ends for another one to go on with the next epoch."""
+SETTLED_TICKS = 100  # after which a world's memory is what it begins an epoch with
+
+
+class EpochCap:
+    """The end of an epoch: at a full barrier, when everybody has seen the last tick and nobody the next one.
+
+    So it depends on the tick alone, unless memory has grown, and two runs with equal seeds end their epochs alike.
+    """
+
+    def __init__(self, order: WorldSpec) -> None:
+        """As the order says; never, where nobody would go on."""
+        world = order.world.config.world
+        self._ticks = world.epoch_ticks if order.epochs_end else 0
+        self._growth_mb = world.epoch_growth_mb
+        self._begun_mb: float | None = None
+        self._why = ""
+        self.reached = ""  # why it is over, "" as long as it is not
+
+    def weigh(self, tick: int) -> None:
+        """Look at how much memory this process has; to be called now and then."""
+        if not self._ticks or tick < SETTLED_TICKS:
+            return
+        now_mb = rss_mb()
+        self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
+        if now_mb - self._begun_mb > self._growth_mb:
+            self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+
+    def is_reached(self, cycle: Barrier) -> bool:
+        """Whether the epoch ends here; to be asked after every message."""
+        if not self._ticks or cycle.stage is not BarrierState.READY:
+            return False
+        self.reached = f"{EPOCH_OVER}: tick {cycle.tick}" if cycle.tick >= self._ticks else self._why
+        return bool(self.reached)
