@@ -44,6 +44,7 @@ SUBCOMMANDS = (
     Subcommand("replay", "wcsim.cli.replay", "a recorded run for SUMO's tools, made again and verified, or compared"),
     Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
+    Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself, on a page in your browser"),
     Subcommand("networks", "wcsim.cli.networks", "what each network costs: parameters, memory, time of a decision"),
     Subcommand("bench", "wcsim.cli.bench.command", "measure chair, users, street, cameras and speed"),
     Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),
