@@ -223,6 +223,7 @@ class State(_Said, frozen=True):
     driver: DriverKind
     paused: bool
     waiting: str  # why nobody drives, "" while somebody does
+    let_go: bool  # the stick counts only once it has been at rest
     alone: bool  # the simulated user still has the chair, before a handover
     pace: float
     stick: tuple[float, float]

@@ -29,6 +29,10 @@ class Keeper(Protocol):
     def waiting(self) -> str:
         """Why it stands still."""
 
+    @property
+    def must_rest(self) -> bool:
+        """Whether the stick has to be let go of before it counts."""
+
     tick_s: float
     picture_s: float
     gap_s: float
@@ -66,6 +70,7 @@ def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> 
         driver=session.driver,
         paused=keeper.paused,
         waiting=keeper.waiting,
+        let_go=keeper.must_rest,
         alone=not session.handed_over,
         pace=keeper.pace,
         stick=_xy(last.stick if last else rest),

@@ -11,7 +11,8 @@ from typing import Final
 from wcsim.drive.session import AT_REST, Wish
 from wcsim.types import Joystick
 
-LOST_S: Final = 0.5  # without a message
+LOST_S: Final = 0.5  # without a message the stick counts no more
+GONE_S: Final = 1.5  # without one it has to be let go of before it counts again
 STANDS_STILL_S: Final = 3.0  # then time stops too: by now the chair has
 RESTS: Final = 0.1  # a stick within this is at rest
 
@@ -19,7 +20,7 @@ RESTS: Final = 0.1  # a stick within this is at rest
 class StickWatch:
     """The stick of the person who drives, as far as it can be trusted.
 
-    After a loss, and at the beginning of each episode, it counts only once it has been at rest: nobody drives off with
+    After a long loss, and at the beginning of each episode, it counts only once it has been at rest: nobody drives off with
     a stick that was still pushed.
     """
 
@@ -35,8 +36,6 @@ class StickWatch:
 
     def hear(self, stick: Joystick, overrule: bool, now_s: float) -> None:
         """A message has come."""
-        if self.lost(now_s):
-            self._must_rest = True
         self._stick, self._overrule, self._heard_s = stick, overrule, now_s
         if math.hypot(stick.x, stick.y) < RESTS:
             self._must_rest = False
@@ -65,6 +64,6 @@ class StickWatch:
         """What the person wants in this tick; a call for help is handed out once."""
         asked, self._help = self._help, False
         if self.lost(now_s):
-            self._must_rest = True
+            self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
             return Wish(help=asked)
         return Wish(stick=AT_REST if self._must_rest else self._stick, overrule=self._overrule, help=asked)

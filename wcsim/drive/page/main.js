@@ -68,8 +68,9 @@ const link = new Link({
     panel.tellState(state);
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
-    if (state.crash) { scan.rest(); scan.highlight(); stick.stop(); }
-    const standing = state.waiting || (state.paused ? "Paused" : "");
+    if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
+    const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
+    const standing = state.waiting || (state.paused ? "Paused" : pushed ? "Let go of the stick once." : "");
     big(busy || (state.crash ? `The chair ${state.crash}.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });

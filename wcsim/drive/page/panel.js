@@ -4,15 +4,15 @@ import { words } from "./grid.js";
 
 const by = (id) => document.getElementById(id);
 const KPIS = [
-  ["kpi1", "KPI 1, stick distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
-  ["kpi2", "KPI 2, steps alive", (k) => k.kpi2.toFixed(0)],
+  ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
+  ["kpi2", "KPI 2, steps", (k) => k.kpi2.toFixed(0)],
   ["speed", "Speed", (k, s) => `${Math.abs(s.speed_mps).toFixed(2)} m/s`],
   ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["left", "To go", (k, s) => `${s.left_m.toFixed(0)} m`],
   ["time", "Time", (k) => `${Math.floor(k.time_s / 60)}:${String(Math.floor(k.time_s % 60)).padStart(2, "0")}`],
   ["arrivals", "Arrivals", (k) => k.arrivals], ["crashes", "Crashes", (k) => k.crashes],
   ["warnings", "Warnings", (k) => k.warnings], ["interventions", "Interventions", (k) => k.interventions],
-  ["helps", "Calls for help", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],
+  ["helps", "Help calls", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],
 ];
 
 export class Panel {
@@ -122,7 +122,7 @@ export class Panel {
 
   lamps(state, before) {
     if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "clear") && state.warning) this.say("Warning: danger ahead.");
-    if (this.lamp("lamp-intervening", state.intervening, state.intervening ? "the chair does otherwise" : "follows the stick") && state.intervening) this.say("The assistance intervenes.");
+    if (this.lamp("lamp-intervening", state.intervening, state.intervening ? "steers otherwise" : "follows the stick") && state.intervening) this.say("The assistance intervenes.");
     this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
     const turn = state.bearing_deg;

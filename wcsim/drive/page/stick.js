@@ -84,9 +84,13 @@ export class Stick {
     return pastDeadZone(pad.axes[0], -pad.axes[1]);
   }
 
-  now() {
+  raw() {
     const all = [this.latched, this.pointer, this.fromKeys(), this.fromPad()];
-    const farthest = all.reduce((best, each) => (Math.hypot(...each) > Math.hypot(...best) ? each : best), REST);
+    return all.reduce((best, each) => (Math.hypot(...each) > Math.hypot(...best) ? each : best), REST);
+  }
+
+  now() {
+    const farthest = this.raw();
     if (this.away) return REST;
     if (this.stopped) {
       if (Math.hypot(...farthest) < 0.05) this.stopped = false;
