@@ -301,4 +301,3 @@ def run_drive(pipe: Connection, start: DriveStart) -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server's process ends this one
     DriveRunner(pipe, start).run()
-

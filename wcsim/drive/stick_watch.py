@@ -20,8 +20,8 @@ RESTS: Final = 0.1  # a stick within this is at rest
 class StickWatch:
     """The stick of the person who drives, as far as it can be trusted.
 
-    After a long loss, and at the beginning of each episode, it counts only once it has been at rest: nobody drives off with
-    a stick that was still pushed.
+    After a long loss, and at the beginning of each episode, it counts only once it has been at rest: nobody drives off
+    with a stick that was still pushed.
     """
 
     def __init__(self) -> None:

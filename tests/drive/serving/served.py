@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,9 @@ class FakePage:
     """Speaks as the page does: acknowledges pictures, and sends its stick with every line that it reads."""
 
     def __init__(self, address: str) -> None:
-        self.socket: ClientConnection = connect(f"ws://{address}/socket", origin=f"http://{address}")
+        self._held = ExitStack()
+        opened = connect(f"ws://{address}/socket", origin=f"http://{address}")
+        self.socket: ClientConnection = self._held.enter_context(opened)
         self.stick, self.overrule, self.silent = (0.0, 0.0), False, False
         self.pictures, self.heard = 0, []  # type: int, list[dict[str, Any]]
 
@@ -87,7 +89,7 @@ class FakePage:
         return self.state(lambda state: state["speed_mps"] > 0.4)
 
     def close(self) -> None:
-        self.socket.close()
+        self._held.close()
 
     def __enter__(self) -> FakePage:
         return self

@@ -38,7 +38,14 @@ def test_the_page_is_served_with_its_policy(running: Served) -> None:
         assert (answer.status, answer.headers["Content-Type"]) == (200, f"{kind}; charset=utf-8")
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
         assert answer.read()
-    for path in ("/nothing.js", "/../session.py", "/%2e%2e/session.py", "/page/index.html", "/index.html/", "//etc/passwd"):
+    for path in (
+        "/nothing.js",
+        "/../session.py",
+        "/%2e%2e/session.py",
+        "/page/index.html",
+        "/index.html/",
+        "//etc/passwd",
+    ):
         assert read(address, path, {"Host": address}).status == 404, path
 
 
@@ -48,8 +55,8 @@ def test_strangers_are_refused(running: Served) -> None:
     assert read(address, "/", {}).status in (400, 403)
     assert read(address, "/main.js", {"Host": address, "Origin": "http://evil.example"}).status == 403
     for origin in ("http://evil.example", None):
-        with pytest.raises(InvalidStatus) as refused:
-            connect(f"ws://{address}/socket", origin=origin)
+        with pytest.raises(InvalidStatus) as refused, connect(f"ws://{address}/socket", origin=origin):
+            pass
         assert refused.value.response.status_code == 403
 
 

@@ -16,13 +16,13 @@ function make(name, more, parent) {
 export class Grid {
   constructor(home, stick) {
     this.stick = stick;
-    const svg = make("svg", { viewBox: "-118 -118 236 236", role: "img", "aria-labelledby": "stick-title" }, home);
+    const svg = make("svg", { viewBox: "-118 -132 236 264", role: "img", "aria-labelledby": "stick-title" }, home);
     make("title", { id: "stick-title" }, svg).textContent =
       "Joystick. Push the disc with pointer or finger; the stick’s position is told in words below.";
     make("circle", { class: "disc", r: 114 }, svg);
     make("circle", { class: "gate", r: SIZE }, svg);
     make("path", { class: "axis", d: "M0-114V114M-114 0H114" }, svg);
-    for (const [x, y, word] of [[0, -103, "ahead"], [0, 111, "back"]]) {
+    for (const [x, y, word] of [[0, -120, "ahead"], [0, 128, "back"]]) {
       make("text", { x, y, class: "word" }, svg).textContent = word;
     }
     this.dots = make("g", {}, svg);

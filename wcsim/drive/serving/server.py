@@ -158,8 +158,9 @@ class DriveServer:
             return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
         if wants_socket:
             return None
-        file = PAGE / ("index.html" if path == "/" else path.removeprefix("/"))
-        if file.parent != PAGE or file.suffix not in _KINDS or not file.is_file():
+        name = "index.html" if path == "/" else path.removeprefix("/")
+        file = next((each for each in PAGE.iterdir() if each.name == name and each.suffix in _KINDS), None)
+        if file is None:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
         return _file(file.read_bytes(), _KINDS[file.suffix], hosts[0])
 
