@@ -22,6 +22,7 @@ BUDGET_S = {
     "bridge": 180,
     "config": 20,
     "core": 60,
+    "drive": 150,
     "cli": 200,
     "physics": 60,
     "scenes": 120,

@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from wcsim.errors import PolicyError
-from wcsim.types import Truth
+from wcsim.types import Bool, Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
@@ -19,6 +19,13 @@ GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 
 class NotFinite(PolicyError):
     """Raised when a policy's numbers are not finite: a guard brings the chair to rest then."""
+
+
+def require_level(level: float, levels: tuple[float, float]) -> None:
+    """Raise PolicyError for a level of assistance that is not between these two."""
+    low, high = sorted(levels)
+    if not low <= level <= high:
+        raise PolicyError(f"level of assistance {level:g}: expected {low:g} to {high:g}")
 
 
 class Policy(Protocol):
@@ -53,6 +60,42 @@ class Warns(Protocol):
     @property
     def warning(self) -> bool:
         """Whether it warns, as of its last `act`."""
+
+
+@runtime_checkable
+class HearsSent(Protocol):
+    """A policy that reckons with what the chair was told to do, which may be another action than its own choice."""
+
+    def choose(self, observation: Observation) -> int:
+        """The action for this observation, as `act` gives it, while another one may still be sent."""
+
+    def sent(self, action: int) -> None:
+        """Take note of the action that is carried out."""
+
+
+@runtime_checkable
+class TellsUnsafe(Protocol):
+    """A policy that says of every action whether it would take it."""
+
+    @property
+    def unsafe(self) -> Bool:
+        """(A,) which actions it holds for unsafe, as of its last `act`."""
+
+
+@runtime_checkable
+class Levelled(Protocol):
+    """A policy whose level of assistance can be set while it drives."""
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """The level that assists least, and the one that assists most; the first may be the larger number."""
+
+    @property
+    def level(self) -> float:
+        """The level of now."""
+
+    def set_level(self, level: float) -> None:
+        """Assist so from the next `act` on. Raises PolicyError for a level that is not between those of `levels`."""
 
 
 @runtime_checkable

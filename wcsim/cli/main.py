@@ -45,6 +45,7 @@ SUBCOMMANDS = (
     Subcommand("look", "wcsim.cli.pictures.look", "a picture and a video of a town, without any training"),
     Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
+    Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself, on a page in your browser"),
     Subcommand("networks", "wcsim.cli.networks", "what each network costs: parameters, memory, time of a decision"),
     Subcommand("bench", "wcsim.cli.bench.command", "measure chair, users, street, cameras and speed"),
     Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -9,13 +10,13 @@ import torch
 
 from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import Alarm, DangerRule, choose, next_alarm
+from wcsim.agents.danger.rule import LEVELS, Alarm, DangerRule, choose, next_alarm, within
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation
+from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 _SURE: Final = 60.0  # a logit beyond it says no more
 
@@ -40,6 +41,7 @@ class DangerPolicy:
         self._actions = action_set(config.env.actions)
         self._eye = Eye(config, delay_ticks, net.spec.looks)
         self._last = -1
+        self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.sight: DangerSight  # of the newest observation
         self.told: F64  # the newest dangers
 
@@ -47,6 +49,21 @@ class DangerPolicy:
     def warning(self) -> bool:
         """Whether the user's own stick is about to end badly, see `rule.next_alarm`."""
         return self._alarm.on
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """Thresholds of danger, see `rule.LEVELS`: the highest assists least."""
+        return LEVELS
+
+    @property
+    def level(self) -> float:
+        """The threshold of danger."""
+        return self.rule.threshold
+
+    def set_level(self, level: float) -> None:
+        """Take another threshold of danger from now on. Raises PolicyError for one out of bounds."""
+        require_level(level, LEVELS)
+        self.rule = replace(self.rule, threshold=level)
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -67,6 +84,7 @@ class DangerPolicy:
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         danger = self.dangers(observation)
         self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule)
+        self.unsafe = ~within(danger, self.rule, self._last)
         return choose(danger, stick, self._actions, self.rule, self._last)
 
     def watch(self, observation: Observation) -> None:

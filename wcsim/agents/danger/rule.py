@@ -13,10 +13,11 @@ import numpy as np
 
 from wcsim.config import DangerConfig
 from wcsim.supervisor.actions import ActionSet
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 NEWEST: Final = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
+LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 
 
@@ -65,6 +66,15 @@ def rule_of(danger: DangerConfig) -> DangerRule:
     )
 
 
+def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
+    """(A,) which actions are safe enough; the arguments are those of `choose`."""
+    limit = np.full(len(danger), rule.threshold)
+    if last >= 0:
+        limit[last] *= rule.lenient
+    allowed: Bool = danger < limit
+    return allowed
+
+
 def choose(danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: int = -1) -> int:
     """The action.
 
@@ -76,14 +86,13 @@ def choose(danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: 
         last: The action before, -1 for none.
     """
     distance = actions.distances(stick[None])[0]
-    limit, cost = np.full(len(danger), rule.threshold), distance + rule.shy * danger / rule.threshold
+    cost = distance + rule.shy * danger / rule.threshold
     if last >= 0:
-        limit[last] *= rule.lenient
         cost[last] -= rule.keep
+    allowed = within(danger, rule, last)
     own = int(np.argmin(distance))
-    if danger[own] < limit[own]:
+    if allowed[own]:
         return own
-    allowed = danger < limit
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
     return int(np.argmin(danger + LESS_M * distance))

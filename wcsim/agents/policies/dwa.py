@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.agents.policies.baseline_names import USUAL_LEVEL
+from wcsim.agents.policies.baseline_names import HIGHEST_LEVEL, USUAL_LEVEL
 from wcsim.agents.policies.dynamic_window.arcs import arcs, touches_after
 from wcsim.agents.policies.dynamic_window.backing import backs_blindly
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet
-from wcsim.types import F64, Outline
+from wcsim.types import F64, Bool, Outline
 
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
@@ -58,13 +58,14 @@ class DynamicWindow:
         level: Of assistance, see `caution`.
     """
 
-    senses = SENSES
+    senses, levels = SENSES, (0.0, HIGHEST_LEVEL)
 
     def __init__(
         self, name: str, config: RunConfig, actions: ActionSet, outline: Outline, level: float = USUAL_LEVEL
     ) -> None:
         self.name, self.warning = name, False
-        self._caution, self._actions = caution(level), actions
+        self.level, self._caution, self._actions = level, caution(level), actions
+        self.unsafe: Bool = np.zeros(len(actions), np.bool_)  # (A,) out of the question at the last choice
         self._around = StreetSense(config, actions, outline)
 
     def begin(self) -> None:
@@ -75,16 +76,29 @@ class DynamicWindow:
         self._around.forget()
         self.warning = False
 
+    def set_level(self, level: float) -> None:
+        """Assist so from the next choice on; see `caution`. Raises PolicyError for a level out of bounds."""
+        require_level(level, self.levels)
+        self.level, self._caution = level, caution(level)
+
     def act(self, observation: Observation) -> int:
         """The action nearest to the user's stick that can be braked in time, with some room on its sides."""
+        choice = self.choose(observation)
+        self.sent(choice)
+        return choice
+
+    def sent(self, action: int) -> None:
+        """Say which action is carried out."""
+        self._around.command(action)
+
+    def choose(self, observation: Observation) -> int:
+        """The same as `act`, while another action may still be sent."""
         around, stick = self._around, np.asarray(observation[JOYSTICK_KEY], np.float64)
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)
         start, later_s = around.start()
         self.warning = self._meets(stick, start, later_s, points)
-        choice = self._choose(stick, start, later_s, points)
-        around.command(choice)
-        return choice
+        return self._choose(stick, start, later_s, points)
 
     def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:
         """Whether the user's stick, held, would meet something soon."""
@@ -100,6 +114,7 @@ class DynamicWindow:
         free = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
         backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
         free &= ~blind
+        self.unsafe = ~free
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
         cost = self._actions.distances(stick[None])[0]

@@ -81,7 +81,7 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
     config = with_overrides(order.config, (*order.block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in order.block.episodes]
     specs = tuple(
-        _seat_spec(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)
+        seat_of(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)
     )
     seed = order.block.seed if order.world_seed is None else order.world_seed
     with World(order.town, config, specs, seed) as world:
@@ -99,7 +99,8 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
     return tuple(seat.record for seat in seats if seat.record is not None)
 
 
-def _seat_spec(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec:
+def seat_of(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec:
+    """What a seat is taken with for an episode of a block."""
     user = episode.profile
     if order.recordings is not None and user.startswith(RECORDED):
         user = f"{RECORDED}{order.recordings / user.removeprefix(RECORDED)}"

@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.rule import LEVELS
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.learning.saved_policy import NetPolicy
 from wcsim.agents.learning.shielded.danger_part import PART, codes_of_dangers, dangers_of_codes
 from wcsim.agents.learning.shielded.shielded_dqn import allowed_argmax
-from wcsim.agents.policy_api import Observation
+from wcsim.agents.policy_api import Observation, require_level
 from wcsim.agents.runs.policy_file import WEIGHTS
 from wcsim.config import RunConfig
 from wcsim.config.run_file import ShieldFile
 from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
+from wcsim.types import Bool
 
 
 class ShieldedPolicy(NetPolicy):
@@ -32,8 +34,9 @@ class ShieldedPolicy(NetPolicy):
 
     def __init__(self, values: NetPolicy, part: DangerPolicy, shield: ShieldFile, threshold: float) -> None:
         super().__init__(values.net, values.name, values.file)
-        self._part, self._shield, self._threshold = part, shield, threshold
-        self.senses = part.senses
+        self._part, self._shield, self.level = part, shield, threshold
+        self.senses, self.levels = part.senses, LEVELS
+        self.unsafe: Bool = part.unsafe  # (A,) above the threshold at the last choice
 
     @property
     def warning(self) -> bool:
@@ -44,14 +47,28 @@ class ShieldedPolicy(NetPolicy):
         """Stand still, and know nothing of the street."""
         self._part.reset()
 
+    def set_level(self, level: float) -> None:
+        """Take another threshold of danger from now on. Raises PolicyError for one out of bounds."""
+        require_level(level, LEVELS)
+        self.level = level
+
     def act(self, observation: Observation) -> int:
         """The action of the highest value among the safe ones, else the least dangerous one."""
+        action = self.choose(observation)
+        self.sent(action)
+        return action
+
+    def sent(self, action: int) -> None:
+        """Say which action is carried out."""
+        self._part.sent(action)
+
+    def choose(self, observation: Observation) -> int:
+        """The same as `act`, while another action may still be sent."""
         self._part.choose(observation)
         danger = dangers_of_codes(codes_of_dangers(self._part.told))  # as they were in training
         values = self.values(observation).astype(np.float64) - self._shield.weight * danger
-        action = allowed_argmax(values, danger, self._threshold)
-        self._part.sent(action)
-        return action
+        self.unsafe = danger >= self.level
+        return allowed_argmax(values, danger, self.level)
 
 
 def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import struct
+
+import cv2
+import numpy as np
+import pytest
+
+from wcsim.drive.drawing.guidance import GOAL_RGB, WAY_RGB, ground_points, mark_goal
+from wcsim.drive.drawing.pictures import CameraKind, DrivePictures, Looks
+from wcsim.drive.session import DriveSession, Wish
+from wcsim.types import Joystick
+
+
+def parts(message: bytes) -> dict[str, np.ndarray]:
+    found, at = {}, 4
+    while at < len(message):
+        letter, size = struct.unpack_from("<cI", message, at)
+        data = np.frombuffer(message, np.uint8, size, at + 5)
+        found[letter.decode()] = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+        at += 5 + size
+    return found
+
+
+def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
+    return int((np.abs(picture.astype(int) - rgb).max(axis=2) < 40).sum())
+
+
+def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> None:
+    session.tick(Wish())
+    pictures = DrivePictures(session)
+    shown = parts(pictures.draw(session, Looks(width_px=640, height_px=360), 0.1))
+    assert {letter: picture.shape[:2] for letter, picture in shown.items()} == {
+        "S": (360, 640),
+        "C": (240, 320),
+        "M": (320, 320),
+    }
+    assert all(picture.std() > 10.0 for picture in shown.values())
+    assert near(shown["S"], WAY_RGB) > 20, "the way is dotted"
+    less = parts(pictures.draw(session, Looks(camera=CameraKind.NOTHING, chart=False), 0.1))
+    assert set(less) == {"S"}
+
+
+def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession) -> None:
+    session.assist(False)
+    pictures = DrivePictures(session)
+    before = pictures.draw(session, Looks(), 0.1)
+    for _ in range(15):
+        session.tick(Wish(stick=Joystick(0.0, 1.0)))
+    after = pictures.draw(session, Looks(), 0.1)
+    assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
+    changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
+    assert changed > 0.3
+
+
+@pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
+def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
+    pictures = DrivePictures(session)
+    shown = parts(pictures.draw(session, Looks(camera=kind), 0.1))["C"]
+    assert shown.shape == (240, 320, 3)
+    block = shown[100:104, 100:104]
+    assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"
+
+
+def test_the_way_lies_ahead_on_the_ground(session: DriveSession) -> None:
+    grid = session.world.street.grid
+    points = ground_points(session.route, 0.0, grid)
+    assert np.allclose(points[-1][:2], session.route.points_W_m[-1])
+    assert len(points) > 10
+    assert len(ground_points(session.route, float(session.route.arc_m[-1]), grid)) == 1
+
+
+def test_a_far_destination_is_at_the_maps_edge() -> None:
+    inside = mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([10.0, 0.0]), 60.0)
+    outside = mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([0.0, -500.0]), 60.0)
+    rows, columns = np.nonzero(np.abs(inside.astype(int) - GOAL_RGB).max(axis=2) < 9)
+    assert 205 < columns.mean() < 235 and 135 < rows.mean() < 160
+    rows, columns = np.nonzero(np.abs(outside.astype(int) - GOAL_RGB).max(axis=2) < 9)
+    assert rows.mean() > 290 and abs(columns.mean() - 160) < 6

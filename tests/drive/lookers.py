@@ -1,0 +1,82 @@
+"""Observers and policies for tests of a drive."""
+
+from __future__ import annotations
+
+from wcsim.agents.policy_api import Observation
+from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
+
+
+class Noted:
+    """Keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.ticks: list[DrivenTick] = []
+        self.events: list[DriveEvent] = []
+        self.closed = 0
+
+    def tick(self, driven: DrivenTick) -> None:
+        self.ticks.append(driven)
+
+    def event(self, event: DriveEvent) -> None:
+        self.events.append(event)
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def kinds(self) -> list[EventKind]:
+        return [event.kind for event in self.events]
+
+
+class Breaks:
+    """Drives for five ticks, and then raises."""
+
+    name, warning = "breaks", True
+
+    def __init__(self, config: object) -> None:
+        self.asked = 0
+
+    def begin(self) -> None:
+        pass
+
+    def reset(self) -> None:
+        self.asked = 0
+
+    def act(self, observation: Observation) -> int:
+        self.asked += 1
+        if self.asked > 5:
+            raise ValueError("out of ideas")
+        return 40
+
+
+class Remembers:
+    """Holds the right half for unsafe, goes straight back, and notes what was sent instead."""
+
+    name, warning = "remembers", False
+    levels = (0.0, 2.0)
+
+    def __init__(self, count: int = 81) -> None:
+        import numpy as np
+
+        self.heard: list[int] = []
+        self.level = 1.0
+        self.unsafe = np.arange(count) >= 45
+
+    def begin(self) -> None:
+        pass
+
+    def reset(self) -> None:
+        pass
+
+    def set_level(self, level: float) -> None:
+        self.level = level
+
+    def act(self, observation: Observation) -> int:
+        action = self.choose(observation)
+        self.sent(action)
+        return action
+
+    def choose(self, observation: Observation) -> int:
+        return 36  # stick back
+
+    def sent(self, action: int) -> None:
+        self.heard.append(action)

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import http.client
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from tests.drive.serving.served import FakePage, served
+
+Served = tuple[str, subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def running(corner: Path) -> Iterator[Served]:
+    with served(corner) as drive:
+        yield drive
+
+
+def read(address: str, path: str, headers: dict[str, str]) -> http.client.HTTPResponse:
+    host, _, port = address.partition(":")
+    line = http.client.HTTPConnection(host, int(port), timeout=60)
+    line.putrequest("GET", path, skip_host=True)
+    for name, value in headers.items():
+        line.putheader(name, value)
+    line.endheaders()
+    return line.getresponse()
+
+
+def test_the_page_is_served_with_its_policy(running: Served) -> None:
+    address, _ = running
+    for path, kind in (("/", "text/html"), ("/page.css", "text/css"), ("/main.js", "text/javascript")):
+        answer = read(address, path, {"Host": address})
+        assert (answer.status, answer.headers["Content-Type"]) == (200, f"{kind}; charset=utf-8")
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.read()
+    for path in (
+        "/nothing.js",
+        "/../session.py",
+        "/%2e%2e/session.py",
+        "/page/index.html",
+        "/index.html/",
+        "//etc/passwd",
+    ):
+        assert read(address, path, {"Host": address}).status == 404, path
+
+
+def test_strangers_are_refused(running: Served) -> None:
+    address, _ = running
+    assert read(address, "/", {"Host": "evil.example"}).status == 403
+    assert read(address, "/", {}).status in (400, 403)
+    assert read(address, "/main.js", {"Host": address, "Origin": "http://evil.example"}).status == 403
+    for origin in ("http://evil.example", None):
+        with pytest.raises(InvalidStatus) as refused, connect(f"ws://{address}/socket", origin=origin):
+            pass
+        assert refused.value.response.status_code == 403
+
+
+def test_a_stick_moves_the_chair_and_silence_stops_it(running: Served) -> None:
+    with FakePage(running[0]) as page:
+        page.say("assist", on=False)
+        page.drive_off()
+        assert page.pictures > 0
+        page.silent = True
+        page.state(lambda state: abs(state["speed_mps"]) < 0.02)
+
+
+def test_help_level_pause_and_pace_are_obeyed(running: Served) -> None:
+    with FakePage(running[0]) as page:
+        about = page.until(lambda message: message["say"] == "about")
+        assert len(about["points"]) == 81 and about["levels"] == [0.0, 2.0] and about["suites"]["dev"]
+        before = page.state()["kpis"]["helps"]
+        page.say("help")
+        page.state(lambda state: state["kpis"]["helps"] == before + 1)
+        page.say("setlevel", level=0.5)
+        page.say("assist", on=True)
+        page.state(lambda state: state["level"] == 0.5 and state["assisted"])
+        page.say("setlevel", level=7.0)
+        refusal = page.until(lambda message: message["say"] == "notice" and message["kind"] == "refused")
+        assert "expected 0 to 2" in refusal["told"]
+        page.overrule = True
+        page.state(lambda state: state["overruled"])
+        page.overrule = False
+        page.say("pause", on=True)
+        page.state(lambda state: state["paused"])
+        page.say("pause", on=False)
+        page.say("pace", times=0)
+        page.state(lambda state: state["pace"] == 0.0 and not state["paused"])
+        page.say("pace", times=1)
+        page.say("open", town="atlantis")
+        told = page.until(lambda message: message["say"] == "notice" and "atlantis" in message["told"])
+        assert told["kind"] == "refused"
+        page.state(lambda state: state["pace"] == 1.0)
+
+
+def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
+    with FakePage(running[0]) as first:
+        first.role(drives=True)
+        with FakePage(running[0]) as second:
+            told = second.role(drives=False)
+            assert told["taken"] and "Another page drives" in told["told"]
+            second.say("pause", on=True)
+            assert not first.state()["paused"], "who looks on changes nothing"
+            second.say("takeover")
+            second.role(drives=True)
+            first.role(drives=False)
+            second.drive_off()
+        first.state()
+        told = first.until(lambda message: message["say"] == "role" and not message["taken"])
+        assert told["told"] == "Nobody drives."
+        first.say("takeover")
+        first.role(drives=True)
+
+
+def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -> None:
+    with FakePage(running[0]) as page:
+        page.socket.send('{"say":"stick","x":9,"y":0}')
+        told = page.until(lambda message: message["say"] == "notice")["told"]
+        assert "no message of a page" in told and "\n" not in told
+        with pytest.raises(ConnectionClosed):
+            for _ in range(40):
+                page.socket.send("garbage")
+                page.socket.recv(timeout=60)
+            for _ in range(200):
+                page.socket.recv(timeout=60)
+    with pytest.raises(ConnectionClosed), FakePage(running[0]) as page:
+        page.socket.send("x" * 5000)
+        for _ in range(200):
+            page.socket.recv(timeout=60)
+    with FakePage(running[0]) as page:
+        page.state()  # the drive goes on
+
+
+def test_ctrl_c_ends_it_with_a_line(running: Served) -> None:
+    """The last test: the drive of this file is over then."""
+    _, process = running
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert "arrivals" in said and "pictures took" in said and "Traceback" not in said

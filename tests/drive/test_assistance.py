@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.drive.lookers import Breaks, Remembers
+from wcsim.agents.policies.baselines import Follow
+from wcsim.drive.assistance import Assistance
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+ACTIONS = action_set("square81")
+AHEAD = {"joystick": np.array([0.0, 1.0], np.float32)}
+OWN = ACTIONS.nearest((0.0, 1.0))
+
+
+def test_the_policy_has_its_say_and_hears_what_was_sent() -> None:
+    policy = Remembers()
+    helped = Assistance(policy, ACTIONS).answer(AHEAD, {}, asked=True)
+    assert (helped.chosen, helped.sent, helped.intervening) == (36, 36, True)
+    assert helped.unsafe == tuple(range(45, 81))
+    assert policy.heard == [36]
+
+
+@pytest.mark.parametrize("off", [True, False], ids=["off", "overruled"])
+def test_without_its_say_the_stick_is_sent_and_the_policy_hears_that(off: bool) -> None:
+    policy = Remembers()
+    assistance = Assistance(policy, ACTIONS)
+    assistance.switch(not off)
+    answer = assistance.answer(AHEAD, {}, asked=off)
+    assert (answer.sent, answer.intervening, policy.heard) == (OWN, False, [OWN])
+    assert answer.chosen == (OWN if off else 36)
+    assert bool(answer.unsafe) != off
+
+
+def test_a_policy_that_breaks_stops_the_chair_once_and_is_off() -> None:
+    assistance = Assistance(Breaks(None), ACTIONS)
+    said = [assistance.answer(AHEAD, {}, asked=True) for _ in range(8)]
+    rest = ACTIONS.nearest((0.0, 0.0))
+    assert [each.sent for each in said[5:]] == [rest, OWN, OWN]
+    assert (assistance.on, assistance.failed) == (False, "ValueError: out of ideas")
+    assert [each.warning for each in said] == [True] * 5 + [False] * 3
+    assistance.switch(True)
+    assert assistance.answer(AHEAD, {}, asked=True).warning, "it is tried again"
+    assert assistance.failed == ""
+
+
+def test_an_action_that_is_none_is_a_failure() -> None:
+    assistance = Assistance(Remembers(), ACTIONS)
+    assistance._policy.choose = lambda _: 81
+    assert assistance.answer(AHEAD, {}, asked=True).sent == ACTIONS.nearest((0.0, 0.0))
+    assert "expected 0 to 80" in assistance.failed
+
+
+def test_levels_are_those_of_the_policy() -> None:
+    with_levels, without = Assistance(Remembers(), ACTIONS), Assistance(Follow(actions=ACTIONS), ACTIONS)
+    with_levels.set_level(0.5)
+    assert (with_levels.level, with_levels.levels, with_levels.tells_unsafe) == (0.5, (0.0, 2.0), True)
+    assert (without.level, without.levels, without.tells_unsafe) == (None, None, False)
+    with pytest.raises(PolicyError, match="no levels of assistance"):
+        without.set_level(1.0)

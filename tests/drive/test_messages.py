@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import contextlib
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wcsim.drive import messages as m
+from wcsim.drive.drawing.pictures import CameraKind
+from wcsim.drive.driven import DriverKind
+from wcsim.errors import ProtocolError
+
+GOOD = (
+    m.Stick(x=0.5, y=-1.0, overrule=True),
+    m.Help(),
+    m.Seen(number=7),
+    m.View(
+        turn_rad=1.0, tilt_rad=0.2, distance_m=5.0, width_px=800, height_px=450, camera=CameraKind.DEPTH, chart=True
+    ),
+    m.Assist(on=True),
+    m.SetLevel(level=0.3),
+    m.DriveBy(who=DriverKind.SIMULATED),
+    m.Pace(times=0.0),
+    m.Pause(on=False),
+    m.NewPlace(),
+    m.Again(),
+    m.SetUser(profile="slow"),
+    m.Open(town="monaco", seed=3),
+    m.TakeOver(),
+)
+
+
+@pytest.mark.parametrize("message", GOOD, ids=lambda message: type(message).__name__)
+def test_what_a_page_says_is_read_as_it_was_said(message: m.PageMessage) -> None:
+    assert m.of_page(m.written(message)) == message
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{}",
+        b"[]",
+        b"null",
+        b"\xff\xfe",
+        b'{"say":"nothing"}',
+        b'{"say":"stick"}',
+        b'{"say":"stick","x":2,"y":0}',
+        b'{"say":"stick","x":NaN,"y":0}',
+        b'{"say":"stick","x":1e999,"y":0}',
+        b'{"say":"stick","x":"0","y":0}',
+        b'{"say":"stick","x":0,"y":0,"more":1}',
+        b'{"say":"pace","times":-1}',
+        b'{"say":"seen","number":-1}',
+        b'{"say":"seen","number":2147483648}',
+        b'{"say":"setuser","profile":"' + b"a" * 401 + b'"}',
+        b'{"say":"open","seed":1.5}',
+        b'{"say":"driveby","who":"me"}',
+        b'{"say":"view","turn_rad":0}',
+        b'{"say":"gone"}',
+        b'{"say":"ready"}',
+        b'{"say":"end"}',  # of the server alone
+        b"[" * 2000,
+        b'{"say":"help"}' + b" " * 2048,
+    ],
+)
+def test_what_is_no_message_is_refused_in_a_line(data: bytes) -> None:
+    with pytest.raises(ProtocolError) as refused:
+        m.of_page(data)
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 300
+
+
+@given(
+    st.binary(max_size=300)
+    | st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(max_size=8),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(st.sampled_from(["say", "x", "y", "on", "level"]), inner, max_size=4)
+        ),
+        max_leaves=8,
+    ).map(lambda data: json.dumps(data).encode())
+)
+def test_garbage_is_a_message_or_refused_and_nothing_else(data: bytes) -> None:
+    with contextlib.suppress(ProtocolError):
+        assert isinstance(m.of_page(data), m.PageMessage)
+
+
+def test_the_server_may_say_more_to_the_drive() -> None:
+    for message in (*GOOD, m.Gone(), m.Ready(), m.End()):
+        assert m.of_server(m.written(message)) == message

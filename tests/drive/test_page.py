@@ -1,0 +1,274 @@
+"""The page in Chromium; a busy machine may take minutes for what a quiet one does in seconds."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.drive.serving.served import PATIENCE_S, served
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
+PAD = """
+window.fakePad = null;
+navigator.getGamepads = () => [window.fakePad];
+"""
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+]
+Served = tuple[str, subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def running(corner: Path) -> Iterator[Served]:
+    with served(corner) as drive:
+        yield drive
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Any, running: Served) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True)
+    context.set_default_timeout(1000 * PATIENCE_S)
+    new = open_page(context, running[0])
+    yield new
+    context.close()
+
+
+def open_page(context: Any, address: str) -> Any:
+    new = context.new_page()
+    new.errors = []
+    new.on("pageerror", lambda error: new.errors.append(str(error)))
+    new.add_init_script(PAD)
+    new.goto(f"http://{address}/")
+    new.wait_for_selector("body[data-pictures]")
+    return new
+
+
+def wait(page: Any, what: str) -> None:
+    """Until an expression of the page holds; by asking again, for the page's policy lets nobody send it code."""
+    for _ in range(int(PATIENCE_S / 0.1)):
+        if page.evaluate(what):
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"never: {what}; {page.inner_text('#stick-text')}, {page.inner_text('#big')}")
+
+
+SPEED = "parseFloat(document.getElementById('kpi-speed').textContent)"
+
+
+def at_rest(page: Any) -> None:
+    page.bring_to_front()
+    wait(page, f"{SPEED} < 0.05")
+
+
+def picture_of(page: Any, what: str = "#scene") -> np.ndarray:
+    data = np.frombuffer(page.locator(what).screenshot(), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR).astype(int)
+
+
+def test_keys_move_the_chair_and_the_picture_and_letting_go_stops_it(page: Any) -> None:
+    page.click("#new-place")
+    at_rest(page)
+    before = picture_of(page)
+    assert before.std() > 10.0, "a street, no blank page"
+    page.keyboard.down("ArrowUp")
+    wait(page, f"{SPEED} > 0.5")
+    wait(page, f"Number(document.body.dataset.tick) > {int(page.evaluate('document.body.dataset.tick')) + 10}")
+    assert np.abs(picture_of(page) - before).mean() > 0.5
+    page.keyboard.up("ArrowUp")
+    at_rest(page)
+    assert page.errors == []
+
+
+def test_a_gamepad_moves_the_chair_and_unplugging_it_stops_it(page: Any) -> None:
+    at_rest(page)
+    page.evaluate("window.fakePad = {id: 'test pad', connected: true, axes: [0, 0.05], buttons: []}")
+    wait(page, "document.getElementById('pad').textContent.includes('test pad')")
+    page.evaluate("window.fakePad.axes = [0, 0.9]")
+    wait(page, f"{SPEED} > 0.3")
+    page.evaluate("window.fakePad = null")
+    wait(page, "document.getElementById('pad').textContent.includes('unplugged')")
+    at_rest(page)
+
+
+def test_a_finger_on_the_disc_moves_the_chair(page: Any) -> None:
+    at_rest(page)
+    box = page.locator("#stick svg").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    send = page.context.new_cdp_session(page).send
+    send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + 0.35 * box["height"]}]})
+    wait(page, f"{SPEED} > 0.3")
+    send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    at_rest(page)
+
+
+def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
+    at_rest(page)
+    page.keyboard.down("ArrowDown")
+    wait(page, f"{SPEED} > 0.2")
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+    at_rest(page)
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    assert page.inner_text("#stick-text") == "you: at rest", "the key that is still down does nothing before it is up"
+    page.keyboard.up("ArrowDown")
+
+
+def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
+    page.focus("#scene")
+    helps = int(page.inner_text("#kpi-helps"))
+    page.keyboard.press("h")
+    wait(page, f"document.getElementById('kpi-helps').textContent === '{helps + 1}'")
+    page.keyboard.down("o")
+    wait(page, "document.querySelector('#lamp-assist span').textContent === 'overruled'")
+    page.keyboard.up("o")
+    wait(page, "document.querySelector('#lamp-assist span').textContent === 'on'")
+    page.keyboard.press("e")
+    wait(page, "document.querySelector('#lamp-assist span').textContent === 'off'")
+    page.keyboard.press("e")
+    wait(page, "document.getElementById('assist').getAttribute('aria-checked') === 'true'")
+    page.evaluate("{const l = document.getElementById('level'); l.value = 100; l.dispatchEvent(new Event('input'))}")
+    wait(page, "document.getElementById('level-text').textContent === '2.00'")
+
+
+def test_a_second_page_looks_on_and_takes_over(page: Any, running: Served) -> None:
+    other = open_page(page.context, running[0])
+    wait(other, "!document.getElementById('banner').hidden")
+    assert "Another page drives" in other.inner_text("#banner-text")
+    other.click("#take-over")
+    wait(other, "document.body.dataset.drives === 'true'")
+    wait(page, "document.body.dataset.drives === 'false'")
+    other.close()
+    wait(page, "document.getElementById('banner-text').textContent === 'Nobody drives.'")
+    page.click("#take-over")
+    wait(page, "document.body.dataset.drives === 'true'")
+
+
+@pytest.mark.parametrize("dress", ["", "#contrast", "#larger"])
+def test_axe_finds_nothing(page: Any, dress: str) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    page.click("#open-display")
+    if dress:
+        page.check(dress)
+    page.keyboard.press("Escape")
+    for switches in ("stick", "1"):
+        page.select_option("#steer-by", switches)
+        found = Axe().run(page).response["violations"]
+        assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
+
+
+def test_nothing_runs_over_the_edge_of_a_telephone(page: Any) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    stop = page.locator("#stop").bounding_box()
+    assert stop["y"] >= 0 and stop["y"] + stop["height"] <= 844, "STOP is always in sight"
+
+
+@pytest.mark.proof
+def test_a_lost_server_is_told_of(browser: Any, corner: Path) -> None:
+    with served(corner) as (address, process):
+        context = browser.new_context()
+        context.set_default_timeout(1000 * PATIENCE_S)
+        page = open_page(context, address)
+        process.send_signal(signal.SIGINT)
+        process.wait(120)
+        wait(page, "document.getElementById('line').dataset.kind === 'bad'")
+        assert "Connection lost" in page.inner_text("#big")
+        context.close()
+
+
+OBSTACLE = ("--suite", "dev", "--block")
+
+
+@pytest.mark.proof
+def test_an_obstacle_lights_the_lamps(browser: Any, corner: Path) -> None:
+    """The car door of the suite: driven straight on, `dwa` sees it, warns and steers otherwise, and marks positions."""
+    from wcsim.agents.evaluation.suite.list_file import open_suite
+
+    blocks = open_suite("dev").file.blocks
+    index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
+    with served(corner, *OBSTACLE, str(index)) as (address, _):
+        context = browser.new_context()
+        context.set_default_timeout(1000 * PATIENCE_S)
+        page = open_page(context, address)
+        page.keyboard.down("ArrowUp")
+        wait(page, "document.getElementById('lamp-intervening').dataset.on === 'true'")
+        wait(page, "Number(document.getElementById('kpi-warnings').textContent) > 0")
+        wait(page, "document.querySelectorAll('#stick path.cross').length > 0")
+        context.close()
+
+
+@pytest.mark.proof
+def test_one_switch_reaches_a_destination(page: Any) -> None:
+    """Any key picks what is highlighted, any key stops; steered by what the page says of the way, no other key."""
+    page.select_option("#steer-by", "1")
+    page.fill("#scan-s", "0.8")
+    page.dispatch_event("#scan-s", "change")
+    page.focus("#steering")
+    arrivals = int(page.inner_text("#kpi-arrivals"))
+    for _ in range(400):
+        if int(page.inner_text("#kpi-arrivals")) > arrivals:
+            return
+        _pick(page, _choice(page))
+        _until_wrong(page)
+        page.keyboard.press("b")
+    raise AssertionError(f"no arrival; {page.inner_text('#kpi-left')} to go")
+
+
+def _turn_deg(page: Any) -> float:
+    """How far to the left the way's arrow shows."""
+    turned = page.evaluate("document.getElementById('way-arrow').getAttribute('transform')")
+    return -float(turned.removeprefix("rotate(").split()[0])
+
+
+def _choice(page: Any) -> str:
+    turn_deg = _turn_deg(page)
+    if abs(turn_deg) > 35.0:
+        return "Turn left" if turn_deg > 0 else "Turn right"
+    if abs(turn_deg) > 12.0:
+        return "Ahead left" if turn_deg > 0 else "Ahead right"
+    return "Slowly ahead"
+
+
+def _pick(page: Any, name: str) -> None:
+    for _ in range(4000):
+        here = page.evaluate("document.querySelector('#board [data-at]')?.textContent")
+        if here == name:
+            page.keyboard.press("b")
+            if page.evaluate("document.querySelector('#board [data-at=drives]')?.textContent") == name:
+                return
+            page.keyboard.press("b")
+        page.wait_for_timeout(10)
+    raise AssertionError(json.dumps(name))
+
+
+def _until_wrong(page: Any) -> None:
+    """Let the chair go till another choice would be better, or the page has stopped it."""
+    chosen = _choice(page)
+    for _ in range(150):
+        page.wait_for_timeout(100)
+        drives = page.evaluate("document.querySelector('#board [data-at=drives]') !== null")
+        if not drives or _choice(page) != chosen:
+            return

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.drive.lookers import Noted
+from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.places import DriveStart, checked
+from wcsim.drive.session import AT_REST, DriveSession, Wish
+from wcsim.errors import ConfigError, PolicyError, TownError
+from wcsim.types import Joystick
+from wcsim.users.user import SimulatedUser
+
+AHEAD = Wish(stick=Joystick(0.0, 1.0))
+
+
+def test_a_scripted_stick_moves_the_chair_and_rest_stops_it(session: DriveSession, noted: Noted) -> None:
+    session.assist(False)
+    for _ in range(20):
+        session.tick(AHEAD)
+    for _ in range(25):
+        session.tick(Wish())
+    driven = noted.ticks
+    way_m = float(np.hypot(*(driven[-1].p_WB_m - driven[0].p_WB_m)[:2]))
+    assert max(each.speed_mps for each in driven) > 1.0 and way_m > 1.0
+    assert abs(driven[-1].speed_mps) < 0.02
+    assert {each.commanded for each in driven[:20]} == {Joystick(0.0, 1.0)}
+    assert [each.tick for each in driven] == list(range(1, 46))
+    assert session.tally.way_m == pytest.approx(way_m, rel=0.2)
+    assert session.tally.kpi1 == 0.0, "the chair did what the stick said"
+    assert all(each.intent is None for each in driven), "nobody knows what a person wants"
+
+
+def test_ticks_are_copies(session: DriveSession, noted: Noted) -> None:
+    first = session.tick(AHEAD)
+    before = first.p_WB_m.copy()
+    for _ in range(10):
+        session.tick(AHEAD)
+    assert (first.p_WB_m == before).all() and not (noted.ticks[-1].p_WB_m == before).all()
+
+
+def test_the_simulated_user_drives_where_it_is_asked_to(session: DriveSession, noted: Noted) -> None:
+    session.drive_by(DriverKind.SIMULATED)
+    for _ in range(30):
+        session.tick(Wish())
+    assert {each.driver for each in noted.ticks} == {DriverKind.SIMULATED}
+    assert any(math.hypot(each.stick.x, each.stick.y) > 0.3 for each in noted.ticks)
+    assert all(each.intent is not None for each in noted.ticks)
+    assert EventKind.DRIVER in noted.kinds()
+
+
+def test_a_person_may_wait_for_ever_and_a_simulated_user_may_not(session: DriveSession) -> None:
+    session.tick(Wish())
+    user = session.world.seats[0].user
+    assert isinstance(user, SimulatedUser) and math.isinf(user.profile.give_up_s)
+    session.drive_by(DriverKind.SIMULATED)
+    session.tick(Wish())
+    assert math.isfinite(user.profile.give_up_s)
+
+
+def test_help_and_overruling_are_counted_and_written_down(session: DriveSession, noted: Noted) -> None:
+    session.tick(Wish(help=True))
+    for overrule in (True, True, False, True):
+        session.tick(Wish(overrule=overrule))
+    assert (session.tally.helps, session.tally.overrules) == (1, 2)
+    kinds = noted.kinds()
+    assert kinds.count(EventKind.HELP) == 1
+    assert kinds.count(EventKind.OVERRULE) == 2 and kinds.count(EventKind.OVERRULE_END) == 1
+    assert [each.overruled for each in noted.ticks] == [False, True, True, False, True]
+    assert noted.ticks[0].help_asked and not noted.ticks[1].help_asked
+
+
+def test_assistance_and_level_are_switched_while_driving(session: DriveSession, noted: Noted) -> None:
+    session.set_level(2.0)
+    session.assist(False)
+    session.assist(False)
+    driven = session.tick(AHEAD)
+    assert (driven.assisted, driven.level, driven.unsafe) == (False, 2.0, ())
+    assert noted.kinds().count(EventKind.ASSISTANCE) == 1 and noted.kinds().count(EventKind.LEVEL) == 1
+    with pytest.raises(PolicyError, match="expected 0 to 2"):
+        session.set_level(2.5)
+
+
+def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:
+    first = session.tick(Wish()).p_WB_m
+    session.new_place()
+    second = session.tick(Wish())
+    session.change_user("slow")
+    third = session.tick(Wish())
+    session.again()
+    last = session.tick(Wish())
+    assert [second.episode, third.episode, last.episode] == [1, 2, 3]
+    assert [second.step, third.step, last.step] == [1, 1, 1]
+    assert (third.profile, session.profile) == ("slow", "slow")
+    assert np.abs(last.p_WB_m - first).max() < 0.01, "the street begins as it did"
+    assert session.tally.episode_steps == [1, 1, 1]
+    with pytest.raises(ConfigError, match="unknown user profile"):
+        session.change_user("nobody")
+    assert session.tick(Wish()).profile == "slow"
+
+
+def test_closing_twice_closes_observers_once(session: DriveSession, noted: Noted) -> None:
+    session.close()
+    session.close()
+    assert noted.closed == 1
+
+
+def test_the_same_sticks_give_the_same_drive(corner: Path) -> None:
+    ways = []
+    for _ in range(2):
+        noted = Noted()
+        with DriveSession(DriveStart(town=str(corner), seed=7), (noted,)) as drive:
+            for number in range(15):
+                drive.tick(Wish(stick=Joystick(0.2 * math.sin(number), 0.8)))
+        ways.append(np.array([each.p_WB_m for each in noted.ticks]))
+    assert (ways[0] == ways[1]).all()
+
+
+def test_a_stick_out_of_its_gate_is_in_it(session: DriveSession) -> None:
+    driven = session.tick(Wish(stick=Joystick(3.0, 4.0)))
+    assert (driven.stick.x, driven.stick.y) == pytest.approx((0.6, 0.8))
+    assert session.tick(Wish(stick=Joystick(math.nan, 1.0))).stick == AT_REST
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "told"),
+    [
+        ({"town": "atlantis"}, TownError, "atlantis"),
+        ({"profile": "nobody"}, ConfigError, "unknown user profile"),
+        ({"suite": "dev", "block": 70}, ConfigError, "expected 0 to 69"),
+        ({"suite": "dev", "seat": 6}, ConfigError, "expected 0 to 5"),
+        ({"suite": "nope"}, ConfigError, "there is no such list"),
+    ],
+)
+def test_what_is_not_there_is_refused_before_anything_is_closed(
+    wrong: dict[str, object], error: type[Exception], told: str
+) -> None:
+    with pytest.raises(error, match=told):
+        checked(DriveStart(**wrong))  # type: ignore[arg-type]
+
+
+def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
+    """A generated scene: the car door, with its own user, settings and start."""
+    from wcsim.agents.evaluation.suite.list_file import open_suite
+
+    blocks = open_suite("dev").file.blocks
+    index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
+    with DriveSession(DriveStart(suite="dev", block=index, profile="")) as drive:
+        at = drive.tick(Wish()).p_WB_m
+        assert np.abs(at[:2] - blocks[index].episodes[0].start_m).max() < 0.3
+        assert drive.place.spec.max_steps == blocks[index].episodes[0].max_steps
+        assert "car-door" in drive.place.told

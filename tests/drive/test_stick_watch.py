@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from wcsim.drive.session import AT_REST
+from wcsim.drive.stick_watch import GONE_S, LOST_S, STANDS_STILL_S, StickWatch
+from wcsim.types import Joystick
+
+AHEAD = Joystick(0.0, 1.0)
+
+
+def held() -> StickWatch:
+    """A watch whose stick was at rest, and then pushed, at second 0."""
+    watch = StickWatch()
+    watch.hear(AT_REST, False, 0.0)
+    watch.hear(AHEAD, True, 0.0)
+    return watch
+
+
+def test_a_stick_counts_for_half_a_second() -> None:
+    watch = held()
+    assert watch.wish(LOST_S - 0.01).stick == AHEAD
+    late = watch.wish(LOST_S + 0.01)
+    assert (late.stick, late.overrule) == (AT_REST, False)
+
+
+def test_after_a_short_gap_it_goes_on_and_after_a_long_one_it_has_to_rest_first() -> None:
+    watch = held()
+    watch.wish(LOST_S + 0.1)
+    watch.hear(AHEAD, False, LOST_S + 0.2)
+    assert watch.wish(LOST_S + 0.2).stick == AHEAD
+    watch.wish(LOST_S + 0.2 + GONE_S + 0.1)
+    watch.hear(AHEAD, False, 5.0)
+    assert (watch.wish(5.0).stick, watch.must_rest) == (AT_REST, True)
+    watch.hear(AT_REST, False, 5.1)
+    watch.hear(AHEAD, False, 5.2)
+    assert watch.wish(5.2).stick == AHEAD
+
+
+def test_nobody_drives_off_with_a_stick_that_is_pushed_from_the_start() -> None:
+    watch = StickWatch()
+    watch.hear(AHEAD, False, 0.0)
+    assert watch.wish(0.0).stick == AT_REST
+    begun = held()
+    begun.require_rest()
+    assert begun.wish(0.1).stick == AT_REST
+
+
+def test_a_page_that_goes_lets_go_at_once_and_time_stops_later() -> None:
+    watch = held()
+    assert not watch.stands_still(STANDS_STILL_S - 0.1)
+    watch.let_go()
+    assert watch.wish(0.0).stick == AT_REST
+    assert watch.stands_still(0.0)
+
+
+def test_a_call_for_help_is_handed_out_once() -> None:
+    watch = held()
+    watch.ask_for_help()
+    assert [watch.wish(0.1).help, watch.wish(0.1).help] == [True, False]
+    watch.ask_for_help()
+    assert watch.wish(9.0).help, "also from a stick that is lost"

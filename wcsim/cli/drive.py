@@ -1,0 +1,80 @@
+"""`wcsim drive TOWN`: a page on which a person drives, with or without a policy beside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from wcsim.cli.pictures.video import require_policy
+from wcsim.cli.shared.common import in_bounds, parse
+from wcsim.cli.shared.run_config import require_user
+from wcsim.errors import ConfigError
+from wcsim.towns.scenario.town import find_town
+
+
+@dataclass
+class Options:
+    """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
+
+    The policy helps as it would help its user; it can be switched off, set to a level, and overruled. docs/drive.md
+    """
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    """A town's name or folder."""
+    policy: str = "dwa"
+    """Who assists: a run, a policy folder, shipped, or a baseline; follow gives the stick as it is."""
+    profile: str = "competent"
+    """The simulated user who drives where the page says so."""
+    seed: int = 0
+    """Seed of the traffic and of the chair's place."""
+    suite: str = ""
+    """Begin with an episode of a suite instead: dev, validation, v1, or a list; the town is then the list's."""
+    block: int = 0
+    """Which block of it."""
+    seat: int = 0
+    """Which seat of the block."""
+    port: int = 8080
+    """Where the page is served; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
+
+
+def run(words: list[str]) -> int:
+    """Serve the page until Ctrl-C."""
+    options = parse(Options, words, "drive")
+    in_bounds("--port", options.port, 0, 65535)
+    require_policy(options.policy)
+    require_user(options.profile)
+    if options.suite:
+        in_bounds("--block", options.block, 0, 1 << 30)
+        in_bounds("--seat", options.seat, 0, 1 << 30)
+    elif options.block or options.seat:
+        raise ConfigError("--block and --seat name an episode of a suite; expected --suite beside them")
+    else:
+        find_town(options.town)
+    from wcsim.drive.places import DriveStart, checked  # loads the simulators, which --help must not
+    from wcsim.drive.serving.server import ServeOrder, serve_drive
+
+    start = DriveStart(
+        town=options.town,
+        policy=options.policy,
+        profile="" if options.suite and "--profile" not in words else options.profile,
+        seed=options.seed,
+        suite=options.suite,
+        block=options.block,
+        seat=options.seat,
+    )
+    try:
+        serve_drive(
+            ServeOrder(
+                start=checked(start),
+                host=options.host,
+                port=options.port,
+                say=lambda told: print(told, flush=True),
+            )
+        )
+    except KeyboardInterrupt:
+        print("the page is closed")
+    return 0

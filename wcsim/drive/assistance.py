@@ -1,0 +1,133 @@
+"""The policy beside a person: switched off and on, set to a level, and overruled, while it drives."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, SeesTruth, TellsUnsafe, Warns
+from wcsim.errors import PolicyError, WcsimError
+from wcsim.supervisor.actions import ActionSet
+from wcsim.supervisor.kpi import FOLLOWED
+
+log = logging.getLogger("wcsim.drive")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What came of one question to the policy."""
+
+    chosen: int  # the policy's own action, that nearest to the stick where it is off
+    sent: int  # what the chair is told
+    warning: bool
+    intervening: bool  # what is sent follows the stick no more
+    unsafe: tuple[int, ...]
+
+
+class Assistance:
+    """A policy that may be off, or overruled; it sees every tick all the same, so that it knows the street.
+
+    Args:
+        policy: Drives; it is begun by `begin`.
+        actions: The joystick positions.
+    """
+
+    def __init__(self, policy: Policy, actions: ActionSet) -> None:
+        self.on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
+        self._policy, self._actions = policy, actions
+
+    @property
+    def name(self) -> str:
+        """The policy's."""
+        return self._policy.name
+
+    @property
+    def levels(self) -> tuple[float, float] | None:
+        """The level that assists least and that which assists most; None for a policy without levels."""
+        return self._policy.levels if isinstance(self._policy, Levelled) else None
+
+    @property
+    def level(self) -> float | None:
+        """The level of now; None for a policy without levels."""
+        return self._policy.level if isinstance(self._policy, Levelled) else None
+
+    @property
+    def tells_unsafe(self) -> bool:
+        """Whether the policy says of every action whether it is unsafe."""
+        return isinstance(self._policy, TellsUnsafe)
+
+    def switch(self, on: bool) -> None:
+        """Let the policy have its say, or not; one that broke is tried again."""
+        if on and self.failed:
+            self.failed = ""
+            self._policy.reset()
+        self.on = on
+
+    def set_level(self, level: float) -> None:
+        """Assist so from now on. Raises PolicyError for a policy without levels, or a level out of bounds."""
+        if not isinstance(self._policy, Levelled):
+            raise PolicyError(f"policy {self.name!r} has no levels of assistance; expected dwa or a danger network")
+        self._policy.set_level(level)
+
+    def begin(self) -> None:
+        """A drive begins."""
+        self._policy.begin()
+        self._policy.reset()
+
+    def reset(self) -> None:
+        """An episode begins."""
+        self._policy.reset()
+
+    def close(self) -> None:
+        """Let go of the policy, where it holds something."""
+        close = getattr(self._policy, "close", None)
+        if close is not None:
+            close()
+
+    def answer(self, seen: Observation, info: dict[str, Any], asked: bool) -> Answer:
+        """What the chair is to do.
+
+        A policy that raises is switched off, and the chair is told to stand in that tick; `failed` says why.
+
+        Args:
+            seen: The observation, the stick in it.
+            info: Of the same moment.
+            asked: The policy has a say; it has none while it is overruled, or the user drives alone before a handover.
+        """
+        own = self._actions.nearest(seen["joystick"])
+        if self.failed:
+            return Answer(chosen=own, sent=own, warning=False, intervening=False, unsafe=())
+        try:
+            chosen = self._asked(seen, info)
+        except Exception as error:  # whatever a policy does wrong, the person is not left in a chair that drives on
+            self.on = False
+            self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+            log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
+            rest = self._actions.nearest((0.0, 0.0))
+            return Answer(chosen=rest, sent=rest, warning=False, intervening=False, unsafe=())
+        sent = chosen if self.on and asked else own
+        if isinstance(self._policy, HearsSent):
+            self._policy.sent(sent)
+        far = self._actions.distance(sent, tuple(float(part) for part in seen["joystick"]))
+        warns = isinstance(self._policy, Warns) and self._policy.warning
+        return Answer(
+            chosen=chosen if self.on else own,
+            sent=sent,
+            warning=bool(self.on and warns),
+            intervening=self.on and asked and far > FOLLOWED,
+            unsafe=self._unsafe() if self.on else (),
+        )
+
+    def _asked(self, seen: Observation, info: dict[str, Any]) -> int:
+        policy = self._policy
+        if isinstance(policy, SeesTruth):
+            policy.see(info["truth"])
+        index = int(policy.choose(seen) if isinstance(policy, HearsSent) else policy.act(seen))
+        if not 0 <= index < len(self._actions):
+            raise PolicyError(f"policy {self.name!r} chose action {index}; expected 0 to {len(self._actions) - 1}")
+        return index
+
+    def _unsafe(self) -> tuple[int, ...]:
+        policy = self._policy
+        return tuple(policy.unsafe.nonzero()[0].tolist()) if isinstance(policy, TellsUnsafe) else ()

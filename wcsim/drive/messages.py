@@ -1,0 +1,251 @@
+"""What pages say and hear: typed JSON with a bound on every field, read at one door."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+import msgspec
+
+from wcsim.core.reading import shown
+from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
+from wcsim.drive.driven import DriverKind
+from wcsim.errors import ProtocolError
+
+MOST_BYTES: Final = 2048  # of a page's message
+Part = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)]
+Name = Annotated[str, msgspec.Meta(max_length=400)]
+Turn = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
+Pixels = Annotated[int, msgspec.Meta(ge=SMALLEST_PX, le=LARGEST_PX)]
+Speed = Annotated[float, msgspec.Meta(ge=0.0, le=8.0)]
+Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+
+
+class PageMessage(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True, forbid_unknown_fields=True):
+    """Base of what a page says: an object with its name in `say`, unknown fields refused."""
+
+
+class Stick(PageMessage, frozen=True):
+    """Where the person's stick is; sent 20 times a second and more, for without it the chair stops."""
+
+    x: Part
+    y: Part
+    overrule: bool = False
+
+
+class Help(PageMessage, frozen=True):
+    """The person asks for help."""
+
+
+class Seen(PageMessage, frozen=True):
+    """The pictures with this number are on the page: it takes newer ones."""
+
+    number: Count
+
+
+class View(PageMessage, frozen=True):
+    """What the page shows."""
+
+    turn_rad: Turn
+    tilt_rad: Turn
+    distance_m: Metres
+    width_px: Pixels
+    height_px: Pixels
+    camera: CameraKind
+    chart: bool
+
+
+class Assist(PageMessage, frozen=True):
+    """The assistance is to be on or off."""
+
+    on: bool
+
+
+class SetLevel(PageMessage, frozen=True):
+    """How much it assists."""
+
+    level: Level
+
+
+class DriveBy(PageMessage, frozen=True):
+    """Who drives."""
+
+    who: DriverKind
+
+
+class Pace(PageMessage, frozen=True):
+    """How fast time goes: 1 is real time, 0 as fast as it can."""
+
+    times: Speed
+
+
+class Pause(PageMessage, frozen=True):
+    """Time is to stand still, or to go on."""
+
+    on: bool
+
+
+class NewPlace(PageMessage, frozen=True):
+    """Another start in the same street."""
+
+
+class Again(PageMessage, frozen=True):
+    """The same street from its beginning."""
+
+
+class SetUser(PageMessage, frozen=True):
+    """Another simulated user."""
+
+    profile: Name
+
+
+class Open(PageMessage, frozen=True):
+    """Another place: a town, or an episode of a suite."""
+
+    town: Name = ""
+    seed: Count = 0
+    suite: Name = ""
+    block: Count = 0
+    seat: Count = 0
+
+
+class TakeOver(PageMessage, frozen=True):
+    """This page wants to drive; the one that did looks on from now on."""
+
+
+class Gone(PageMessage, frozen=True):
+    """Of the server: no page drives."""
+
+
+class Ready(PageMessage, frozen=True):
+    """Of the server: a page takes pictures."""
+
+
+class End(PageMessage, frozen=True):
+    """Of the server: the drive is over."""
+
+
+_Settings = Assist | SetLevel | DriveBy | Pace | Pause | SetUser
+FromPage = _Settings | Stick | Help | Seen | View | NewPlace | Again | Open | TakeOver
+_PAGE: Final = msgspec.json.Decoder(FromPage)
+_RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)
+
+
+def of_page(data: str | bytes) -> PageMessage:
+    """What a page says. Raises ProtocolError for what is no message, in a line."""
+    return _decoded(_PAGE, data)
+
+
+def of_server(data: bytes) -> PageMessage:
+    """What the server says to the runner. Raises ProtocolError."""
+    return _decoded(_RUNNER, data)
+
+
+def written(message: PageMessage) -> bytes:
+    """What the server says to the runner, as `of_server` reads it."""
+    return msgspec.json.encode(message)
+
+
+def _decoded(decoder: msgspec.json.Decoder, data: str | bytes) -> PageMessage:  # type: ignore[type-arg]
+    if len(data) > MOST_BYTES:
+        raise ProtocolError(f"a message of {len(data)} bytes; expected at most {MOST_BYTES}")
+    try:
+        message: PageMessage = decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ProtocolError(f"no message of a page: {shown(str(error), 200)}; reload the page") from None
+    return message
+
+
+class _Said(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True):
+    """Base of what a page hears."""
+
+
+class Notice(_Said, frozen=True):
+    """A line for the person."""
+
+    kind: str  # "good", "note", "bad", "refused"
+    told: str
+
+
+class Role(_Said, frozen=True):
+    """What this page may do."""
+
+    drives: bool
+    taken: bool  # another page drives
+    told: str = ""
+
+
+class Busy(_Said, frozen=True):
+    """The street is not there yet."""
+
+    told: str
+
+
+class About(_Said, frozen=True):
+    """What is driven; said when a place has been opened, and to each page that comes."""
+
+    place: str
+    town: str
+    policy: str
+    profile: str
+    points: list[tuple[float, float]]
+    towns: list[str]
+    profiles: list[str]
+    suites: dict[str, list[tuple[str, int]]]  # by set: part and town of each block, and its seats
+    levels: tuple[float, float] | None  # that which assists least, and most
+    tells_unsafe: bool
+    tick_s: float
+
+
+class Kpis(msgspec.Struct, frozen=True):
+    """The numbers of the drive."""
+
+    kpi1: float | None
+    kpi2: float
+    way_m: float
+    time_s: float
+    crashes: int
+    arrivals: int
+    given_up: int
+    helps: int
+    overrules: int
+    warnings: int
+    interventions: int
+
+
+class State(_Said, frozen=True):
+    """The drive as it is, once a tick."""
+
+    tick: int
+    time_s: float
+    step: int
+    driver: DriverKind
+    paused: bool
+    waiting: str  # why nobody drives, "" while somebody does
+    let_go: bool  # the stick counts only once it has been at rest
+    alone: bool  # the simulated user still has the chair, before a handover
+    pace: float
+    stick: tuple[float, float]
+    chosen: tuple[float, float]
+    commanded: tuple[float, float]
+    unsafe: list[int]
+    assisted: bool
+    level: float | None
+    warning: bool
+    intervening: bool
+    overruled: bool
+    speed_mps: float
+    left_m: float
+    bearing_deg: float  # of the way ahead, from the chair's heading to the left
+    crash: str
+    profile: str
+    kpis: Kpis
+    tick_ms: float  # of the processor's time, a mean
+    pictures_ms: float
+    rate: float  # ticks a second, a mean
+
+
+def spoken(message: _Said) -> bytes:
+    """What a page hears, as JSON."""
+    return msgspec.json.encode(message)

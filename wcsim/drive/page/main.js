@@ -1,0 +1,170 @@
+// The page: what is heard goes to the panel, what the person does goes to the server, 30 times a second.
+
+import { Grid } from "./grid.js";
+import { Link } from "./link.js";
+import { Panel } from "./panel.js";
+import { Scan } from "./scan.js";
+import { Scene } from "./scene.js";
+import { Stick } from "./stick.js";
+
+const SEND_MS = 33;
+const NOTICE_MS = 6000;
+const by = (id) => document.getElementById(id);
+const LINES = { open: ["connected", "good"], lost: ["connection lost – the chair stops", "bad"] };
+
+let drives = false;
+let overrules = false;
+let busy = "";
+let lastSaid = "";
+let noticeTimer = 0;
+
+function say(text) {
+  if (text === lastSaid) by("live").textContent = "";
+  lastSaid = text;
+  by("live").textContent = text;
+}
+
+function note(kind, text) {
+  by("notice").dataset.kind = kind;
+  by("notice").textContent = text;
+  clearTimeout(noticeTimer);
+  noticeTimer = setTimeout(() => { by("notice").textContent = ""; by("notice").dataset.kind = ""; }, NOTICE_MS);
+}
+
+function big(text) {
+  by("big").hidden = !text;
+  if (by("big").textContent !== text) by("big").textContent = text;
+}
+
+function overrule(on) {
+  overrules = on;
+  by("overrule").setAttribute("aria-pressed", String(on));
+  return on;
+}
+
+const stick = new Stick((what, name) => {
+  overrule(false);
+  if (what === "plugged") { by("pad").textContent = `Gamepad: ${name}`; say("Gamepad connected."); }
+  if (what === "unplugged") { by("pad").textContent = "Gamepad unplugged. The chair stops."; say("Gamepad unplugged. The chair stops."); }
+  if (what === "left") scan.rest();
+  send();
+});
+
+const link = new Link({
+  line(what) {
+    const [text, kind] = LINES[what];
+    by("line").textContent = text;
+    by("line").dataset.kind = kind;
+    say(text);
+    if (what === "open") scene.tell();
+    else { stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
+  },
+  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("seen", { number })); },
+  about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); big(""); },
+  busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
+  notice(message) { note(message.kind, message.told); if (message.kind === "bad" && busy) big(message.told); },
+  role: setRole,
+  state(state) {
+    panel.tellState(state);
+    grid.show(state.unsafe);
+    grid.move(state.stick, state.commanded);
+    if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
+    const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
+    const standing = state.waiting || (state.paused ? "Paused" : pushed ? "Let go of the stick once." : "");
+    big(busy || (state.crash ? `The chair ${state.crash}.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+  },
+});
+
+const scene = new Scene(link);
+const grid = new Grid(by("stick"), stick);
+const panel = new Panel(link, say);
+const scan = new Scan(by("board"), stick, { help: askForHelp, overrule: () => overrule(!overrules), say });
+
+function setRole(role) {
+  drives = role.drives;
+  by("banner").hidden = role.drives || !role.told;
+  by("banner-text").textContent = role.told;
+  document.body.dataset.drives = String(role.drives);
+  if (role.told) say(role.told);
+  if (!drives) { stick.stop(); overrule(false); } else scene.tell();
+}
+
+function askForHelp() {
+  link.say("help");
+  say("You asked for help.");
+}
+
+function stopNow() {
+  stick.stop();
+  scan.rest();
+  scan.highlight();
+  send();
+}
+
+function send() {
+  const [x, y] = stick.now();
+  if (drives) link.say("stick", { x, y, overrule: overrules });
+}
+
+setInterval(send, SEND_MS);
+
+by("stop").addEventListener("click", stopNow);
+by("stop").addEventListener("pointerdown", stopNow);
+by("help").addEventListener("click", askForHelp);
+by("take-over").addEventListener("click", () => link.say("takeover"));
+by("overrule").addEventListener("pointerdown", (event) => { by("overrule").setPointerCapture(event.pointerId); overrule(true); });
+for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) by("overrule").addEventListener(end, () => overrule(false));
+
+const LETTERS = {
+  KeyH: (down) => { if (down) askForHelp(); },
+  KeyO: (down) => overrule(down),
+  KeyE: (down) => { if (down) by("assist").click(); },
+  KeyP: (down) => { if (down) by("pause").click(); },
+};
+
+function isField(node) {
+  return node instanceof HTMLElement && node.matches("select, input:not([type=checkbox]), summary");
+}
+
+function onKey(event, down) {
+  if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
+  const inField = isField(event.target);
+  const onButton = event.target instanceof HTMLElement && event.target.matches("button, input, a, summary");
+  if (!inField && scan.key(event, down)) { event.preventDefault(); return; }
+  if (event.code === "Escape") { if (down) stopNow(); return; }
+  if (inField) return;
+  if (event.target === by("overrule") && (event.code === "Space" || event.code === "Enter")) { overrule(down); event.preventDefault(); return; }
+  if (event.code === "Space" && !onButton) { if (down) stopNow(); event.preventDefault(); return; }
+  const isLetter = event.code.startsWith("Key");
+  if (isLetter && !by("letters").checked) return;
+  if (stick.key(event, down)) { event.preventDefault(); return; }
+  if (event.code in LETTERS) { if (!down || !event.repeat) LETTERS[event.code](down); event.preventDefault(); return; }
+  if (down && scene.key(event)) event.preventDefault();
+}
+
+addEventListener("keydown", (event) => onKey(event, true));
+addEventListener("keyup", (event) => onKey(event, false));
+
+by("steer-by").addEventListener("change", () => {
+  const switches = Number(by("steer-by").value) || 0;
+  by("scan-label").hidden = switches !== 1;
+  stick.stop();
+  scan.set(switches);
+  document.body.dataset.switches = String(switches);
+  if (switches) { by("steer-by").blur(); by("steering").focus(); }
+});
+by("scan-s").addEventListener("change", () => { scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4)); scan.rest(); });
+
+for (const name of ["keys", "display"]) {
+  by(`open-${name}`).addEventListener("click", () => { stopNow(); by(name).showModal(); });
+}
+const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
+const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
+const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
+for (const [id, key, first] of [["contrast", "contrast", wantsContrast], ["larger", "larger", false], ["letters", "letters", true]]) {
+  const box = by(id);
+  box.checked = kept(key) === null ? first : kept(key) === "true";
+  const apply = () => { document.documentElement.dataset[key] = String(box.checked); keep(key, String(box.checked)); };
+  box.addEventListener("change", apply);
+  apply();
+}

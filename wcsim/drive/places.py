@@ -1,0 +1,152 @@
+"""Where a drive begins: a town and a seed, or an episode of a suite, with the policy and the user that are there."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from wcsim.agents.evaluation.suite.drive import BlockOrder, seat_of
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, made_town, open_suite, require_towns
+from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
+from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
+from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
+from wcsim.agents.policy_api import Policy, SeesTruth
+from wcsim.config import RunConfig
+from wcsim.config.suite import BlockFile
+from wcsim.core import seeding
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.cache.folder import cache_folder
+from wcsim.towns.scenario.town import Town, content_hash, find_town
+from wcsim.types import SeatSpec
+from wcsim.users.recorded import find_user
+
+PRESET = "quick"
+LONGEST_STEPS = 1_000_000  # a drive has no step limit of its own
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveStart:
+    """What to drive: a place of its own, or, where `suite` names a list, an episode of that."""
+
+    town: str = "helsinki"
+    policy: str = "dwa"
+    profile: str = "competent"  # of the simulated user; "" for that of the suite's episode
+    seed: int = 0
+    suite: str = ""
+    block: int = 0
+    seat: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenPlace:
+    """A place that can be driven in; `config` is the policy's, with its senses."""
+
+    start: DriveStart
+    town: Town
+    config: RunConfig
+    policy: Policy
+    spec: SeatSpec
+    seed: int  # of the world
+    handover_step: int = 0  # until here the simulated user drives alone, as in the suite
+    told: str = ""  # what the place is, in words
+
+
+def open_place(start: DriveStart, held: ExitStack) -> OpenPlace:
+    """Find the town, the user and the policy; `held` keeps what is to be let go of after the drive.
+
+    Raises:
+        ConfigError: There is no such user, list, block or seat.
+        TownError: There is no such town, or it is another than the list's.
+        PolicyError: There is no such policy.
+    """
+    return _of_suite(start, held) if start.suite else _of_town(start)
+
+
+def checked(start: DriveStart) -> DriveStart:
+    """The same start. Raises ConfigError or TownError for what cannot be there, before anything is closed for it."""
+    if start.profile:
+        find_user(start.profile)
+    if start.suite:
+        _block(open_suite(start.suite), start)
+    else:
+        find_town(start.town)
+    return start
+
+
+def _of_town(start: DriveStart) -> OpenPlace:
+    config = settings_of(start.policy, PRESET, ())
+    policy = open_named(start.policy, config, start.seed)
+    town = find_town(start.town)
+    find_user(start.profile)
+    truth = isinstance(policy, SeesTruth)
+    spec = SeatSpec(
+        profile=start.profile, max_steps=LONGEST_STEPS, truth=truth, truth_visible=policy.name == VISIBLE_BOUND
+    )
+    return OpenPlace(
+        start=start,
+        town=town,
+        config=sensing(config, policy),
+        policy=policy,
+        spec=spec,
+        seed=start.seed,
+        told=f"{town.name}, seed {start.seed}",
+    )
+
+
+def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
+    """An episode of a list, in a street of its own: the other chairs of its block are not there."""
+    suite = open_suite(start.suite)
+    require_towns(suite.file)
+    block = _block(suite, start)
+    work = Path(held.enter_context(TemporaryDirectory(prefix="wcsim-drive-")))
+    config = settings_of(start.policy, PRESET, (*suite.file.settings, *block.settings))
+    policy = open_named(start.policy, config, seeding.derive(block.seed, "driver", start.seat))
+    episode = block.episodes[start.seat]
+    if start.profile:
+        episode = episode.model_copy(update={"profile": start.profile})
+    tight = block.part == TIGHT
+    order = BlockOrder(
+        index=start.block,
+        block=block,
+        town=open_tight(block, work) if tight else _town_of(suite, block),
+        config=sensing(config, policy),
+        judged=False,
+    )
+    if tight:
+        order = in_scene(order, work)
+    return OpenPlace(
+        start=start,
+        town=order.town,
+        config=order.config,
+        policy=policy,
+        spec=seat_of(order, episode, policy),
+        seed=block.seed if order.world_seed is None else order.world_seed,
+        handover_step=episode.handover_step,
+        told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
+    )
+
+
+def _block(suite: Suite, start: DriveStart) -> BlockFile:
+    blocks = suite.file.blocks
+    if not 0 <= start.block < len(blocks):
+        raise ConfigError(f"{start.suite} has no block {start.block}; expected 0 to {len(blocks) - 1}")
+    seats = len(blocks[start.block].episodes)
+    if not 0 <= start.seat < seats:
+        raise ConfigError(f"block {start.block} of {start.suite} has no seat {start.seat}; expected 0 to {seats - 1}")
+    return blocks[start.block]
+
+
+def _town_of(suite: Suite, block: BlockFile) -> Town:
+    """The block's town, as it was when the list was made; one that is made of a seed is kept in the cache."""
+    (wanted,) = [town for town in suite.file.towns if town.name == block.town]
+    made = wanted.made_seed
+    town = find_town(wanted.name) if made is None else made_town(cache_folder() / "drive-towns", made)
+    got = content_hash(town)
+    if got != wanted.sha256:
+        raise TownError(
+            f"town {wanted.name} hashes to {got[:12]}; expected {wanted.sha256[:12]}, the one that the list was made "
+            "for: choose another episode, or install the towns of this wcsim again"
+        )
+    return town

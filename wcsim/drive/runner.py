@@ -1,0 +1,303 @@
+"""The process in which a drive runs: it keeps time, hears what the page wants, and says what the page shows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, Final
+
+from wcsim.drive import messages as m
+from wcsim.drive.drawing.orbit import clamped
+from wcsim.drive.drawing.pictures import DrivePictures, Looks
+from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, EventKind
+from wcsim.drive.places import DriveStart, checked
+from wcsim.drive.session import DriveSession
+from wcsim.drive.stating import about_of, state_of
+from wcsim.drive.stick_watch import StickWatch
+from wcsim.errors import WcsimError
+from wcsim.types import Joystick
+
+JSON, PICTURES, LINE = b"J", b"P", b"L"  # what a message to the server is
+CRASH_S: Final = 3.0  # so long a crash is shown
+_IDLE_S: Final = 0.05
+_NEWEST: Final = 0.05  # share of the newest in a mean
+_TOLD: Final = {
+    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
+    EventKind.GAVE_UP: ("note", "The simulated user gave up this way. A new destination is set."),
+    EventKind.STEP_LIMIT: ("note", "The time of this episode is over. It begins again."),
+    EventKind.HELP: ("note", "You asked for help. It is written down."),
+}
+
+
+class DriveRunner:
+    """Runs drives one after another, until the pipe to the server ends.
+
+    Args:
+        pipe: To the server.
+        start: The first drive.
+        observers: Made anew for each drive.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        pipe: Connection,
+        start: DriveStart,
+        observers: Callable[[], Sequence[DriveObserver]] = tuple,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
+        self.session: DriveSession | None = None
+        self._pictures: DrivePictures | None = None
+        self._watch, self._looks = StickWatch(), Looks()
+        self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
+        self._over = False
+        self._due_s = self._held_s = self._drawn_s = 0.0
+        self._last: DrivenTick | None = None
+        self.tick_s = self.picture_s = 0.0  # of processor time, means
+        self.gap_s = 0.0  # between ticks, a mean
+        self._ticked_s = 0.0
+        self._does: dict[type, Callable[[Any], None]] = {
+            m.Stick: self._stick,
+            m.Help: lambda _: self._watch.ask_for_help(),
+            m.View: self._view,
+            m.Assist: lambda said: self._open_session().assist(said.on),
+            m.SetLevel: lambda said: self._open_session().set_level(said.level),
+            m.DriveBy: self._drive_by,
+            m.Pace: self._set_pace,
+            m.Pause: self._pause,
+            m.NewPlace: lambda _: self._begin_anew(self._open_session().new_place),
+            m.Again: lambda _: self._begin_anew(self._open_session().again, "The street begins again ..."),
+            m.SetUser: self._set_user,
+            m.Open: self._open_other,
+            m.Gone: lambda _: self._watch.let_go(),
+            m.Ready: self._take_ready,
+            m.End: self._end,
+        }
+
+    def run(self) -> None:
+        """Drive until the server ends. Raises what opens the first place no more than a line to the server."""
+        with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+            try:
+                self._open(self._start)
+                while not self._over:
+                    self._turn()
+            finally:
+                self.close()
+
+    def close(self) -> None:
+        """End the drive, and say what it was."""
+        if self.session is not None:
+            session, self.session = self.session, None
+            tally = session.tally
+            told = (
+                f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
+                f"{tally.arrivals} arrivals, {tally.crashes} crashes; pictures took "
+                f"{100.0 * self._share():.0f} % of the processor's time"
+            )
+            session.close()
+            with suppress(BrokenPipeError, OSError):
+                self._pipe.send_bytes(LINE + told.encode())
+
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still because somebody wants it to."""
+        return self._paused
+
+    @property
+    def pace(self) -> float:
+        """How fast time goes, 0 as fast as it can."""
+        return self._pace
+
+    @property
+    def waiting(self) -> str:
+        """Why time stands still though nobody paused it, "" while it goes."""
+        if self._watch.stands_still(self._clock()):
+            return "No page holds the stick. Time stands still."
+        return ""
+
+    @property
+    def must_rest(self) -> bool:
+        """Whether the stick has to be let go of before it counts."""
+        return self._watch.must_rest
+
+    def _share(self) -> float:
+        return self.picture_s / max(self.picture_s + self.tick_s, 1e-9)
+
+    # --- one turn of the loop ---
+
+    def _turn(self) -> None:
+        while self._pipe.poll(self._wait_s()):
+            self._hear(self._pipe.recv_bytes())
+        now_s = self._clock()
+        if self._goes() and now_s >= max(self._due_s, self._held_s):
+            self._tick(now_s)
+        if self._ready and self._stale:
+            self._show(now_s)
+
+    def _goes(self) -> bool:
+        return self.session is not None and not self._paused and not self.waiting
+
+    def _wait_s(self) -> float:
+        if self._ready and self._stale:
+            return 0.0
+        if not self._goes():
+            return _IDLE_S
+        return min(_IDLE_S, max(0.0, max(self._due_s, self._held_s) - self._clock()))
+
+    def _tick(self, now_s: float) -> None:
+        session, before = self._open_session(), time.process_time()
+        self._last = session.tick(self._watch.wish(now_s))
+        self.tick_s += _NEWEST * (time.process_time() - before - self.tick_s)
+        self.gap_s += _NEWEST * (now_s - self._ticked_s - self.gap_s) if self._ticked_s else 0.0
+        self._ticked_s = now_s
+        step_s = session.tick_s / self._pace if self._pace else 0.0
+        self._due_s = max(self._due_s + step_s, now_s)
+        if session.crash:
+            self._held_s = now_s + CRASH_S
+            self._watch.require_rest()
+        if session.assistance.failed and not session.assistance.on:
+            self._paused = True
+        self._stale = True
+        self._say(state_of(self, session, self._last))
+
+    def _show(self, now_s: float) -> None:
+        session, pictures = self.session, self._pictures
+        if session is None or pictures is None:
+            return
+        before = time.process_time()
+        dt_s = min(1.0, now_s - self._drawn_s) if not self._paused else 0.0
+        self._pipe.send_bytes(PICTURES + pictures.draw(session, self._looks, dt_s))
+        self._drawn_s, self._ready, self._stale = now_s, False, False
+        self.picture_s += _NEWEST * (time.process_time() - before - self.picture_s)
+
+    def _say(self, message: Any) -> None:
+        self._pipe.send_bytes(JSON + m.spoken(message))
+
+    def _state(self) -> None:
+        if self.session is not None:
+            self._say(state_of(self, self.session, self._last))
+
+    # --- what the page wants ---
+
+    def _hear(self, data: bytes) -> None:
+        message = m.of_server(data)
+        try:
+            self._does[type(message)](message)
+        except WcsimError as error:
+            self._say(m.Notice(kind="refused", told=str(error)))
+        if not isinstance(message, m.Stick | m.Ready | m.Help | m.End):
+            self._stale = True
+            self._state()
+
+    def _open_session(self) -> DriveSession:
+        if self.session is None:
+            raise WcsimError("no street is open; expected one to be chosen: choose a town")
+        return self.session
+
+    def _stick(self, said: m.Stick) -> None:
+        self._watch.hear(Joystick(said.x, said.y), said.overrule, self._clock())
+
+    def _view(self, said: m.View) -> None:
+        orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
+        size = {"width_px": said.width_px, "height_px": said.height_px}
+        self._looks = Looks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
+
+    def _take_ready(self, _: m.Ready) -> None:
+        self._ready = True
+
+    def _end(self, _: m.End) -> None:
+        self._over = True
+
+    def _set_pace(self, said: m.Pace) -> None:
+        self._pace = said.times if said.times else 0.0
+        self._due_s = self._clock()
+
+    def _drive_by(self, said: m.DriveBy) -> None:
+        self._watch.require_rest()
+        self._open_session().drive_by(said.who)
+
+    def _pause(self, said: m.Pause) -> None:
+        if said.on is not self._paused:
+            self._paused = said.on
+            self._open_session().say(EventKind.PAUSED if said.on else EventKind.GOES_ON)
+            self._due_s = self._clock()
+
+    def _set_user(self, said: m.SetUser) -> None:
+        session = self._open_session()
+        checked(DriveStart(town=session.place.start.town, profile=said.profile))
+        self._begin_anew(lambda: session.change_user(said.profile))
+        self._say(about_of(session))
+
+    def _begin_anew(self, begin: Callable[[], None], told: str = "") -> None:
+        if told:
+            self._say(m.Busy(told=told))
+        begin()
+        self._watch.require_rest()
+        self._held_s, self._last = 0.0, None
+        if told:
+            self._say(about_of(self._open_session()))
+
+    def _open_other(self, said: m.Open) -> None:
+        before = self.session.place.start if self.session is not None else self._start
+        profile = "" if said.suite else (self.session.profile if self.session is not None else before.profile)
+        start = DriveStart(
+            town=said.town or before.town,
+            policy=before.policy,
+            profile=profile or ("" if said.suite else "competent"),
+            seed=said.seed,
+            suite=said.suite,
+            block=said.block,
+            seat=said.seat,
+        )
+        self._open(checked(start))
+
+    def _open(self, start: DriveStart) -> None:
+        """Open a place in the stead of the one that is open; one that cannot be opened is told of."""
+        self._say(m.Busy(told="Opening the street. The first time in a town this takes up to a minute ..."))
+        self.close()
+        self._pictures, self._last = None, None
+        self._watch.require_rest()
+        try:
+            self.session = session = DriveSession(start, (_Teller(self._say), *self._observers()))
+            self._pictures = DrivePictures(session)
+        except WcsimError as error:
+            self.close()
+            self._say(m.Notice(kind="bad", told=str(error)))
+            return
+        self._due_s, self._held_s, self._paused, self._stale = self._clock(), 0.0, False, True
+        self._say(about_of(session))
+        self._state()
+
+
+class _Teller:
+    """Tells the page of what happens."""
+
+    def __init__(self, say: Callable[[Any], None]) -> None:
+        self._say = say
+
+    def tick(self, driven: DrivenTick) -> None:
+        """The state says it."""
+
+    def event(self, event: DriveEvent) -> None:
+        """Those that a person wants to hear of."""
+        if event.kind in _TOLD:
+            kind, told = _TOLD[event.kind]
+            self._say(m.Notice(kind=kind, told=told))
+        elif event.kind is EventKind.CRASHED:
+            self._say(m.Notice(kind="bad", told=f"The chair {event.told}. A new start follows."))
+        elif event.kind is EventKind.POLICY_FAILED:
+            self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.told}"))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def run_drive(pipe: Connection, start: DriveStart) -> None:
+    """What the drive's process does."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server's process ends this one
+    DriveRunner(pipe, start).run()

@@ -1,0 +1,262 @@
+"""The page's server: static files and one socket a page; the drive itself runs in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from http import HTTPStatus
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from wcsim.core.closing import Closing
+from wcsim.drive import messages as m
+from wcsim.drive.places import DriveStart
+from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
+from wcsim.drive.serving.audience import Audience, PageLine
+from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
+from wcsim.errors import ConfigError, ProtocolError
+
+log = logging.getLogger("wcsim.drive")
+PAGE: Final = Path(__file__).parents[1] / "page"
+SOCKET: Final = "/socket"
+_KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+MOST_PAGES: Final = 8
+_PING_S: Final = 5.0
+_MOST_REFUSED: Final = 20  # messages of a page that are no messages
+_END_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServeOrder:
+    """Where the page is served, and what is driven."""
+
+    start: DriveStart
+    host: str = "127.0.0.1"
+    port: int = 8080  # 0 for a free one
+    say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
+
+
+class _Process(Closing):
+    """The drive's process, and a thread that listens to it."""
+
+    def __init__(self, start: DriveStart, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=run_drive, args=(theirs, start), daemon=True, name="wcsim-drive")
+        self._process.start()
+        theirs.close()
+        self._thread = threading.Thread(target=_listen, args=(self._pipe, hear, ended), daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        """Say something to the drive; nothing happens when it has ended."""
+        with contextlib.suppress(OSError):
+            self._pipe.send_bytes(data)
+
+    def close(self) -> None:
+        """End the drive; one that does not end is killed."""
+        if self._process.is_alive():
+            self.send(m.written(m.End()))
+            self._process.join(_END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._thread.join(_END_S)
+        self._pipe.close()
+
+
+def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
+    try:
+        while True:
+            hear(pipe.recv_bytes())
+    except (EOFError, OSError):
+        ended()
+
+
+class DriveServer:
+    """Serves one drive to pages; `run` ends when it is cancelled, or the drive's process has ended."""
+
+    def __init__(self, order: ServeOrder) -> None:
+        """Raises ConfigError for a port out of bounds."""
+        if not 0 <= order.port <= 65535:
+            raise ConfigError(f"--port {order.port}: expected 0 to 65535")
+        self._order = order
+        token = "" if order.host in LOOPBACK else new_token()
+        self._door = Door(host=order.host, token=token)
+        self._audience = Audience()
+        self._process: _Process | None = None
+        self._over = asyncio.Event()
+        self._died = False
+
+    async def run(self) -> None:
+        """Serve until cancelled. Raises ConfigError when the address is taken or not this machine's."""
+        loop = asyncio.get_running_loop()
+        try:
+            server = await serve(
+                self._meet,
+                self._order.host,
+                self._order.port,
+                process_request=self._read,
+                max_size=m.MOST_BYTES,
+                max_queue=64,
+                ping_interval=_PING_S,
+                ping_timeout=_PING_S,
+                compression=None,
+                server_header=None,
+            )
+        except OSError as error:
+            where = f"{self._order.host}:{self._order.port}"
+            raise ConfigError(f"{where}: cannot be served ({error.strerror}); choose another --port") from None
+        try:
+            self._order.say(f"drive at {self._address(server)}  (Ctrl-C ends it)")
+            self._process = _Process(
+                self._order.start,
+                lambda data: loop.call_soon_threadsafe(self._told, data),
+                lambda: loop.call_soon_threadsafe(self._ended),
+            )
+            await self._over.wait()
+        finally:
+            server.close()
+            await asyncio.to_thread(self._close)
+        if self._died:
+            raise ConfigError("the drive's process has ended; its messages above say why, start it again")
+
+    def _close(self) -> None:
+        if self._process is not None:
+            self._process.close()
+
+    def _address(self, server: Server) -> str:
+        port = server.sockets[0].getsockname()[1]
+        host = f"[{self._order.host}]" if ":" in self._order.host else self._order.host
+        token = f"?token={self._door.token}" if self._door.token else ""
+        return f"http://{host}:{port}/{token}"
+
+    # --- what a browser reads ---
+
+    def _read(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Hand out a file of the page, or let a socket through."""
+        path, headers = urlsplit(request.path).path, request.headers
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        wants_socket = path == SOCKET
+        twice = len(hosts) != 1 or len(origins) > 1
+        why = self._door.refusal(
+            None if twice else hosts[0], origins[0] if origins else None, request.path, socket=wants_socket
+        )
+        if why:
+            return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
+        if wants_socket:
+            return None
+        name = "index.html" if path == "/" else path.removeprefix("/")
+        file = next((each for each in PAGE.iterdir() if each.name == name and each.suffix in _KINDS), None)
+        if file is None:
+            return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
+        return _file(file.read_bytes(), _KINDS[file.suffix], hosts[0])
+
+    # --- what a page says ---
+
+    async def _meet(self, connection: ServerConnection) -> None:
+        """One page, from its coming to its going."""
+        if len(self._audience) >= MOST_PAGES:
+            await connection.close(1013, "too many pages")
+            return
+        line = PageLine(connection)
+        writing = asyncio.create_task(line.write())
+        self._audience.enter(line)
+        self._ask_for_pictures()
+        try:
+            await self._hear(line, connection)
+        except ConnectionClosed:
+            log.debug("a page has gone")
+        finally:
+            if self._audience.leave(line):
+                self._send(m.Gone())
+            writing.cancel()
+
+    async def _hear(self, line: PageLine, connection: ServerConnection) -> None:
+        refused = 0
+        async for data in connection:
+            try:
+                message = m.of_page(data)
+            except ProtocolError as error:
+                refused += 1
+                line.put(m.spoken(m.Notice(kind="refused", told=str(error))))
+                if refused >= _MOST_REFUSED:
+                    await connection.close(1008, "no page of wcsim")
+                    return
+                continue
+            self._obey(line, message)
+
+    def _obey(self, line: PageLine, message: m.PageMessage) -> None:
+        if isinstance(message, m.Seen):
+            line.seen(message.number)
+            self._ask_for_pictures()
+        elif isinstance(message, m.TakeOver):
+            self._send(m.Gone())
+            self._audience.take_over(line)
+        elif line is self._audience.driver:
+            self._send(message)
+
+    # --- what the drive says ---
+
+    def _told(self, data: bytes) -> None:
+        kind, body = data[:1], data[1:]
+        if kind == PICTURES:
+            self._audience.show(body)
+            self._ask_for_pictures()
+        elif kind == JSON:
+            self._audience.tell(body)
+        elif kind == LINE:
+            self._order.say(body.decode())
+
+    def _ended(self) -> None:
+        if not self._over.is_set():
+            self._died = True
+            told = m.spoken(m.Notice(kind="bad", told="The drive's process has ended. Start wcsim drive again."))
+            self._audience.tell(told)
+            asyncio.get_running_loop().call_later(0.5, self._over.set)
+
+    def _ask_for_pictures(self) -> None:
+        """Ask for pictures where a page takes them and none are on the way."""
+        if self._audience.wants():
+            self._send(m.Ready())
+
+    def _send(self, message: m.PageMessage) -> None:
+        if self._process is not None:
+            self._process.send(m.written(message))
+
+
+def _file(data: bytes, kind: str, host: str) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": str(len(data)),
+            "Content-Security-Policy": content_policy(host),
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cache-Control": "no-store",
+            "Connection": "close",
+        }
+    )
+    return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, headers, data)
+
+
+def serve_drive(order: ServeOrder) -> None:
+    """Serve until Ctrl-C. Raises ConfigError, see `DriveServer.run`; KeyboardInterrupt goes on to the caller."""
+    asyncio.run(_serve(order))
+
+
+async def _serve(order: ServeOrder) -> None:
+    await DriveServer(order).run()

@@ -1,0 +1,347 @@
+"""One drive: a world with one chair, a person or a simulated user in it, a policy beside it. No sockets, no clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from wcsim.agents.envs.episode_view import Chair, HeldLink
+from wcsim.bridge.world import World
+from wcsim.config import RewardConfig
+from wcsim.core.closing import Closing
+from wcsim.core.frames import wrap
+from wcsim.drive.assistance import Answer, Assistance
+from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind, EventKind
+from wcsim.drive.places import DriveStart, OpenPlace, open_place
+from wcsim.drive.tally import DriveTally
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.fault import hardest
+from wcsim.types import ClientSnapshot, Command, Joystick, Route
+from wcsim.users.hand import on_disc
+from wcsim.users.user import SimulatedUser
+
+AT_REST = Joystick(0.0, 0.0)
+_LOOK_AHEAD_M = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wish:
+    """What the person wants in a tick; the stick counts where the person drives."""
+
+    stick: Joystick = AT_REST  # each part in -1..1
+    overrule: bool = False
+    help: bool = False
+
+
+class DriveSession(Closing):
+    """A drive, tick by tick; its observers hear of each tick and of what happens.
+
+    Args:
+        start: What to drive.
+        observers: Who looks on; they are closed with the session.
+    """
+
+    def __init__(self, start: DriveStart, observers: Sequence[DriveObserver] = ()) -> None:
+        """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `places.open_place`."""
+        self.tally, self.driver = DriveTally(), DriverKind.PERSON
+        self._observers, self._held = tuple(observers), ExitStack()
+        self._ticks, self._episode, self._give_up_s = 0, 0, math.inf
+        self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
+        self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
+        self._info: dict[str, Any] = {}
+        self._step, self._fresh, self._ended, self._failure = 0, True, False, ""  # of this episode
+        try:
+            self.place: OpenPlace = open_place(start, self._held)
+            self.profile = self.place.spec.profile
+            self.actions = action_set(self.place.config.env.actions)
+            self.tick_s = self.place.config.world.tick_s
+            self.assistance = Assistance(self.place.policy, self.actions)
+            self._held.callback(self.assistance.close)
+            spec, config = self.place.spec, self.place.config
+            self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed))
+            self._chair, self._link = Chair(config), HeldLink()
+            self.assistance.begin()
+            self._begin()
+        except BaseException:
+            self._held.close()
+            raise
+        self.say(EventKind.BEGUN, self.place.told)
+
+    @property
+    def time_s(self) -> float:
+        """Seconds of driving since the drive began."""
+        return self._ticks * self.tick_s
+
+    @property
+    def ticks(self) -> int:
+        """How many there were."""
+        return self._ticks
+
+    @property
+    def client(self) -> ClientSnapshot:
+        """The chair as it is now; after a crash as it came to lie, till the next tick."""
+        return self._client
+
+    @property
+    def route(self) -> Route:
+        """The way to the destination; after a crash that of the episode which it ended, till the next tick."""
+        return self._route
+
+    @property
+    def left_m(self) -> float:
+        """How far it is to the destination along the route."""
+        return max(0.0, float(self._route.arc_m[-1]) - self._done_m)
+
+    @property
+    def done_m(self) -> float:
+        """How far along its route the chair has come."""
+        return self._done_m
+
+    @property
+    def bearing_rad(self) -> float:
+        """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
+        plant, route = self._client.plant, self._route
+        arc_m = min(self._done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
+        x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
+        return wrap(math.atan2(y_m - float(plant.p_WB_m[1]), x_m - float(plant.p_WB_m[0])) - plant.yaw_rad)
+
+    @property
+    def crash(self) -> str:
+        """What the last tick crashed into, in words; "" where it did not."""
+        events = self._client.events
+        return crash_words(self._client, self.place.config.reward) if self._ended and events.crashed else ""
+
+    @property
+    def handed_over(self) -> bool:
+        """Whether the person has the chair by now: in some episodes of suites the user drives alone at first."""
+        return self._step >= self.place.handover_step
+
+    def drive_by(self, driver: DriverKind) -> None:
+        """Whose stick counts from now on."""
+        if driver is not self.driver:
+            self.driver = driver
+            self.say(EventKind.DRIVER, driver.value)
+
+    def assist(self, on: bool) -> None:
+        """Switch the assistance."""
+        if on is not self.assistance.on:
+            self.assistance.switch(on)
+            self.say(EventKind.ASSISTANCE, "on" if on else "off")
+
+    def set_level(self, level: float) -> None:
+        """Set how much the policy assists. Raises PolicyError where it has no such level."""
+        self.assistance.set_level(level)
+        self.say(EventKind.LEVEL, f"{level:g}")
+
+    def new_place(self) -> None:
+        """Begin another episode in the same street; where the start is fixed, at that."""
+        if not self._ended:
+            self.world.respawn(0)
+        self._next("asked for")
+
+    def change_user(self, profile: str) -> None:
+        """Put another simulated user into the chair, in an episode of its own. Raises ConfigError for no such user."""
+        spec = replace(self.place.spec, profile=profile)
+        self.world.dismiss(0)
+        try:
+            self.world.admit(0, spec)
+        except BaseException:
+            self.world.admit(0, replace(self.place.spec, profile=self.profile))
+            self._next("as before")
+            raise
+        self.profile = profile
+        self._next(f"user {profile}")
+
+    def again(self) -> None:
+        """Begin the whole street again from its seed."""
+        self.world.rebuild(self.place.seed)
+        self._next("from the beginning")
+
+    def tick(self, wish: Wish) -> DrivenTick:
+        """Drive one tick.
+
+        Raises:
+            SumoError, PhysicsError: The world is broken, and the drive with it.
+        """
+        if self._ended:
+            self._next("after the end of the last one")
+        by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
+        stick = self._client.user if by_user else in_gate(wish.stick)
+        self._see(stick)
+        overrule = wish.overrule and self.handed_over
+        answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
+        if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
+            self._say_failure()
+        intent = self._intent() if by_user else None
+        self._let_wait(patient=not by_user)
+        self._move(answer)
+        driven = self._driven(stick, intent, answer, replace(wish, overrule=overrule), by_user)
+        self._tell(driven)
+        return driven
+
+    def say(self, kind: EventKind, told: str = "") -> None:
+        """Write an event into the log of whoever looks on."""
+        event = DriveEvent(kind=kind, tick=self._ticks, time_s=self.time_s, told=told)
+        for observer in self._observers:
+            observer.event(event)
+
+    def close(self) -> None:
+        """End the world, and close the observers; a second call does nothing."""
+        self._held.close()
+        for observer in self._observers:
+            observer.close()
+        self._observers = ()
+
+    # --- one tick ---
+
+    def _see(self, stick: Joystick) -> None:
+        """Look at the chair's frame of now with this stick in it; the step before is judged by it."""
+        client = replace(self._client, user=stick)
+        self._link.now = client
+        if self._fresh:
+            self._seen, self._info = self._chair.begin(client)
+            self._fresh = False
+        else:
+            step = self._chair.receive(self._link)
+            self._seen, self._info = step.observation, step.info
+
+    def _move(self, answer: Answer) -> None:
+        self._chair.send(self._link, answer.sent)
+        given = Joystick(*self.actions.points[answer.sent].tolist())
+        now = self.world.snapshot
+        snapshot = self.world.tick((Command(seat=0, tick=now.tick, joystick=given),))
+        self._client = snapshot.clients[0]
+        self._ended = self._client.first is not None
+        if not self._ended:
+            self._note_way()
+        self._ticks += 1
+        self._step += 1
+
+    def _driven(
+        self, stick: Joystick, intent: Joystick | None, answer: Answer, wish: Wish, by_user: bool
+    ) -> DrivenTick:
+        client, points = self._client, self.actions.points
+        events, plant = client.events, client.plant
+        return DrivenTick(
+            tick=self._ticks,
+            time_s=self.time_s,
+            episode=self._episode,
+            step=self._step,
+            driver=DriverKind.SIMULATED if by_user else DriverKind.PERSON,
+            stick=stick,
+            intent=intent,
+            chosen=Joystick(*points[answer.chosen].tolist()),
+            commanded=Joystick(*points[answer.sent].tolist()),
+            unsafe=answer.unsafe,
+            assisted=self.assistance.on,
+            level=self.assistance.level,
+            warning=answer.warning,
+            intervening=answer.intervening,
+            overruled=wish.overrule,
+            help_asked=wish.help,
+            p_WB_m=plant.p_WB_m.copy(),
+            yaw_rad=plant.yaw_rad,
+            speed_mps=float(plant.v_B_mps[0]),
+            joystick_distance=self.actions.distance(answer.sent, (stick.x, stick.y)),
+            progress_m=events.progress_m,
+            arrived=events.arrived,
+            gave_up=events.gave_up,
+            crashed=events.crashed,
+            crash_reason=events.crash_reason,
+            seed=self.place.seed,
+            town=self.place.town.name,
+            profile=self.profile,
+            policy=self.assistance.name,
+        )
+
+    def _tell(self, driven: DrivenTick) -> None:
+        """Count the tick, and tell who looks on what happened in it."""
+        self.tally.add(driven, self.tick_s)
+        if driven.help_asked:
+            self.say(EventKind.HELP, "the user asks for help")
+        now = (driven.warning, driven.intervening, driven.overruled)
+        kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
+        for kind, is_on, was in zip(kinds, now, self._said, strict=True):
+            if is_on and not was:
+                self.say(kind)
+        if self._said[2] and not driven.overruled:
+            self.say(EventKind.OVERRULE_END)
+        self._said = now
+        if driven.arrived:
+            self.say(EventKind.ARRIVED)
+        if driven.gave_up:
+            self.say(EventKind.GAVE_UP)
+        if driven.crashed:
+            self.say(EventKind.CRASHED, self.crash)
+        elif self._ended:
+            self.say(EventKind.STEP_LIMIT)
+        for observer in self._observers:
+            observer.tick(driven)
+
+    def _say_failure(self) -> None:
+        if self.assistance.failed != self._failure:
+            self._failure = self.assistance.failed
+            self.say(EventKind.POLICY_FAILED, self._failure)
+
+    # --- episodes ---
+
+    def _begin(self) -> None:
+        """Look at the first frame of an episode."""
+        client = self.world.snapshot.clients[0]
+        self._client = client if client.first is None else client.first
+        self._step, self._fresh, self._ended, self._failure = 0, True, False, ""
+        self._note_way()
+
+    def _note_way(self) -> None:
+        seat = self.world.seats[0]
+        self._route, self._done_m = seat.route, seat.user.route_progress_m
+
+    def _next(self, why: str) -> None:
+        self.tally.end_episode()
+        self._episode += 1
+        self.assistance.reset()
+        self._begin()
+        self.say(EventKind.EPISODE, why)
+
+    def _intent(self) -> Joystick | None:
+        return self.world.seats[0].user.intent
+
+    def _let_wait(self, *, patient: bool) -> None:
+        """A person has all the time in the world; a simulated user gives up as its profile says."""
+        user = self.world.seats[0].user
+        if not isinstance(user, SimulatedUser):
+            return
+        if patient and not math.isinf(user.profile.give_up_s):
+            self._give_up_s = user.profile.give_up_s
+            user.profile = replace(user.profile, give_up_s=math.inf)
+        elif not patient and math.isinf(user.profile.give_up_s):
+            user.profile = replace(user.profile, give_up_s=self._give_up_s)
+
+
+def in_gate(stick: Joystick) -> Joystick:
+    """A stick within its round gate; one that is no number is at rest.
+
+    >>> in_gate(Joystick(0.0, -3.0)), in_gate(Joystick(math.nan, 1.0))
+    (Joystick(x=0.0, y=-1.0), Joystick(x=0.0, y=0.0))
+    """
+    if not (math.isfinite(stick.x) and math.isfinite(stick.y)):
+        return AT_REST
+    return Joystick(*on_disc(stick.x, stick.y))
+
+
+_CRASHES = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
+_PARTNERS = {"ground": "the ground", "static": "something that stands in the street", "other": "somebody"}
+
+
+def crash_words(client: ClientSnapshot, reward: RewardConfig) -> str:
+    """What ended an episode, for a person."""
+    reason = client.events.crash_reason
+    if reason != "collision":
+        return _CRASHES.get(reason, reason)
+    hit = hardest(client.contacts, reward)
+    return "hit something" if hit is None else f"hit {_PARTNERS.get(hit.kind, f'a {hit.kind}')}"

@@ -1,0 +1,115 @@
+"""What a page is told of a session: what it is, and how it stands."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
+from wcsim.core.frames import deg
+from wcsim.drive import messages as m
+from wcsim.drive.driven import DrivenTick
+from wcsim.drive.session import DriveSession
+from wcsim.towns.scenario.town import list_towns
+from wcsim.types import Joystick
+from wcsim.users.profiles import profile_names
+
+
+class Keeper(Protocol):
+    """Who keeps time."""
+
+    @property
+    def paused(self) -> bool:
+        """Whether somebody stopped it."""
+
+    @property
+    def pace(self) -> float:
+        """Times real time."""
+
+    @property
+    def waiting(self) -> str:
+        """Why it stands still."""
+
+    @property
+    def must_rest(self) -> bool:
+        """Whether the stick has to be let go of before it counts."""
+
+    tick_s: float
+    picture_s: float
+    gap_s: float
+
+
+def about_of(session: DriveSession) -> m.About:
+    """What is driven, and what else could be."""
+    suites = {
+        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
+        for name in shipped()
+    }
+    assistance = session.assistance
+    return m.About(
+        place=session.place.told,
+        town=session.place.town.name,
+        policy=assistance.name,
+        profile=session.profile,
+        points=[(x, y) for x, y in session.actions.points.tolist()],
+        towns=[town.name for town in list_towns()],
+        profiles=list(profile_names()),
+        suites=suites,
+        levels=assistance.levels,
+        tells_unsafe=assistance.tells_unsafe,
+        tick_s=session.tick_s,
+    )
+
+
+def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> m.State:
+    """The drive as it is; `last` is its newest tick, None at the beginning of an episode."""
+    rest = Joystick(0.0, 0.0)
+    return m.State(
+        tick=session.ticks,
+        time_s=round(session.time_s, 3),
+        step=session.tally.steps,
+        driver=session.driver,
+        paused=keeper.paused,
+        waiting=keeper.waiting,
+        let_go=keeper.must_rest,
+        alone=not session.handed_over,
+        pace=keeper.pace,
+        stick=_xy(last.stick if last else rest),
+        chosen=_xy(last.chosen if last else rest),
+        commanded=_xy(last.commanded if last else rest),
+        unsafe=list(last.unsafe) if last else [],
+        assisted=session.assistance.on,
+        level=session.assistance.level,
+        warning=last is not None and last.warning,
+        intervening=last is not None and last.intervening,
+        overruled=last is not None and last.overruled,
+        speed_mps=round(last.speed_mps, 3) if last else 0.0,
+        left_m=round(session.left_m, 1),
+        bearing_deg=round(deg(session.bearing_rad)),
+        crash=session.crash,
+        profile=session.profile,
+        kpis=_kpis(session),
+        tick_ms=round(1000.0 * keeper.tick_s, 2),
+        pictures_ms=round(1000.0 * keeper.picture_s, 2),
+        rate=round(1.0 / keeper.gap_s, 1) if keeper.gap_s > 0.0 else 0.0,
+    )
+
+
+def _kpis(session: DriveSession) -> m.Kpis:
+    tally = session.tally
+    return m.Kpis(
+        kpi1=None if tally.kpi1 is None else round(tally.kpi1, 4),
+        kpi2=round(tally.kpi2, 1),
+        way_m=round(tally.way_m, 1),
+        time_s=round(session.time_s, 1),
+        crashes=tally.crashes,
+        arrivals=tally.arrivals,
+        given_up=tally.given_up,
+        helps=tally.helps,
+        overrules=tally.overrules,
+        warnings=tally.warnings,
+        interventions=tally.interventions,
+    )
+
+
+def _xy(stick: Joystick) -> tuple[float, float]:
+    return round(stick.x, 3), round(stick.y, 3)

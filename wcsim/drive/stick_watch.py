@@ -1,0 +1,69 @@
+"""Whether somebody holds the stick: without a message for half a second the chair is told to stand.
+
+Pure but for what it remembers; times are a monotonic clock's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from wcsim.drive.session import AT_REST, Wish
+from wcsim.types import Joystick
+
+LOST_S: Final = 0.5  # without a message the stick counts no more
+GONE_S: Final = 1.5  # without one it has to be let go of before it counts again
+STANDS_STILL_S: Final = 3.0  # then time stops too: by now the chair has
+RESTS: Final = 0.1  # a stick within this is at rest
+
+
+class StickWatch:
+    """The stick of the person who drives, as far as it can be trusted.
+
+    After a long loss, and at the beginning of each episode, it counts only once it has been at rest: nobody drives off
+    with a stick that was still pushed.
+    """
+
+    def __init__(self) -> None:
+        self._stick, self._overrule = AT_REST, False
+        self._heard_s = -math.inf
+        self._help, self._must_rest = False, True
+
+    @property
+    def must_rest(self) -> bool:
+        """Whether the stick does not count before it has been at rest."""
+        return self._must_rest
+
+    def hear(self, stick: Joystick, overrule: bool, now_s: float) -> None:
+        """A message has come."""
+        self._stick, self._overrule, self._heard_s = stick, overrule, now_s
+        if math.hypot(stick.x, stick.y) < RESTS:
+            self._must_rest = False
+
+    def ask_for_help(self) -> None:
+        """The next wish says so."""
+        self._help = True
+
+    def let_go(self) -> None:
+        """The page is gone: the stick is at rest from now on, and so is the button."""
+        self._stick, self._overrule, self._heard_s, self._must_rest = AT_REST, False, -math.inf, True
+
+    def require_rest(self) -> None:
+        """Another episode begins."""
+        self._must_rest = True
+
+    def lost(self, now_s: float) -> bool:
+        """Whether no message came for so long that the stick counts no more."""
+        return now_s - self._heard_s > LOST_S
+
+    def stands_still(self, now_s: float) -> bool:
+        """Whether no message came for so long that time stops."""
+        return now_s - self._heard_s > STANDS_STILL_S
+
+    def wish(self, now_s: float) -> Wish:
+        """What the person wants in this tick; a call for help is handed out once."""
+        asked, self._help = self._help, False
+        if self.lost(now_s):
+            self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
+            return Wish(help=asked)
+        return Wish(stick=AT_REST if self._must_rest else self._stick, overrule=self._overrule, help=asked)
