@@ -26,21 +26,22 @@ from wcsim.core import files
 
 _COLUMNS = (
     *("policy", "part", "crashes_own", "km", "crashes_per_km"),
-    *("kpi1_free_mean", "kpi1_moving_within", "speed_mps"),
+    *("kpi1_free_mean", "kpi1_moving_within", "kpi1_free_within", "speed_mps"),
+    *("arrivals", "needless", "warned_share", "false_warnings_per_km", "score"),
 )
 _LIMITS = """- Simulation only: nothing here says anything about a real street, and nobody has ridden with it.
-- It sees what one depth camera at the place named below sees, with classes for each pixel;
+- It sees what one depth camera at the place named above sees, with classes for each pixel;
   those of a real camera err more.
 - It remembers 4 s. What comes from behind or from the side, outside the picture, it does not know.
-- It was trained with the chair, the camera and the delay named below; with others it is another policy.
-- Its dangers are no probabilities: the level of assistance was chosen on towns of the list below alone."""
+- It was trained with the chair, the camera and the delay named above; with others it is another policy.
+- Its dangers are no probabilities: the level of assistance was chosen on towns of the list above alone."""
 
 
 def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path) -> Path:
     """Write the folder of a shipped policy in one step; returns it."""
     policy = run.policy("final")
     with tempfile.TemporaryDirectory() as held:
-        facts = export_danger(policy, Path(held) / "onnx", run.config, ride)
+        export_danger(policy, Path(held) / "onnx", run.config, ride)
 
         def fill(target: Path) -> None:
             for name in (POLICY_JSON, WEIGHTS):
@@ -49,27 +50,31 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
             shutil.copyfile(Path(held) / "onnx" / MEANING, target / MEANING)
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
-            rows = [row for path in results for row in rows_of(path)]
-            (target / "MODEL_CARD.md").write_text(card(run, rows, facts.cost.p50_ms), encoding="utf-8")
+            rows = [row for path in results for row in rows_of(path, run.path)]
+            (target / "MODEL_CARD.md").write_text(card(run, rows), encoding="utf-8")
             write_hashes(target)
 
         files.write_folder(to, fill)
     return shipped_folder(to)
 
 
-def rows_of(path: Path) -> list[dict[str, Any]]:
-    """The rows of a result that `wcsim test --json` or `--suite` wrote, each with the file's name."""
+def rows_of(path: Path, run: Path) -> list[dict[str, Any]]:
+    """The rows of a result that `wcsim test --json` or `--suite` wrote, with the folder's name; `run` is what ships."""
     data = json.loads(path.read_text(encoding="utf-8"))
-    return [{**row, "from": path.parent.name or path.name} for row in [*data.get("rows", ()), *data.get("pooled", ())]]
+    found = [*data.get("rows", ()), *({**row, "part": "all"} for row in data.get("pooled", ()))]
+    place = path.parent.name or path.name
+    names = {str(run): "shipped"}
+    return [{**row, "from": place, "policy": names.get(row["policy"], row["policy"])} for row in found]
 
 
-def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
+def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     """The model card, as Markdown."""
     manifest, config = run.manifest, run.config
     camera, danger, collect = config.cameras[0], config.danger, config.collect
     parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
     towns = ", ".join((manifest.town, *collect.towns, f"{collect.made_towns} made for it"))
-    kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*"))
+    held = (run.path / DATA, *map(Path, collect.data))
+    kept = sum(1 for place in held for _ in (place / SEGMENTS).glob("*"))
     lines = [
         "# Model card: the policy that comes with wcsim",
         "It says of each joystick position how surely it ends badly; the nearest safe one is driven: `docs/danger.md`.",
@@ -78,8 +83,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
         "|---|---|",
         f"| trained in | {towns} (streets {manifest.town_sha256[:12]}) |",
         f"| users | {', '.join(collect.profiles)}; ataxic was never met |",
-        f"| data | {collect.rounds} rounds of {collect.segments} segments of {collect.ticks} ticks with "
-        f"{collect.chairs} chairs ({kept} segments kept), teacher {danger.teacher} |",
+        f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, teacher {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
@@ -87,14 +91,13 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
         f"| camera | {camera.width_px}x{camera.height_px}, {camera.hfov_deg:g} deg, noise {camera.noise}, "
         f"range {camera.range_m:g} m |",
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
-        f"| a step | {step_ms:.1f} ms on the machine that shipped it, one thread |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
         f"| code | {manifest.git_revision or 'unknown'} |",
         f"| settings | SHA-256 {manifest.config_sha256} |",
         "",
         "Made again by:",
         "",
-        f"    {shlex.join(manifest.command) or 'unknown'}",
+        *(f"    {command}" for command in commands(run)),
         "",
         "## What it was measured at",
         *table(rows),
@@ -104,6 +107,25 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]], step_ms: float) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def commands(run: RunFolder) -> list[str]:
+    """What was typed for the driving that it learned from, then for the run; no place of this machine is told."""
+    data = [open_run(Path(folder).parent).manifest.command for folder in run.config.collect.data]
+    typed = [[run_folder(word) for word in command] for command in (*data, run.manifest.command)]
+    return [shlex.join(words) or "unknown" for words in typed]
+
+
+def run_folder(word: str) -> str:
+    """An absolute path in a command, as one below `runs`; any other word as it is.
+
+    >>> [run_folder(word) for word in ("--seed", "/home/me/a", "/home/me/a/data")]
+    ['--seed', 'runs/a', 'runs/a/data']
+    """
+    path = Path(word)
+    if not path.is_absolute():
+        return word
+    return str(Path("runs", *(path.parts[-2:] if path.name == DATA else path.parts[-1:])))
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:
