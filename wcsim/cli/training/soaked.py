@@ -29,6 +29,7 @@ from wcsim.towns.scenario.town import Town
 PRESET = "dqn"
 SETTINGS = ("learn.replay_frames=5000", "learn.checkpoint_every=500", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay."""
+WARM_S = 60.0  # of a process that loads PyTorch, and fills its replay
 _ENDLESS = 10_000_000  # steps, of a soak that ends by the clock
 _CALM_SHARE = 0.1  # of a soak by the clock, without faults at its end
 
@@ -86,7 +87,7 @@ class _Watch:
     def __init__(self, order: LearnersOrder, progress: Callable[[float], object]) -> None:
         self._order, self._tell = order, progress
         self.faults = PlannedFaults(order.faults, self._progress)
-        self.growth = GrowthLog(order.folder)
+        self.growth = GrowthLog(order.folder, WARM_S)
         self.ticks_per_s = 0.0
         self._begun_s: float | None = None  # of the first tick
 
