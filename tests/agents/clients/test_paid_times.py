@@ -56,6 +56,7 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
 
 def test_what_is_no_such_file_is_refused_and_none_is_none(tmp_path):
     assert read_paid_times(tmp_path) is None
-    (tmp_path / WAITS).write_text("[]")
-    with pytest.raises(PolicyError, match="is damaged"):
-        PaidTimesLog(tmp_path)
+    for text in ("{", '{"clients": {}}', '{"clients": {"a": {"b": 1}}, "waited_s": {}}', "1"):
+        (tmp_path / WAITS).write_text(text)
+        with pytest.raises(PolicyError, match=WAITS):
+            PaidTimesLog(tmp_path)

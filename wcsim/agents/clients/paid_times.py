@@ -6,19 +6,18 @@ half second before it was killed is not in it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-import msgspec
-
+from wcsim.agents.runs.run_folder import read_json
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_bytes
 from wcsim.errors import PolicyError
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
 
 WAITS = "waits.json"
-_KIND = FileKind(what="what clients have waited for", limit_bytes=16 << 20, error=PolicyError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,13 +61,20 @@ class PaidTimes:
 
 def read_paid_times(run: Path) -> PaidTimes | None:
     """What a run folder holds of it; None for one that was made before. Raises PolicyError when it is damaged."""
-    path = run / WAITS
-    if not path.is_file():
+    if not (run / WAITS).is_file():
         return None
+    data = read_json(run, WAITS)
     try:
-        return msgspec.json.decode(read_bytes(path, _KIND), type=PaidTimes)
-    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise PolicyError(f"{path}: is damaged ({str(error)[:120]}); remove it, and it is counted anew") from None
+        clients = {name: PaidShares(**_seconds(shares)) for name, shares in data["clients"].items()}
+        return PaidTimes(clients=clients, waited_s={who: _seconds(row) for who, row in data["waited_s"].items()})
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(
+            f"{run / WAITS}: is damaged ({str(error)[:80]}); expected what a run has written: remove it to count anew"
+        ) from None
+
+
+def _seconds(row: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in row.items()}
 
 
 def shares_of(status: ClientStatus) -> PaidShares:

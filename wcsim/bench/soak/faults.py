@@ -74,7 +74,7 @@ class Chaos:
     def __init__(self, seed: int, until_s: float) -> None:
         """Go on until this time of the monotonic clock."""
         self._rng = seeding.generator(seed, "chaos")
-        self._until_s = until_s
+        self.until_s = until_s
         self._striker = Striker()
         self._base = (-1, -1)  # epoch and tick at the last fault
         self._due_s: float | None = None
@@ -88,7 +88,7 @@ class Chaos:
         """Do what is due now."""
         now_s = time.monotonic()
         self._striker.wake(now_s)
-        if state.stopping or now_s > self._until_s or state.world is None or state.world_standing != "running":
+        if state.stopping or now_s > self.until_s or state.world is None or state.world_standing != "running":
             return
         here = (state.world.epoch, state.world.tick)
         if self.faults and now_s - self.faults[-1].time_s < _TOLD_S:

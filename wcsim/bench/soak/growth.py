@@ -58,16 +58,17 @@ def t_quantile(freedom: int) -> float:
     return z + first + second + third
 
 
-def fitted(lives: Sequence[Sequence[tuple[float, float]]]) -> Slope:
+def fitted(lives: Sequence[Sequence[tuple[float, float]]], warm_s: float = WARM_S) -> Slope:
     """The slope of values over time that all lives share.
 
     Args:
-        lives: Of each life (time in s, value); the first `WARM_S` of each are left out.
+        lives: Of each life (time in s, value).
+        warm_s: The begin of each life that is left out.
     """
     times_h, values, freedom = [], [], -1
     most = max((value for life in lives for _, value in life), default=0.0)
     for life in lives:
-        blocks = _blocks(life)
+        blocks = _blocks(life, warm_s)
         if len(blocks) < 2:
             continue
         at_h, of = np.array(blocks).T
@@ -83,11 +84,11 @@ def fitted(lives: Sequence[Sequence[tuple[float, float]]]) -> Slope:
     return Slope(per_h=per_h, upper_per_h=per_h + t_quantile(freedom) * error, most=most)
 
 
-def _blocks(life: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def _blocks(life: Sequence[tuple[float, float]], warm_s: float) -> list[tuple[float, float]]:
     """Means over parts of a life."""
     if not life:
         return []
-    warm = [(t, v) for t, v in life if t >= life[0][0] + WARM_S]
+    warm = [(t, v) for t, v in life if t >= life[0][0] + warm_s]
     parts = np.array_split(np.array(warm).reshape(-1, 2), min(BLOCKS, max(1, len(warm))))
     return [(float(part[:, 0].mean()), float(part[:, 1].mean())) for part in parts if len(part)]
 
@@ -113,8 +114,8 @@ def predicted_s(points: Sequence[tuple[float, float]], at: float) -> float:
 class GrowthLog:
     """Samples of memory and disk, and which processes there were; `look` is called a few times a second."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, warm_s: float = WARM_S) -> None:
+        self._folder, self._warm_s = folder, warm_s
         self._seen: set[tuple[int, float]] = set()  # (pid, time of birth)
         self._memory: dict[tuple[str, int], list[tuple[float, float]]] = {}  # MB of each life
         self._disk: list[tuple[float, float]] = []  # MB
@@ -143,12 +144,12 @@ class GrowthLog:
         by_name: dict[str, list[list[tuple[float, float]]]] = {}
         for (who, _), life in self._memory.items():
             by_name.setdefault(who, []).append(life)
-        return {who: fitted(lives) for who, lives in by_name.items()}
+        return {who: fitted(lives, self._warm_s) for who, lives in by_name.items()}
 
     @property
     def disk(self) -> Slope:
         """MB of the run folder."""
-        return fitted([self._disk])
+        return fitted([self._disk], self._warm_s)
 
     def _sample(self, who: str, process: psutil.Process, now_s: float, ours: bool) -> None:
         self._memory.setdefault((who, process.pid), []).append((now_s, process.memory_info().rss / 1e6))

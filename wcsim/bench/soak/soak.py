@@ -7,6 +7,7 @@ which frame), their ledgers, and the world's journal.
 
 from __future__ import annotations
 
+import math
 import secrets
 import sys
 import time
@@ -79,8 +80,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         WcsimError: The town or the configuration cannot be used.
     """
     names = [f"c{seat}" for seat in range(order.clients)]
-    end_s = time.monotonic() + order.seconds
-    watch = _Watch(order, Chaos(order.seed, end_s - _calm_s(order.seconds)), end_s, progress)
+    watch = _Watch(order, progress)
     with workplace() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
@@ -170,16 +170,20 @@ def rejoin_s(fault: Fault, sights: dict[str, list[StubSight]]) -> float | None:
 class _Watch:
     """What happens while the launcher runs: faults, samples of memory, the end."""
 
-    def __init__(self, order: SoakOrder, chaos: Chaos, end_s: float, progress: Callable[[float], object]) -> None:
-        self.chaos, self.growth = chaos, GrowthLog(order.folder)
+    def __init__(self, order: SoakOrder, progress: Callable[[float], object]) -> None:
+        self.chaos, self.growth = Chaos(order.seed, math.inf), GrowthLog(order.folder)
         self.launcher: Launcher | None = None
         self.ticks_per_s = 0.0
-        self._end_s, self._seconds, self._progress = end_s, order.seconds, progress
+        self._end_s = math.inf  # known from the first tick on: a world may take its time to load
+        self._seconds, self._progress = order.seconds, progress
 
     def show(self, state: LaunchState) -> None:
         """Called a few times a second."""
         now_s = time.monotonic()
-        self._progress(min(self._seconds, self._seconds - (self._end_s - now_s)))
+        if self._end_s == math.inf and state.world is not None and state.world.ticks > 0:
+            self._end_s = now_s + self._seconds
+            self.chaos.until_s = self._end_s - _calm_s(self._seconds)
+        self._progress(max(0.0, min(self._seconds, self._seconds - (self._end_s - now_s))))
         self.chaos.act(state)
         self.growth.look(state, now_s)
         if state.world is not None and state.world.ticks_per_s > 0.0:

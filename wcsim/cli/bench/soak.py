@@ -22,9 +22,9 @@ from wcsim.towns.scenario.town import Town, find_town
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
     from wcsim.bench.soak.growth import LongRun, Slope
+    from wcsim.bench.soak.learners import LearnersFacts
     from wcsim.bench.soak.planned import FaultOrder
     from wcsim.bench.soak.soak import SoakFacts
-    from wcsim.cli.training.soaked import LearnersFacts
 
 _CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
 
@@ -100,7 +100,6 @@ def run(options: SoakOptions) -> int:
 def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
     """The same with learners."""
     from wcsim.bench.soak.planned import FaultOrder
-    from wcsim.cli.training.soaked import LearnersOrder, soak_learners
 
     struck = FaultOrder(
         kills=0 if options.twice else options.kills,
@@ -108,20 +107,7 @@ def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
         lease_s=10.0 if options.lease is None else options.lease,
         seed=options.seed,
     )
-    every = []
-    for number in range(1 + options.twice):
-        order = LearnersOrder(
-            networks=options.networks,
-            town=town,
-            folder=folder / f"run-{number + 1}",
-            faults=struck,
-            steps=options.steps if options.minutes is None else None,
-            seconds=60.0 * (options.minutes or 0.0),
-            slow=options.slow,
-            recovery=options.recovery,
-            settings=options.set,
-        )
-        every.append(soak_learners(order))
+    every = [_soaked(options, town, folder / f"run-{1 + k}", struck) for k in range(1 + options.twice)]
     results = [learners_result(facts) for facts in every]
     wrong = [key for facts in every for key in learners_faults(facts, struck)]
     if len({facts.journal_hash for facts in every}) > 1:
@@ -133,9 +119,44 @@ def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
     return Exit.FAILED if wrong else Exit.DONE
 
 
+def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) -> LearnersFacts:
+    """One run of the learners, as `wcsim train --clients` would do it."""
+    from wcsim.agents.clients.group_run import GroupRun
+    from wcsim.bench.soak.learners import ENDLESS, SETTINGS, LearnersOrder, slowed, soak_learners
+    from wcsim.cli.shared.run_config import in_town
+    from wcsim.cli.training.clients import resolved, train_clients
+    from wcsim.cli.training.train import Options
+    from wcsim.server.specs import RunInfo
+
+    order = LearnersOrder(
+        folder=folder,
+        faults=struck,
+        steps=options.steps if options.minutes is None else None,
+        seconds=60.0 * (options.minutes or 0.0),
+        recovery=options.recovery,
+    )
+    trained = Options(
+        town=town.address,
+        preset="dqn",
+        clients=options.networks,
+        steps=order.steps or ENDLESS,
+        set=(*SETTINGS, *options.set),
+        lease=struck.lease_s,
+        recovery=options.recovery,
+        seed=options.seed,
+        out=folder,
+        json=folder.with_name(f"{folder.name}.json"),
+    )
+    *clients, last = resolved(trained)
+    info = in_town(RunInfo(seed=options.seed, command=("wcsim", "bench", "soak")), town, last.config)
+    run = GroupRun(clients=(*clients, slowed(last, options.slow)), out=folder, info=info)
+    told = folder.with_name(f"{folder.name}.json")
+    return soak_learners(order, run, told, lambda watch: train_clients(trained, run, town, watch))
+
+
 def learners_result(facts: LearnersFacts) -> dict[str, int | float | str | None]:
     """The keys of a run in the JSON file."""
-    from wcsim.cli.training.soaked import p99
+    from wcsim.bench.soak.learners import p99
 
     return {
         "ticks": facts.ticks,

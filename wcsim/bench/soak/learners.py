@@ -18,35 +18,25 @@ from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
 from wcsim.bench.soak.faults import WORLD
 from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predicted_s
 from wcsim.bench.soak.planned import FaultOrder, PlannedFaults, Recovered
-from wcsim.cli.shared.run_config import in_town
-from wcsim.cli.training.clients import resolved, train_clients
-from wcsim.cli.training.train import Options
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.states import LaunchState
-from wcsim.server.specs import Recovery, RunInfo
-from wcsim.towns.scenario.town import Town
+from wcsim.server.specs import Recovery
 
-PRESET = "dqn"
 SETTINGS = ("learn.replay_frames=5000", "learn.checkpoint_every=500", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay."""
-_ENDLESS = 10_000_000  # steps, of a soak that ends by the clock
-_CALM_SHARE = 0.1  # of a soak by the clock, without faults at its end
+WARM_S = 60.0  # of a process that loads PyTorch, and fills its replay
+ENDLESS = 10_000_000  # steps, of a soak that ends by the clock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnersOrder:
     """What to soak."""
 
-    networks: str  # joined by commas
-    town: Town
     folder: Path  # where the run goes, which must not exist
     faults: FaultOrder
     steps: int | None = None  # of each; None: until `seconds` are over
     seconds: float = 0.0
-    slow: int = 1  # the last client does so many times the updates of the others
     recovery: Recovery = "new_epoch"
-    settings: tuple[str, ...] = ()
-    preset: str = PRESET
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +76,7 @@ class _Watch:
     def __init__(self, order: LearnersOrder, progress: Callable[[float], object]) -> None:
         self._order, self._tell = order, progress
         self.faults = PlannedFaults(order.faults, self._progress)
-        self.growth = GrowthLog(order.folder)
+        self.growth = GrowthLog(order.folder, WARM_S)
         self.ticks_per_s = 0.0
         self._begun_s: float | None = None  # of the first tick
 
@@ -110,16 +100,28 @@ class _Watch:
         return spent_s / self._order.seconds
 
 
-def soak_learners(order: LearnersOrder, progress: Callable[[float], object] = lambda share: None) -> LearnersFacts:
-    """Run it; `progress` hears of the share that is over.
+def soak_learners(
+    order: LearnersOrder,
+    run: GroupRun,
+    told: Path,
+    train: Callable[[Callable[[LaunchState], bool]], int],
+    progress: Callable[[float], object] = lambda share: None,
+) -> LearnersFacts:
+    """Run it.
+
+    Args:
+        order: What to soak.
+        run: The learners.
+        told: Where `train` leaves its result, a JSON file.
+        train: Trains them; tells what it is given how things are, and stops when that says True. Returns the exit code.
+        progress: Hears of the share that is over.
 
     Raises:
         WcsimError: The networks, the town or the settings cannot be used.
     """
-    watch, told = _Watch(order, progress), order.folder.with_name(f"{order.folder.name}.json")
-    options, run = _run_of(order, told)
+    watch = _Watch(order, progress)
     try:
-        code = train_clients(options, run, order.town, watch.look)
+        code = train(watch.look)
     except InterruptedRunError:  # by the clock; by a signal, too: then faults are missing
         code = 0
     finally:
@@ -146,27 +148,8 @@ def soak_learners(order: LearnersOrder, progress: Callable[[float], object] = la
     )
 
 
-def _run_of(order: LearnersOrder, told: Path) -> tuple[Options, GroupRun]:
-    """The options and the run that `wcsim train --clients` would make of it."""
-    options = Options(
-        town=order.town.address,
-        preset=order.preset,
-        clients=order.networks,
-        steps=order.steps or _ENDLESS,
-        set=(*SETTINGS, *order.settings),
-        lease=order.faults.lease_s,
-        recovery=order.recovery,
-        seed=order.faults.seed,
-        out=order.folder,
-        json=told,
-    )
-    *clients, last = resolved(options)
-    clients.append(_slowed(last, order.slow))
-    info = in_town(RunInfo(seed=options.seed, command=("wcsim", "bench", "soak")), order.town, last.config)
-    return options, GroupRun(clients=tuple(clients), out=order.folder, info=info)
-
-
-def _slowed(client: Client, times: int) -> Client:
+def slowed(client: Client, times: int) -> Client:
+    """The same client with so many times the updates in a step."""
     learn = client.config.learn
     learn = learn.model_copy(update={"gradient_steps": times * learn.gradient_steps})
     return replace(client, config=client.config.model_copy(update={"learn": learn}))
