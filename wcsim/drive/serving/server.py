@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from multiprocessing import get_context
@@ -60,7 +61,8 @@ class _Process(Closing):
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=run_drive, args=(theirs, start), daemon=True, name="wcsim-drive")
-        self._process.start()
+        with _no_interrupts():  # Ctrl-C is for this process, which ends that one
+            self._process.start()
         theirs.close()
         self._words, self._some = Words(), threading.Event()
         self._over = False
@@ -96,6 +98,19 @@ class _Process(Closing):
                 self._some.clear()
                 for message in self._words.take():
                     self._pipe.send_bytes(m.written(message))
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """While open, a process that is started is one that SIGINT does not reach, from its first line on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
