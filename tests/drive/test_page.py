@@ -24,7 +24,7 @@ navigator.getGamepads = () => [window.fakePad];
 """
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.timeout(900),
+    pytest.mark.timeout(1800),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
 ]
 Served = tuple[str, subprocess.Popen[str]]

@@ -297,7 +297,4 @@ class _Teller:
 
 def run_drive(pipe: Connection, start: DriveStart) -> None:
     """What the drive's process does."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server's process ends this one
     DriveRunner(pipe, start).run()

@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 
 from tests.drive.serving.served import FakePage, served
 
+pytestmark = pytest.mark.timeout(900)  # a busy machine opens a street in minutes
 Served = tuple[str, subprocess.Popen[str]]
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from multiprocessing import get_context
@@ -26,6 +27,7 @@ from wcsim.drive.places import DriveStart
 from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
+from wcsim.drive.serving.words import Words
 from wcsim.errors import ConfigError, ProtocolError
 
 log = logging.getLogger("wcsim.drive")
@@ -33,7 +35,7 @@ PAGE: Final = Path(__file__).parents[1] / "page"
 SOCKET: Final = "/socket"
 _KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MOST_PAGES: Final = 8
-_PING_S: Final = 5.0
+_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
 _MOST_REFUSED: Final = 20  # messages of a page that are no messages
 _END_S: Final = 10.0
 
@@ -49,32 +51,66 @@ class ServeOrder:
 
 
 class _Process(Closing):
-    """The drive's process, and a thread that listens to it."""
+    """The drive's process, a thread that listens to it, and one that speaks to it.
+
+    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, and of sticks and
+    calls for pictures that were not heard yet the newest alone is kept.
+    """
 
     def __init__(self, start: DriveStart, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=run_drive, args=(theirs, start), daemon=True, name="wcsim-drive")
-        self._process.start()
+        with _no_interrupts():  # Ctrl-C is for this process, which ends that one
+            self._process.start()
         theirs.close()
-        self._thread = threading.Thread(target=_listen, args=(self._pipe, hear, ended), daemon=True)
-        self._thread.start()
+        self._words, self._some = Words(), threading.Event()
+        self._over = False
+        self._threads = (
+            threading.Thread(target=_listen, args=(self._pipe, hear, ended), daemon=True),
+            threading.Thread(target=self._speak, daemon=True),
+        )
+        for thread in self._threads:
+            thread.start()
 
-    def send(self, data: bytes) -> None:
-        """Say something to the drive; nothing happens when it has ended."""
-        with contextlib.suppress(OSError):
-            self._pipe.send_bytes(data)
+    def send(self, message: m.PageMessage) -> None:
+        """Say something to the drive, as soon as it hears; nothing happens when it has ended."""
+        self._words.put(message)
+        self._some.set()
 
     def close(self) -> None:
         """End the drive; one that does not end is killed."""
-        if self._process.is_alive():
-            self.send(m.written(m.End()))
-            self._process.join(_END_S)
+        self.send(m.End())
+        self._process.join(_END_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self._thread.join(_END_S)
+        self._over = True
+        self._some.set()
+        for thread in self._threads:
+            thread.join(_END_S)
         self._pipe.close()
+
+    def _speak(self) -> None:
+        with contextlib.suppress(OSError):
+            while not self._over:
+                self._some.wait()
+                self._some.clear()
+                for message in self._words.take():
+                    self._pipe.send_bytes(m.written(message))
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """While open, a process that is started is one that SIGINT does not reach, from its first line on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
@@ -234,7 +270,7 @@ class DriveServer:
 
     def _send(self, message: m.PageMessage) -> None:
         if self._process is not None:
-            self._process.send(m.written(message))
+            self._process.send(message)
 
 
 def _file(data: bytes, kind: str, host: str) -> Response:

@@ -1,0 +1,35 @@
+"""What waits to be said to a drive that does not hear yet: bounded, and of what repeats the newest alone."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Final
+
+from wcsim.drive import messages as m
+
+_MOST: Final = 256
+_REPEATS: Final = (m.Stick, m.Ready, m.View)
+
+
+class Words:
+    """Messages in order; one of a kind that repeats takes the place of the one before, at the end."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting = deque[m.PageMessage](maxlen=_MOST)
+
+    def put(self, message: m.PageMessage) -> None:
+        """Say this too."""
+        with self._lock:
+            if isinstance(message, _REPEATS):
+                for before in [each for each in self._waiting if type(each) is type(message)]:
+                    self._waiting.remove(before)
+            self._waiting.append(message)
+
+    def take(self) -> list[m.PageMessage]:
+        """All that waits; nothing waits then."""
+        with self._lock:
+            said = list(self._waiting)
+            self._waiting.clear()
+        return said
