@@ -34,12 +34,12 @@ from tests.attack.scenarios.twists import (
 from wcsim.agents.envs.env_spec import make_face
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
 from wcsim.bridge.recording.fcd import write_fcd
-from wcsim.bridge.recording.framing import framed, whole_records
 from wcsim.bridge.recording.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
 from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
+from wcsim.core.framing import framed, whole_records
 from wcsim.errors import WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.framing import chained, last_crc
-from wcsim.bridge.recording.framing import framed
+from wcsim.core.framing import framed
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.server.journal.diff import journal_difference
 from wcsim.server.journal.journal import (

@@ -9,7 +9,7 @@ import pytest
 
 from tests.server.journal.test_journal import FIRST, HEADER, RECORDS, tick, write
 from tests.support.framing import pieces, record_ends
-from wcsim.bridge.recording.framing import framed
+from wcsim.core.framing import framed
 from wcsim.errors import JournalError
 from wcsim.server.journal.journal import JournalWriter, iter_journal, journal_digest, read_header, read_journal
 from wcsim.server.journal.records import record_bytes

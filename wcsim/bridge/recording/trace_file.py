@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.bridge.recording.framing import torn_bytes, whole_records
 from wcsim.bridge.recording.trace import MAGIC, ActorBody, TickRecord, TraceHeader
+from wcsim.core.framing import torn_bytes, whole_records
 from wcsim.core.reading import FileKind, opened, parse_json, shown
 from wcsim.errors import JournalError
 from wcsim.types import ActorKind

@@ -18,8 +18,8 @@ from io import FileIO
 from pathlib import Path
 from typing import Self
 
-from wcsim.bridge.recording.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
 from wcsim.core.closing import Closing
+from wcsim.core.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
 from wcsim.server.journal.records import Admitted as Admitted
