@@ -39,13 +39,13 @@ from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
 from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
-from wcsim.core.framing import framed, whole_records
 from wcsim.errors import WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
 from wcsim.users.recorded import COLUMNS, find_user, read_recording
+from wcsim.users.recording.framing import framed, whole_records
 
 RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),

@@ -27,10 +27,10 @@ from wcsim.cli.shared.overrides import print_overrides
 from wcsim.config import TownFile, load_run_config, read_toml
 from wcsim.config.plant import read_plant
 from wcsim.config.scene import SceneFile
-from wcsim.core.framing import framed
 from wcsim.errors import ConfigError, JournalError, PolicyError
 from wcsim.towns.scenario.overrides import Override
 from wcsim.users.recorded import find_user
+from wcsim.users.recording.framing import framed
 
 TOML_BOMBS = {
     "nesting": "a=" + "[" * 5000,

@@ -12,6 +12,7 @@ from tests.support.worlds import open_world, quick_config
 from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.bridge.drives.record_user import Given, UserDriveOrder, drawn_user, record_user, seat_tick
 from wcsim.bridge.drives.remake import verify_drive
+from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town
@@ -107,3 +108,26 @@ def replace_ticks(drive, changed):
 
 def replace_header(drive, **changes):
     return replace(drive, header=replace(drive.header, **changes))
+
+
+def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner, tmp_path):
+    """A user of the model, whose intents are known, stands for the person; both know the same street."""
+    user = replace(drawn_user(profile("competent"), 3), noise=0.0)
+    config = quick_config("world.demand_scale=0")
+    order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=120, seed=4)
+    record_user(order, tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
+    hidden = replace(drive, ticks=tuple(replace(tick, intent=None) for tick in drive.ticks))
+    seen = seen_drive(hidden)
+    assert len(seen.views) == 120
+    made = with_shadow(seen, user)
+    assert made.knows_intents and not hidden.knows_intents
+    assert np.median(gaps(made, drive)) < 1e-6
+    late = with_shadow(seen, replace(user, reaction_s=0.9))
+    assert np.median(gaps(late, drive)) > 1e-4
+
+
+def gaps(one, other):
+    """How far the intents of two drives lie apart, tick by tick."""
+    pairs = ((a.intent, b.intent) for a, b in zip(one.ticks, other.ticks, strict=True))
+    return [np.hypot(a.x - b.x, a.y - b.y) for a, b in pairs]

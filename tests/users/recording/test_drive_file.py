@@ -15,13 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.users.recording.drives import drive_header, tick, write_drive
-from wcsim.core.framing import framed, whole_records
 from wcsim.errors import ConfigError, JournalError, WcsimError
 from wcsim.types import Joystick, StartSpec
 from wcsim.users.recording.drive_bytes import header_payload, tick_of, tick_payload
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DRIVE_MAGIC, RecordedEvent
+from wcsim.users.recording.framing import framed, whole_records
 
 FLAGS = ("warning", "intervening", "overruled", "helped", "arrived", "gave_up", "crashed", "truncated")
 UNIT = st.floats(-1.0, 1.0)

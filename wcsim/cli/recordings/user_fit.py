@@ -18,7 +18,7 @@ from wcsim.users.profile_file import profile_text
 from wcsim.users.profiles import UserProfile, profile
 
 if TYPE_CHECKING:  # loads what --help must not
-    from wcsim.users.fitting.user_fit import UserFit
+    from wcsim.users.fitting.fit_user import UserFit
     from wcsim.users.recording.drive_types import DriveRecording
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -59,7 +59,9 @@ def run(options: UserFitOptions) -> int:
     _print(fit)
     print(f"wrote {options.out}; try it: wcsim test --profile {options.out}")
     if options.json is not None:
-        told = {name: asdict(item) | {"told": item.told(name)} for name, item in fit.estimates.items()}
+        from wcsim.users.fitting.fit_user import is_told
+
+        told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
         write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
     return 0
 
@@ -70,7 +72,7 @@ def base_name(path: Path) -> str:
 
 
 def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
-    from wcsim.users.fitting.user_fit import fit_user
+    from wcsim.users.fitting.fit_user import fit_user
 
     return fit_user(drives, base)
 
@@ -78,10 +80,10 @@ def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
     from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-    from wcsim.users.fitting.user_fit import fit_user
+    from wcsim.users.fitting.fit_user import fit_user
 
     print("making the drives again, to see what their person saw", file=sys.stderr)
-    seen = [seen_drive(drive) for drive in drives]
+    seen = [seen_drive(drive) for drive in drives if drive.ticks]
     user = base
     for number in range(1, _ROUNDS + 1):
         fit = fit_user([with_shadow(item, user) for item in seen], base, wanted=False)
@@ -100,9 +102,11 @@ def _notes(fit: UserFit) -> dict[str, str]:
 
 
 def _print(fit: UserFit) -> None:
+    from wcsim.users.fitting.fit_user import is_told
+
     table = Table("number", "fitted", "95 % from", "to", "", box=box.SIMPLE_HEAD)
     for name, item in fit.estimates.items():
-        told = "" if item.told(name) else "not told to 15 %"
+        told = "" if is_told(name, item) else "not told to 15 %"
         table.add_row(name, f"{item.value:.3g}", f"{item.low:.3g}", f"{item.high:.3g}", told)
     Console().print(table)
     for line in fit.warnings:

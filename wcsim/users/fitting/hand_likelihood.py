@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.types import F64, Bool
-from wcsim.users.fitting.block_newton import certainty, least
+from wcsim.users.fitting.block_newton import Summands, certainty, least
 from wcsim.users.fitting.hand_kernels import surprises, wish_on_its_way
 from wcsim.users.fitting.hand_series import HandSeries
 from wcsim.users.hand import TREMOR_WANDER, TREMOR_WANDER_S
@@ -22,9 +22,11 @@ BLOCK_S = 10.0  # stretches that are taken for strangers to each other
 _STRETCH_S = 1.0  # whose slopes say how the likelihood bends
 _DELAYS_S = np.arange(0.05, 1.31, 0.05)
 _LAGS_S = (0.06, 0.12, 0.25, 0.45)
-_GUESSED_NOISE, _GUESSED_RATE = 0.05, 3.0
+_LEAST_NOISE, _GUESSED_RATE = 0.02, 3.0  # to begin with
+_MEAN_SWING = 0.3125  # square of a tremor of amplitude 1, mean over time and both axes
 _TREMOR_BAND_HZ, _BAND_OF_RATE = (2.5, 12.0), 0.45
 _SURE = 12.0  # so much more probable, as a logarithm, must the hand be with a tremor than without
+_LEAST_TREMOR = 0.01  # of the stick's travel: less than this is none
 _LEAST_COUNTED = 0.05  # of the samples
 _KEPT = 12
 NAMES = ("reaction_s", "lag_s", "gain_x", "gain_y", "bias_x", "bias_y", "noise", "noise_rate", "tremor", "tremor_hz")
@@ -51,14 +53,14 @@ def fit_law(series: Sequence[HandSeries]) -> HandLaw:
         series: Episodes of one person, at least one, sampled alike.
     """
     guess = _guess(series)
-    plain = _Likelihood(series, guess[:8])
-    calm = least(plain, guess[:8], np.array(_STEPS[:8]))
-    shaking = _Likelihood(series, guess)
-    shaken = least(shaking, np.r_[calm[:6], guess[6:]], np.array(_STEPS))
-    gained = float(plain.on(shaking.counted, calm).sum() - shaking(shaken).sum())
-    here = shaken if gained > _SURE else calm
-    blocks = _Likelihood(series, here)  # which samples stay clear of the gate is told by the law itself
-    here = least(blocks, here, np.array(_STEPS[: len(here)]))
+    blocks = _Likelihood(series, guess)
+    calm = least(blocks, _likeliest(blocks, guess[:8]), np.array(_STEPS[:8]))
+    shaken = least(blocks, _likeliest(blocks, guess), np.array(_STEPS))
+    gained = float(blocks(calm).sum() - blocks(shaken).sum())
+    here = shaken if gained > _SURE and shaken[8] > math.log(_LEAST_TREMOR) else calm
+    for _ in range(2):  # which samples stay clear of the gate is told by the law itself
+        blocks = _Likelihood(series, here)
+        here = least(blocks, here, np.array(_STEPS[: len(here)]))
     spread = certainty(blocks, here, np.array(_STEPS[: len(here)]), blocks.together)
     values = _values(here, series[0].filter_s)
     sd = dict(zip(NAMES, np.sqrt(np.maximum(np.diag(spread), 0.0)).tolist(), strict=False))
@@ -94,15 +96,9 @@ class _Likelihood:
         ]
 
     def __call__(self, place: F64) -> F64:
-        return self.on(self.counted, place)
-
-    def on(self, counted: list[Bool], place: F64) -> F64:
-        """The same over other samples."""
-        self.counted, before = counted, self.counted
         sums = np.zeros(self._count)
         for block, part in zip(self._blocks, self._parts(place), strict=True):
             sums += np.bincount(block, part, self._count)
-        self.counted = before
         return sums
 
     def _parts(self, place: F64) -> list[F64]:
@@ -163,6 +159,19 @@ def _values(place: F64, filter_s: float) -> dict[str, float]:
     return law
 
 
+def _likeliest(summands: Summands, guess: F64) -> F64:
+    """The likeliest of a guess and of a faithful hand with each delay and lag of the lattice.
+
+    A tremor moves the chair, and what is wanted answers to it: a line through both is no place to begin then.
+    """
+    starts = [guess]
+    for lag_s in _LAGS_S:
+        for delay_s in _DELAYS_S.tolist():
+            starts.append(np.r_[delay_s, math.log(lag_s), 1.0, 1.0, 0.0, 0.0, guess[6:]])
+    sums = [float(summands(start).sum()) for start in starts]
+    return starts[int(np.argmin(sums))]
+
+
 def _guess(series: Sequence[HandSeries]) -> F64:
     """Where to begin (10,): the best line over a lattice of delays and lags, the strongest swing for a tremor."""
     best, found = math.inf, (0.4, 0.15, np.ones(2), np.zeros(2))
@@ -180,7 +189,10 @@ def _guess(series: Sequence[HandSeries]) -> F64:
                 best, found = error, (delay_s, lag_s, gain, (y.mean(axis=0) - gain * x.mean(axis=0)) / (1.0 - keep))
     delay_s, lag_s, gain, bias = found
     amplitude, hz = _swing(series)
-    start = (delay_s, lag_s, *gain.tolist(), *bias.tolist(), _GUESSED_NOISE, _GUESSED_RATE, amplitude, hz)
+    turn = math.tau * hz * series[0].apart_s
+    shaken = _MEAN_SWING * amplitude**2 * (1.0 + keep * keep - 2.0 * keep * math.cos(turn))
+    noise = math.sqrt(max(best - shaken, 0.0) / (1.0 - keep * keep) + _LEAST_NOISE**2)
+    start = (delay_s, lag_s, *gain.tolist(), *bias.tolist(), noise, _GUESSED_RATE, amplitude, hz)
     bounded = np.clip(start, np.array(_LOW) + 1e-3, _HIGH)
     return np.array([_fitted(name, float(value)) for name, value in zip(NAMES, bounded, strict=True)])
 

@@ -63,7 +63,8 @@ def _middle(values: F64, wrong: F64) -> tuple[float, float, float]:
     """The middle of the values that fit best, and the least and the most that fit nearly as well."""
     best = values[wrong <= wrong.min()]
     fits = values[wrong <= wrong.min() + _AS_GOOD]
-    return float(best.mean()), float(fits.min()), float(fits.max())
+    half_s = 0.5 * float(values[1] - values[0])
+    return float(best.mean()), max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
 
 
 def _wrong(series: Sequence[HandSeries], user: UserProfile) -> float:

@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from wcsim.core.framing import torn_bytes, whole_records
 from wcsim.core.reading import opened, shown
 from wcsim.errors import FileError, JournalError
 from wcsim.users.recording.drive_bytes import DRIVE_FILE, header_of_drive, is_drive_header, part_of_drive
 from wcsim.users.recording.drive_types import DriveHeader, DriveRecording, RecordedEvent, RecordedTick
+from wcsim.users.recording.framing import torn_bytes, whole_records
 
 _MOST_RECORDS = 1_000_000  # a day of ten ticks a second
 _MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed: drives come to less than 2

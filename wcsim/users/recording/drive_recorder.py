@@ -7,11 +7,11 @@ from io import FileIO
 from pathlib import Path
 
 from wcsim.core.closing import Closing
-from wcsim.core.framing import crc_of, framed
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.users.recording.drive_bytes import event_payload, header_payload, tick_payload
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
+from wcsim.users.recording.framing import crc_of, framed
 
 
 class DriveRecorder(Closing):

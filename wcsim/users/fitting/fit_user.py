@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from wcsim.config import RunConfig, parse_json
-from wcsim.core import seeding
-from wcsim.core.joystick import pushed
 from wcsim.errors import ConfigError
-from wcsim.types import F64
-from wcsim.users.fitting.habits import correction_s, pauses
+from wcsim.users.fitting.habit_fit import Estimate, looks, usual_speed
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
 from wcsim.users.fitting.switch_fit import by_switches, fit_switches
@@ -26,9 +20,7 @@ WIDEST = 0.15  # half an interval against its value: wider is not told well
 _FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "noise": 0.003, "away_share": 0.05}
 _SHORT_S = 180.0  # a drive that says little
 _SD = 1.96  # of an interval of 95 %
-_RESAMPLED, _FEWEST_BLOCKS = 400, 6
-_USUAL_SPEED = 0.9  # quantile
-_RARE_SHARE = 0.02  # of looks elsewhere that are none
+_FEWEST_BLOCKS = 6
 _PAIRS = ("gain", "bias")
 _LOGS = ("lag_s", "noise", "noise_rate", "tremor")
 _MORE = {
@@ -40,17 +32,9 @@ _MORE = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
-    """A number of a user, its interval of 95 %, and whether the drives tell it well."""
-
-    value: float
-    low: float
-    high: float
-
-    def told(self, name: str) -> bool:
-        """Whether half the interval is less than 15 % of the value, or than what does not matter."""
-        return 0.5 * (self.high - self.low) <= max(WIDEST * abs(self.value), _FLOORS.get(name, 0.0))
+def is_told(name: str, estimate: Estimate) -> bool:
+    """Whether half the interval is less than 15 % of the value, or than what does not matter."""
+    return 0.5 * (estimate.high - estimate.low) <= max(WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +68,8 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
     seconds = sum(len(item.intents) * item.tick_s for item in series)
     switched = by_switches(series)
     found = _of_switches(series, base) if switched else _of_hand(fit_law(series))
-    found |= _of_speed(drives, found)
-    found |= _of_looks(series) if wanted else {}
+    found |= {"speed_share": usual_speed(drives, series, found, wanted)}
+    found |= looks(series) if wanted and not switched else {}
     profile = replace(base, discrete=switched, spread=0.0, **_numbers(found, switched))
     return UserFit(
         profile=profile, estimates=found, seconds=seconds, warnings=_warnings(found, seconds, series, wanted)
@@ -109,65 +93,6 @@ def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, E
     law = fit_switches(series, base)
     both = {"reaction_s": law.reaction_s, "hold_s": law.hold_s}
     return {name: Estimate(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
-
-
-def _of_speed(drives: Sequence[DriveRecording], found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """The usual speed, as a share of the chair's, at the gain of this hand."""
-    speeds: list[float] = []
-    blocks: list[int] = []
-    at = 0.0
-    chair = parse_json(RunConfig, drives[0].header.config, "the configuration in the drive").chair
-    for drive in drives:
-        speeds += [tick.speed_mps for tick in drive.ticks]
-        blocks += [int((at + tick.time_s) / BLOCK_S) for tick in drive.ticks]
-        at += math.ceil(len(drive.ticks) * drive.header.tick_s / BLOCK_S) * BLOCK_S
-    gain = found["gain_y"].value if "gain_y" in found else 1.0
-
-    def share(rows: F64) -> float:
-        driven = min(1.0, max(0.0, float(np.quantile(rows[:, 0], _USUAL_SPEED)) / chair.v_max_mps))
-        asked = max(0.0, pushed(driven, chair) / max(gain, 0.05) - chair.deadband) / (1.0 - chair.deadband)
-        return min(1.0, max(0.05, float(asked**chair.shape_exponent)))
-
-    return {"speed_share": _resampled(np.array(speeds)[:, None], np.array(blocks), share)}
-
-
-def _of_looks(series: Sequence[HandSeries]) -> dict[str, Estimate]:
-    """Looks elsewhere and single corrections, by how intents stand still."""
-    found: dict[str, Estimate] = {}
-    rows: list[tuple[float, ...]] = []
-    blocks: list[int] = []
-    for item in series:
-        ticks = max(1, round(BLOCK_S / item.tick_s))
-        for start in range(0, len(item.intents), ticks):
-            part = item.intents[start : start + ticks + 1]
-            gap_s = correction_s(part, item.tick_s)
-            seen = pauses(part)
-            rows.append((seen.still, seen.driven, seen.ended, gap_s or 0.0, gap_s is not None))
-            blocks.append(len(blocks))
-    table, numbers = np.array(rows, np.float64), np.array(blocks)
-    gaps = table[table[:, 4] > 0.0, 3]
-    tick_s = series[0].tick_s
-    if len(gaps) and float(np.median(gaps)) > 2.0 * tick_s:
-        found["correct_every_s"] = _resampled(table, numbers, lambda t: float(t[:, 3].sum() / max(1.0, t[:, 4].sum())))
-        return found  # between two corrections an intent stands still as in a look elsewhere
-    found["away_share"] = _resampled(table, numbers, lambda t: float(t[:, 0].sum() / max(1.0, t[:, 1].sum())))
-    if found["away_share"].value < _RARE_SHARE:
-        found["away_share"] = replace(found["away_share"], value=0.0, low=0.0)
-    else:
-        found["away_s"] = _resampled(table, numbers, lambda t: tick_s * float(t[:, 0].sum() / max(1.0, t[:, 2].sum())))
-    return found
-
-
-def _resampled(rows: F64, blocks: np.typing.NDArray[np.intp], value: Callable[[F64], float]) -> Estimate:
-    """A number of rows (n, k), and its interval by drawing their blocks (n,) anew."""
-    rng = seeding.generator(0, "blocks drawn anew")
-    parts = [rows[blocks == block] for block in np.unique(blocks)]
-    drawn = [
-        value(np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts)).tolist()]))
-        for _ in range(_RESAMPLED)
-    ]
-    low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
-    return Estimate(value=value(rows), low=low, high=high)
 
 
 def _numbers(found: dict[str, Estimate], switched: bool) -> dict[str, Any]:
@@ -204,7 +129,7 @@ def _warnings(
             f"the stick was recorded every {series[0].apart_s:g} s: a tremor above {fastest_hz:g} Hz looks slower"
         )
     for name, item in found.items():
-        if not item.told(name):
+        if not is_told(name, item):
             more = _MORE.get(name, "drive longer")
             told.append(
                 f"{name} is not told to 15 %: {item.value:.3g}, between {item.low:.3g} and {item.high:.3g}; {more}"
