@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from wcsim.errors import ConfigError
-from wcsim.users.fitting.habit_fit import Estimate, looks, usual_speed
+from wcsim.users.fitting.habit_fit import FittedNumber, looks, usual_speed
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
 from wcsim.users.fitting.switch_fit import by_switches, fit_switches
@@ -32,7 +32,7 @@ _MORE = {
 }
 
 
-def is_told(name: str, estimate: Estimate) -> bool:
+def is_told(name: str, estimate: FittedNumber) -> bool:
     """Whether half the interval is less than 15 % of the value, or than what does not matter."""
     return 0.5 * (estimate.high - estimate.low) <= max(WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
 
@@ -42,7 +42,7 @@ class UserFit:
     """What drives say of their user."""
 
     profile: UserProfile
-    estimates: dict[str, Estimate]  # gain and bias as gain_x, gain_y, bias_x, bias_y
+    estimates: dict[str, FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
     seconds: float  # driven
     warnings: tuple[str, ...]
 
@@ -68,34 +68,34 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
     seconds = sum(len(item.intents) * item.tick_s for item in series)
     switched = by_switches(series)
     found = _of_switches(series, base) if switched else _of_hand(fit_law(series))
-    found |= {"speed_share": usual_speed(drives, series, found, wanted)}
     found |= looks(series) if wanted and not switched else {}
+    found |= {"speed_share": usual_speed(drives, series, found, wanted)}
     profile = replace(base, discrete=switched, spread=0.0, **_numbers(found, switched))
     return UserFit(
         profile=profile, estimates=found, seconds=seconds, warnings=_warnings(found, seconds, series, wanted)
     )
 
 
-def _of_hand(law: HandLaw) -> dict[str, Estimate]:
+def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
     found = {}
     for name, sd in law.sd.items():
         value = law.values[name]
         if name in _LOGS:
-            found[name] = Estimate(value=value, low=value * math.exp(-_SD * sd), high=value * math.exp(_SD * sd))
+            found[name] = FittedNumber(value=value, low=value * math.exp(-_SD * sd), high=value * math.exp(_SD * sd))
         else:
-            found[name] = Estimate(value=value, low=value - _SD * sd, high=value + _SD * sd)
+            found[name] = FittedNumber(value=value, low=value - _SD * sd, high=value + _SD * sd)
     if "tremor" not in found:
-        found["tremor"] = Estimate(value=0.0, low=0.0, high=law.tremor_most)
+        found["tremor"] = FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
     return found
 
 
-def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, Estimate]:
+def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, FittedNumber]:
     law = fit_switches(series, base)
     both = {"reaction_s": law.reaction_s, "hold_s": law.hold_s}
-    return {name: Estimate(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
+    return {name: FittedNumber(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
 
 
-def _numbers(found: dict[str, Estimate], switched: bool) -> dict[str, Any]:
+def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they tell."""
     plain = {
         name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in _PAIRS
@@ -114,7 +114,7 @@ def _bounded(name: str, value: float) -> float:
 
 
 def _warnings(
-    found: dict[str, Estimate], seconds: float, series: Sequence[HandSeries], wanted: bool
+    found: dict[str, FittedNumber], seconds: float, series: Sequence[HandSeries], wanted: bool
 ) -> tuple[str, ...]:
     told = []
     if seconds < _SHORT_S:

@@ -17,7 +17,7 @@ from wcsim.users.fitting.hand_series import HandSeries
 from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
 from wcsim.users.recording.drive_types import DriveRecording
 
-_RESAMPLED = 400
+_RESAMPLED, _SD = 400, 1.96
 _USUAL_SPEED = 0.9  # quantile
 _SMOOTH_S = 1.0
 _LOOK_S = 0.5  # an intent that stands still for less may do so by chance
@@ -26,7 +26,7 @@ _ON_ITS_WAY = 2.0  # ticks: corrections as near to each other are no single ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class FittedNumber:
     """A number of a user, and its interval of 95 %."""
 
     value: float
@@ -35,8 +35,8 @@ class Estimate:
 
 
 def usual_speed(
-    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, Estimate], wanted: bool
-) -> Estimate:
+    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, FittedNumber], wanted: bool
+) -> FittedNumber:
     """The usual speed as a share of the chair's: what the stick, without this hand's gain and bias, asks for at most.
 
     Args:
@@ -52,13 +52,15 @@ def usual_speed(
 
     def share(parts: F64) -> float:
         pushed = float(np.quantile(parts[:, 0], _USUAL_SPEED))
+        if "correct_every_s" in found:  # who misses the size of corrections asks for more and less than is liked
+            pushed = float(np.median(parts[parts[:, 0] > 0.5 * pushed, 0], axis=0)) if pushed > 0.0 else 0.0
         out = max(0.0, pushed - chair.deadband) / (1.0 - chair.deadband)
         return float(min(1.0, max(0.05, out**chair.shape_exponent)))
 
     return _resampled([part[:, None] for part in rows], series, share)
 
 
-def looks(series: Sequence[HandSeries]) -> dict[str, Estimate]:
+def looks(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
     """Looks elsewhere, or single corrections, by how intents stand still."""
     tick_s = series[0].tick_s
     gaps = [correction_s(item.intents, tick_s) for item in series]
@@ -109,7 +111,7 @@ def _smooth(item: HandSeries) -> F64:
     return np.asarray(np.convolve(item.stick[:, 1], np.full(width, 1.0 / width), mode="valid"), np.float64)
 
 
-def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> Estimate:
+def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> FittedNumber:
     """A number of the rows (n, k) of all episodes, and its interval by drawing stretches of 10 s anew."""
     rng = seeding.generator(0, "stretches drawn anew")
     parts: list[F64] = []
@@ -120,5 +122,5 @@ def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callabl
         value(np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts)).tolist()]))
         for _ in range(_RESAMPLED)
     ]
-    low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
-    return Estimate(value=value(np.concatenate(list(rows))), low=low, high=high)
+    found, half = value(np.concatenate(list(rows))), _SD * float(np.std(drawn))
+    return FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
