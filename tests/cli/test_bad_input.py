@@ -119,7 +119,7 @@ OPTIONS = {
     "video --policy follow --profile saint": ("unknown user profile 'saint'",),
     "export nobody --onnx x": ("nobody is not a run",),
     "scene run nowhere": ("unknown scene 'nowhere'", "pedestrian-crossing"),
-    "replay": ("got none", "exactly one of --fcd FILE.xml, --verify, --first-difference"),
+    "replay": ("got none", "exactly one of --fcd FILE.xml, --mcap FILE.mcap, --verify"),
     "replay --verify": ("--verify got 0 runs", "expected 1"),
     "replay a --verify": ("a: is not there", "journal"),
     "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace or a journal"),

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 NESTED = {
     "town": ("import", "make", "list", "check", "pave", "run", "tour"),
     "scene": ("run", "list", "bless", "new", "make"),
+    "users": ("record", "fit"),
     "bench": (
         *("tick", "camera", "chair", "users", "crashes", "reaction"),
         *("bridge", "barrier", "parallel", "soak", "memory", "curve", "replay"),
@@ -56,10 +57,12 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
         told = wcsim(*words, "--help").out
         has_chance = words not in {("town", "list"), ("town", "check"), ("town", "pave"), ("replay",), ("cache",)}
         has_chance &= words not in {("bench", "chair"), ("bench", "barrier"), ("report",), ("networks",), ("export",)}
+        has_chance &= words != ("users", "fit")
         has_chance &= words[0] != "scene" or words[1] == "make"
         assert ("--seed INT" in told) == has_chance
         has_result = words in {("train",), ("test",), ("doctor",), ("town", "check"), ("town", "run"), ("scene", "run")}
         has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("town", "tour"), ("cache",)}
+        has_result |= words[0] == "users"
         has_result |= words in {("town", "make"), ("collect",), ("networks",), ("export",)}
         assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
 

@@ -47,6 +47,7 @@ NOWHERE = (
     *(("town", "check", "atlantis"), ("town", "run", "atlantis"), ("town", "tour", "atlantis")),
     *(("town", "pave", "atlantis", "--out", "x"), ("town", "import", "--name", "x", "--osm", "atlantis.osm")),
     ("town", "make", "x", "--size", "1"),
+    *(("users", "record", "atlantis", "--out", "x.drive"), ("users", "fit", "atlantis", "--out", "x.toml")),
     *(("scene", "run", "atlantis"), ("scene", "bless", "atlantis"), ("replay", "atlantis")),
     *(("bench", name, "--town", "atlantis") for name in ("tick", "reaction", "bridge", "soak", "crashes")),
     *(("bench", name, "--towns", "atlantis") for name in ("camera", "users")),
@@ -56,12 +57,13 @@ WRONG = (
     *((*words, "--set", "learn.nope=3") for words in (("join", "ipc://x"), ("town", "run", "helsinki"))),
     *(("train", "--set", "learn.gamma=x"), ("train", "--set", "learn.gamma=7"), ("train", "--preset", "nope")),
     *(("train", "--network", "nope"), ("train", "--config", "nope.toml"), ("test", "--profile", "nope")),
+    *(("users", "record", "helsinki", "--out", "x", "--profile", "nope"), ("test", "--profile", "nope.toml")),
     *(("join", "nowhere"), ("test", "nowhere")),
     *(("bench", "tick", "--chairs", "x"), ("bench", "crashes", "--policy", "x")),
 )
 
 
-NESTED = ("town", "scene", "bench")
+NESTED = ("town", "scene", "bench", "users")
 
 
 @cache

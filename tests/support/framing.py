@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
-from wcsim.bridge.recording.framing import crc_of, framed, whole_records
+from wcsim.users.recording.framing import crc_of, framed, whole_records
 
 
 def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:

@@ -1,6 +1,6 @@
-"""Profiles: names, and what an episode's user may differ in."""
+"""Profiles: names, what an episode's user may differ in, and files of them, which are refused when out of bounds."""
 
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
-from wcsim.users.profiles import profile, profile_names, sample
+from wcsim.users.profile_file import PROFILE_LIMITS, profile_json, profile_of_json, profile_text, read_profile
+from wcsim.users.profiles import UserProfile, is_of_file, profile, profile_names, recordings, sample
+from wcsim.users.recorded import find_user
 
 
 def test_all_six_are_there():
@@ -41,3 +43,67 @@ def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
 def test_a_sample_depends_on_the_seed_only():
     first, again, other = (sample(profile("tremor"), generator(seed, "user")) for seed in (1, 1, 2))
     assert first == again != other
+
+
+# --- files ---
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_what_is_written_is_read(tmp_path, name):
+    user = replace(sample(profile(name), generator(3, "user")), spread=0.1)
+    file = tmp_path / "me.toml"
+    file.write_text(profile_text(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
+    assert read_profile(file) == find_user(str(file)) == user
+    assert "# a head\n# of two lines\n" in file.read_text() and "# 0.1 to 0.2\n" in file.read_text()
+    assert profile_of_json(profile_json(user), "there") == user
+
+
+def test_every_number_of_a_profile_has_bounds_and_every_profile_keeps_to_them():
+    numbers = {item.name for item in fields(UserProfile)} - {"name", "discrete"}
+    assert numbers == set(PROFILE_LIMITS)
+    for name in profile_names():
+        for key, (low, high) in PROFILE_LIMITS.items():
+            value = asdict(profile(name))[key]
+            assert all(low <= part <= high for part in (value if isinstance(value, tuple) else (value,))), (name, key)
+
+
+def test_what_is_left_out_is_the_bases(tmp_path):
+    file = tmp_path / "my tired user.toml"
+    file.write_text('base = "slow"\nreaction_s = 0.9\n')
+    assert read_profile(file) == replace(profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0)
+    assert sample(read_profile(file), generator(1, "user")) == read_profile(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("reaction_s = 9", "reaction_s: got 9; expected a number, 0 to 3"),
+        ("reaction_s = nan", "finite"),
+        ('reaction_s = "fast"', "reaction_s: got 'fast'"),
+        ("reaction_s = true", "reaction_s: got True"),
+        ("gain = 1.0", "gain: got 1.0; expected two numbers, each 0.05 to 5"),
+        ("gain = [1.0, 1.0, 1.0]", "gain: got"),
+        ("bias = [0.0, -1.5]", "bias: got"),
+        ("discrete = 1", "expected true or false"),
+        ('name = "../x"', "name: got"),
+        ("speed = 1", "unknown key 'speed'; expected one of: base, away_s"),
+        ('base = "drunk"', "unknown user profile 'drunk'"),
+        ("base = 1", "base: got 1"),
+        ("reaction_s = ", "is not TOML"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(tmp_path, text, says):
+    (tmp_path / "me.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"(?s)" + says.replace("[", r"\[") if "got" in says else says):
+        find_user(str(tmp_path / "me.toml"))
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot be read"):
+        find_user("nowhere.toml")
+
+
+def test_files_are_told_from_names():
+    names = ("slow", "me.toml", "recorded:a.drive", "me.toml")
+    assert [is_of_file(name) for name in names] == [False, True, True, True]
+    assert recordings(names) == ("me.toml", "recorded:a.drive")

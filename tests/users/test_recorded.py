@@ -7,10 +7,18 @@ from hypothesis import strategies as st
 
 from tests.support.samples import USUAL_OUTLINE, straight_route
 from tests.users.kinematics import Chair, Sim
+from tests.users.recording.drives import tick, write_drive
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user, read_recording, write_recording
+from wcsim.users.recorded import (
+    JoystickRecording,
+    RecordedUser,
+    find_user,
+    read_recording,
+    require_driven_here,
+    write_recording,
+)
 
 HEAD = "time_s,x,y\n"
 
@@ -121,3 +129,52 @@ def test_more_samples_than_anybody_records_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.users.recorded.MOST_SAMPLES", 3)
     with pytest.raises(ConfigError, match=r"stick.csv:5: more than 3 samples"):
         recorded(HEAD + "".join(f"0.{k},0,0\n" for k in range(5)), tmp_path)
+
+
+def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
+    ticks = [tick(1), tick(2), tick(3, crashed=True), tick(4, episode=1), tick(5, episode=1)]
+    path = write_drive(tmp_path / "a.drive", ticks)
+    found = find_user(f"recorded:{path}")
+    assert (found.town, len(found.episodes)) == ("nowhere", 2)
+    user = RecordedUser(found.episode(0), USUAL_OUTLINE)
+    seen = [(user.joystick.x, user.intent.x)]
+    for _ in range(5):
+        user.hand(2, 0.05)
+        seen.append((user.joystick.x, user.intent.x))
+    assert seen[:3] == [(0.0, 0.01), (0.001, 0.01), (0.002, 0.01)]
+    assert seen[3] == (pytest.approx(0.003, abs=1e-7), 0.01)  # the last sample within a tick is a float32
+    assert seen[4:] == [(0.0, 0.0)] * 2
+    user = RecordedUser(found.episode(3), USUAL_OUTLINE)
+    assert user.joystick.x == 0.003
+    assert user.sticks.shape == (1, 2)
+    user.hand(2, 0.05)
+    assert user.sticks[:, 0] == pytest.approx([0.0035, 0.004], abs=1e-7)
+
+
+def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
+    path = write_drive(tmp_path / "a.drive", [tick(k, intent=None, sticks=np.zeros((0, 2))) for k in (1, 2, 3)])
+    user = RecordedUser(find_user(f"recorded:{path}").episode(0), USUAL_OUTLINE)
+    sticks = [user.joystick, *(user.hand(4, 0.025) for _ in range(3))]
+    assert [stick.x for stick in sticks] == [0.0, 0.001, 0.002, 0.002]
+    assert user.intent == user.joystick
+
+
+@pytest.mark.parametrize(
+    ("header", "ticks", "says"),
+    [
+        ({"wcsim": "0.0.1"}, [1, 2], r"was driven with wcsim 0\.0\.1, this is \d"),
+        ({}, [], "has no tick"),
+    ],
+)
+def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, header, ticks, says):
+    path = write_drive(tmp_path / "a.drive", [tick(number) for number in ticks], **header)
+    with pytest.raises(ConfigError, match=says):
+        find_user(f"recorded:{path}")
+
+
+def test_a_drive_of_another_town_is_refused_with_both_named(tmp_path):
+    found = find_user(f"recorded:{write_drive(tmp_path / 'a.drive', [tick(1), tick(2)])}")
+    with pytest.raises(ConfigError, match=r"was driven in nowhere \(abababababab\), this is monaco \(cdcdcdcdcdcd\)"):
+        require_driven_here(found, "monaco", lambda: "cd" * 32)
+    require_driven_here(found, "nowhere", lambda: "ab" * 32)
+    require_driven_here(recorded(HEAD + "0,0,0\n0.1,0,0\n", tmp_path), "monaco", lambda: 1 / 0)

@@ -33,7 +33,7 @@ from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot
+from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, UserView
 from wcsim.types.street import joined_mesh
 
 
@@ -149,6 +149,11 @@ class World(Closing):
         """
         asked = self._seating.at(seat)
         return asked.in_danger(self._others(asked))
+
+    def view_of(self, seat: int) -> UserView:
+        """What the user of a seat may know of the street now. Raises ProtocolError when it is free or not there."""
+        asked = self._seating.at(seat)
+        return asked.view(self._sumo.time_s(), self._others(asked), self._open.traffic.signals)
 
     def everyone(self) -> tuple[ActorState, ...]:
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""

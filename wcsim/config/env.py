@@ -47,7 +47,7 @@ class EnvConfig(Model):
     window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
     actions: Literal["square81", "disc69"] = "square81"  # joystick positions: 9 by 9, or those that meet the unit disc
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000  # of an episode; a training takes learn.episode_steps
-    profile: Text = "inattentive"  # of the simulated user, or recorded:FILE.csv (docs/user.md)
+    profile: Text = "inattentive"  # of the simulated user, FILE.toml, or recorded:FILE (docs/user.md)
     truth: bool = False  # what the oracle says in info, for baselines and measurements
     truth_visible: bool = False  # the truth, and what the oracle says that knows only whom the cameras showed lately
 

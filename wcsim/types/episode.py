@@ -149,7 +149,7 @@ class StartSpec:
 class SeatSpec:
     """What a client asks for when it takes a seat; everything else is in the world's configuration."""
 
-    profile: str = "inattentive"  # or recorded:FILE.csv
+    profile: str = "inattentive"  # or FILE.toml, or recorded:FILE
     max_steps: int = 10_000
     truth: bool = False
     truth_visible: bool = False  # the truth with its part `visible`

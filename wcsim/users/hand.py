@@ -16,14 +16,15 @@ from wcsim.types import F64, Joystick
 from wcsim.users.profiles import UserProfile
 
 STICK_FILTER_S = 0.02  # first-order low-pass of the joystick's electronics
-_TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
-_TREMOR_WANDER_S = 0.05  # ... in this time
+TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
+TREMOR_WANDER_S = 0.05  # ... in this time
 _TREMOR_AHEAD_RAD = 0.7  # the tremor is an ellipse: forward and back it is half as large, and early
 _TREMOR_FORWARD = 0.5
 
 # The four switches: stop, forward, left, right.
 _SWITCH_FORWARD_Y = 0.6
 _SWITCH_TURN_X = 0.35
+SWITCH_POSITIONS = ((0.0, 0.0), (0.0, _SWITCH_FORWARD_Y), (-_SWITCH_TURN_X, 0.0), (_SWITCH_TURN_X, 0.0))
 PULSE_S = (0.15, 1.0)
 _PULSE_OF_WISH_S = 0.5  # the wish asks for a turn rate; half a second of it is the turn
 STEER_ABOVE = 0.2  # a wish to turn less than this is not worth a switch
@@ -136,7 +137,7 @@ def _coefficients(p: UserProfile, dt_s: float) -> F64:
             keep,
             p.noise * math.sqrt(1.0 - keep * keep),
             turn_rad * dt_s,
-            turn_rad * _TREMOR_WANDER * math.sqrt(dt_s * _TREMOR_WANDER_S),
+            turn_rad * TREMOR_WANDER * math.sqrt(dt_s * TREMOR_WANDER_S),
             p.tremor,
             _TREMOR_FORWARD * p.tremor,
             _TREMOR_AHEAD_RAD,

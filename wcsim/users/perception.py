@@ -14,8 +14,8 @@ from wcsim.users.profiles import UserProfile
 _HALF_VIEW_RAD = rad(80.0)
 PERSON_SIGHT, _VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
 _FORGET_S = 10.0
-_LONGEST_AWAY = 2.0  # times the mean
-_UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
+LONGEST_AWAY = 2.0  # times the mean
+UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
 _SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
 
 
@@ -63,7 +63,7 @@ class Perception:
         p = self._profile
         if p.away_share <= 0.0 or dt_s <= 0.0:
             return self.attentive
-        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (_UNCUT_AWAY * p.away_s)
+        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (UNCUT_AWAY * p.away_s)
         changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
         if self.attentive:
             self._leaves = self._leaves or changes
@@ -71,7 +71,7 @@ class Perception:
                 self.attentive, self._leaves, self._away_s = False, False, 0.0
         else:
             self._away_s += dt_s
-            self.attentive = changes or heeds or self._away_s >= _LONGEST_AWAY * p.away_s - 1e-9
+            self.attentive = changes or heeds or self._away_s >= LONGEST_AWAY * p.away_s - 1e-9
         return self.attentive
 
     def look(self, view: UserView) -> Seen:

@@ -14,7 +14,10 @@ import numpy as np
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError
 
-_SPREAD = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
+PROFILE_SUFFIX = ".toml"
+"""Of the file of a profile, where else the name of one stands."""
+
+_MOST_AWAY = 0.95  # of the time, of any user
 
 
 HELD_OUT = ("ataxic",)
@@ -45,6 +48,7 @@ class UserProfile:
     give_up_s: float  # blocked for so long, the user gives up
     discrete: bool  # four switches instead of a stick
     hold_s: float  # with switches: forward, and a rest after a turn, last at least this long
+    spread: float = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
 
 
 def profile(name: str) -> UserProfile:
@@ -53,12 +57,17 @@ def profile(name: str) -> UserProfile:
         if known.name == name:
             return known
     names = ", ".join(item.name for item in _PROFILES)
-    raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, or recorded:FILE.csv")
+    raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE")
+
+
+def is_of_file(name: str) -> bool:
+    """Whether it names a file in the place of a profile: "recorded:FILE", or "FILE.toml"."""
+    return name.startswith(RECORDED) or name.endswith(PROFILE_SUFFIX)
 
 
 def recordings(profiles: Iterable[str]) -> tuple[str, ...]:
-    """Those of these that name a recorded joystick in the place of a profile: "recorded:FILE"."""
-    return tuple(sorted({name for name in profiles if name.startswith(RECORDED)}))
+    """Those of these that name a file in the place of a profile."""
+    return tuple(sorted({name for name in profiles if is_of_file(name)}))
 
 
 def profile_names() -> tuple[str, ...]:
@@ -67,14 +76,14 @@ def profile_names() -> tuple[str, ...]:
 
 
 def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
-    """The user of one episode: every parameter within 30 % of the profile's, shares stay shares.
+    """The user of one episode: every parameter within the profile's spread of its own (30 %), shares stay shares.
 
     The chances to see and to keep to the law are spread by their complement (who misses 2 % misses 1.4 to 2.6 %), gains
     by how far they are from one (a faithful hand stays faithful).
     """
 
     def around(value: float) -> float:
-        return value * float(rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD))
+        return value * float(rng.uniform(1.0 - base.spread, 1.0 + base.spread))
 
     return replace(
         base,
@@ -89,7 +98,7 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
         bias=(around(base.bias[0]), base.bias[1]),
         see_share=max(0.0, 1.0 - around(1.0 - base.see_share)),
         see_m=around(base.see_m),
-        away_share=around(base.away_share),
+        away_share=min(_MOST_AWAY, around(base.away_share)),
         away_s=around(base.away_s),
         correct_every_s=around(base.correct_every_s),
         speed_share=min(1.0, around(base.speed_share)),

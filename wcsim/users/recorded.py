@@ -1,7 +1,8 @@
 """A recorded joystick in the place of a simulated user, and the file that it comes from.
 
-The file is a table of comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until
-the next one. Recording and episode begin together; when the recording is over the stick rests and the user gives up.
+The file is a recorded drive (`users/recording/`), whose episodes are replayed in their order, or a table of
+comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until the next one. Recording
+and episode begin together; when the recording is over the stick rests and the user gives up.
 """
 
 from __future__ import annotations
@@ -11,18 +12,21 @@ import io
 import math
 import tempfile
 from array import array
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import FileKind, read_text, shown
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, JournalError
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
-from wcsim.users.profiles import UserProfile, profile
+from wcsim.users.profile_file import read_profile
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile
+from wcsim.users.recording.drive_reader import is_drive, read_drive
+from wcsim.users.recording.drive_types import RecordedTick, wcsim_version
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
@@ -36,11 +40,15 @@ _SAME_TIME_S = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JoystickRecording:
-    """A joystick over time; see `read_recording`."""
+    """A joystick over time; see `read_recording` and `joystick_of_drive`."""
 
     name: str
     time_s: F64  # (n,) rising, from 0 to _LONGEST_GAP_S on, n >= 2
     sticks: F64  # (n, 2) x, y on the unit disc
+    intents: F64 | None = None  # (n, 2) what was wanted from then on, where that is known
+    town: str = ""  # that it was driven in, where that is known
+    town_sha256: str = ""  # of that town's content
+    episodes: tuple[JoystickRecording, ...] = ()  # of a drive that has several, the first one among them
 
     @property
     def end_s(self) -> float:
@@ -53,11 +61,22 @@ class JoystickRecording:
         there = (index >= 0) & (time_s < self.end_s - _SAME_TIME_S)
         return np.where(there[:, None], self.sticks[index], 0.0)
 
+    def intent_at(self, time_s: float) -> Joystick | None:
+        """What was wanted at a time; None where that is not known."""
+        if self.intents is None or time_s >= self.end_s - _SAME_TIME_S:
+            return None
+        index = int(np.searchsorted(self.time_s, time_s + _SAME_TIME_S, side="right")) - 1
+        return Joystick(*self.intents[index].tolist()) if index >= 0 else None
+
+    def episode(self, number: int) -> JoystickRecording:
+        """The recording of an episode; after the last one the first comes again."""
+        return self.episodes[number % len(self.episodes)] if self.episodes else self
+
 
 class RecordedUser:
     """Replays a recording in one episode, with the interface of `SimulatedUser`.
 
-    What the person wanted beyond what the hand did is not known: the intent is the stick itself.
+    Where it is not known what the person wanted beyond what the hand did, the intent is the stick itself.
     """
 
     def __init__(self, recording: JoystickRecording, outline: Outline) -> None:
@@ -84,8 +103,8 @@ class RecordedUser:
 
     @property
     def intent(self) -> Joystick:
-        """The stick itself."""
-        return self.joystick
+        """What the recording says, else the stick itself."""
+        return self._recording.intent_at(self._time_s) or self.joystick
 
     @property
     def sticks(self) -> F64:
@@ -117,21 +136,35 @@ class RecordedUser:
 
 
 def find_user(name: str) -> UserProfile | JoystickRecording:
-    """The profile called `name`, or the recording of "recorded:FILE".
+    """The profile called `name`, that of a file "FILE.toml", or the recording of "recorded:FILE".
 
     Raises:
         ConfigError: There is no such profile (the message names all), or the file cannot be used.
     """
-    return read_recording(FilePath(name.removeprefix(RECORDED))) if name.startswith(RECORDED) else profile(name)
+    if name.startswith(RECORDED):
+        return read_recording(FilePath(name.removeprefix(RECORDED)))
+    return read_profile(FilePath(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+
+
+def require_driven_here(recording: JoystickRecording, town: str, town_sha256: Callable[[], str]) -> None:
+    """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
+    if recording.town_sha256 and recording.town_sha256 != (here := town_sha256()):
+        raise ConfigError(
+            f"{shown(recording.name)}: was driven in {shown(recording.town, 80)} ({recording.town_sha256[:12]}), this "
+            f"is {town} ({here[:12]}); expected the same town: name it, or restore its files"
+        )
 
 
 def read_recording(path: FilePath) -> JoystickRecording:
-    """Read and check a recorded joystick.
+    """Read and check a recorded joystick: a drive, or a table.
 
     Raises:
         ConfigError: The file cannot be read, has no samples, or one of them is no number, out of bounds, not later than
-            the one before, or more than 0.5 s later; with the line, the value and what was expected.
+            the one before, or more than 0.5 s later; with the line, the value and what was expected. Or it is a drive
+            of another version of wcsim.
     """
+    if is_drive(path):
+        return joystick_of_drive(path)
     numbers = array("d")
     for line, row in _rows(path):
         where = f"{shown(path)}:{line}"
@@ -145,6 +178,49 @@ def read_recording(path: FilePath) -> JoystickRecording:
         raise ConfigError(f"{shown(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}")
     sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
     return JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
+
+
+def joystick_of_drive(path: FilePath) -> JoystickRecording:
+    """The joystick of a recorded drive, episode by episode.
+
+    Raises:
+        ConfigError: It cannot be read, has no tick, or was made by another version of wcsim.
+    """
+    try:
+        drive = read_drive(path)
+    except JournalError as error:
+        raise ConfigError(str(error)) from None
+    header = drive.header
+    if header.wcsim != wcsim_version():
+        raise ConfigError(
+            f"{shown(path)}: was driven with wcsim {shown(header.wcsim, 40)}, this is {wcsim_version()}; expected the "
+            "same, as chairs and streets may differ: record it again"
+        )
+    if not drive.ticks:
+        raise ConfigError(f"{shown(path)}: has no tick; expected a drive that was driven")
+    episodes = tuple(replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes)
+    return replace(episodes[0], town=header.town, town_sha256=header.town_sha256, episodes=episodes)
+
+
+def _joystick_of(ticks: Sequence[RecordedTick], tick_s: float) -> JoystickRecording:
+    """One episode; at the ticks' borders the stick is exact, within them as it was sampled."""
+    times, sticks, intents = [], [], []
+    for number, tick in enumerate(ticks):
+        samples = [(tick.stick.x, tick.stick.y), *tick.sticks[:-1].tolist()]
+        times += [tick_s * (number + k / len(samples)) for k in range(len(samples))]
+        sticks += samples
+        intents += [tick.intent] * len(samples)
+    last = ticks[-1].sticks[-1].tolist() if len(ticks[-1].sticks) else sticks[-1]
+    times.append(tick_s * len(ticks))
+    sticks.append((last[0], last[1]))
+    intents.append(ticks[-1].intent)
+    known = [(wish.x, wish.y) for wish in intents if wish is not None]
+    return JoystickRecording(
+        name="",
+        time_s=np.array(times),
+        sticks=np.array([on_disc(x, y) for x, y in sticks]),
+        intents=np.array(known) if len(known) == len(intents) else None,
+    )
 
 
 def write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:

@@ -34,7 +34,6 @@ from tests.attack.scenarios.twists import (
 from wcsim.agents.envs.env_spec import make_face
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
 from wcsim.bridge.recording.fcd import write_fcd
-from wcsim.bridge.recording.framing import framed, whole_records
 from wcsim.bridge.recording.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
@@ -46,6 +45,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
 from wcsim.users.recorded import COLUMNS, find_user, read_recording
+from wcsim.users.recording.framing import framed, whole_records
 
 RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),

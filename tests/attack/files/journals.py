@@ -16,11 +16,11 @@ from tests.server.journal.test_journal import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces
 from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile, read_metrics
-from wcsim.bridge.recording.framing import MAX_RECORD_BYTES, framed
 from wcsim.server.journal.journal import Ended, JournalRecord, JournalWriter, iter_journal, journal_digest, read_journal
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, read_ledger
 from wcsim.server.journal.records import header_bytes
 from wcsim.server.launch.event_log import EVENTS, RunLog
+from wcsim.users.recording.framing import MAX_RECORD_BYTES, framed
 
 TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[JournalRecord, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))

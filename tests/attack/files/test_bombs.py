@@ -21,7 +21,6 @@ from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
 from wcsim.bridge.recording import trace_file
-from wcsim.bridge.recording.framing import framed
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.cli.main import main
 from wcsim.cli.shared.overrides import print_overrides
@@ -31,6 +30,7 @@ from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, JournalError, PolicyError
 from wcsim.towns.scenario.overrides import Override
 from wcsim.users.recorded import find_user
+from wcsim.users.recording.framing import framed
 
 TOML_BOMBS = {
     "nesting": "a=" + "[" * 5000,

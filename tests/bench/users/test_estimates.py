@@ -9,11 +9,11 @@ import pytest
 from tests.support.samples import strip_street
 from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
-from wcsim.bench.users.estimates import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
 from wcsim.bench.users.hand_fit import fit_hand
 from wcsim.bench.users.table import RouteLog, meet, statistics
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
+from wcsim.users.fitting.habits import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
 from wcsim.users.hand import Hand
 from wcsim.users.profiles import profile
 

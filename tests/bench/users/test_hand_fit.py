@@ -11,10 +11,10 @@ import pytest
 from tests.bench.users.test_drives import off
 from tests.users.actors import make_user
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
-from wcsim.bench.users.estimates import HandLog
 from wcsim.bench.users.hand_fit import fit_hand
 from wcsim.bench.users.table import RouteLog, statistics
 from wcsim.types import Route
+from wcsim.users.fitting.habits import HandLog
 from wcsim.users.profiles import profile
 
 ZIGZAG = polyline(*((8.0 * k, 5.0 * (k % 2)) for k in range(12)))

@@ -14,7 +14,7 @@ import pytest
 
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.test_bad_input import refused
-from wcsim.bridge.recording.framing import whole_records
+from wcsim.users.recording.framing import whole_records
 
 ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "libsumo", "pybullet")

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.framing import chained, last_crc
-from wcsim.bridge.recording.framing import framed
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.server.journal.diff import journal_difference
 from wcsim.server.journal.journal import (
@@ -31,6 +30,7 @@ from wcsim.server.journal.journal import (
 )
 from wcsim.server.journal.records import header_bytes, record_of
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
+from wcsim.users.recording.framing import framed
 
 HEADER = JournalHeader(
     name="run",

@@ -9,10 +9,10 @@ import pytest
 
 from tests.server.journal.test_journal import FIRST, HEADER, RECORDS, tick, write
 from tests.support.framing import pieces, record_ends
-from wcsim.bridge.recording.framing import framed
 from wcsim.errors import JournalError
 from wcsim.server.journal.journal import JournalWriter, iter_journal, journal_digest, read_header, read_journal
 from wcsim.server.journal.records import record_bytes
+from wcsim.users.recording.framing import framed
 
 
 def test_what_is_cut_off_is_said_and_kept(tmp_path):

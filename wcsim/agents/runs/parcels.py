@@ -14,6 +14,7 @@ from wcsim.errors import ConfigError, TownError
 from wcsim.server.workers.worker_api import At, Parcel
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
+from wcsim.users.profiles import is_of_file
 
 
 @lru_cache(maxsize=256)
@@ -84,7 +85,7 @@ def require_travels(config: RunConfig, settings: Collection[str] = (), own_code:
     users = (config.env.profile, *config.collect.profiles)
     words = " ".join((*settings, *config.collect.variants)).split()
     found = [f"class {shown(name, 80)}" for name in own_code if ":" in name]
-    found += [f"user {shown(user, 80)}" for user in users if user.startswith(RECORDED)]
+    found += [f"user {shown(user, 80)}" for user in users if is_of_file(user)]
     found += [shown(word, 80) for word in words if word.endswith(".toml") or RECORDED in word]
     if found:
         raise ConfigError(

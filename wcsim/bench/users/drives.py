@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from wcsim.bench.users.estimates import HandLog
 from wcsim.bench.users.table import RouteLog, meet
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.world import World
@@ -20,6 +19,7 @@ from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
+from wcsim.users.fitting.habits import HandLog
 from wcsim.users.profiles import UserProfile, profile
 from wcsim.users.recorded import RecordedUser
 

@@ -112,6 +112,11 @@ class Ego:
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
     @property
+    def recording(self) -> JoystickRecording | None:
+        """The recording that its user replays, if any."""
+        return self._person if isinstance(self._person, JoystickRecording) else None
+
+    @property
     def spawned(self) -> bool:
         """Whether this seat's chair has a place in the street."""
         return self._spawned
@@ -194,7 +199,7 @@ class Ego:
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
         """Show the user the street, and see where in it the chair is."""
-        self.user.look(self._view(time_s, others, signals))
+        self.user.look(self.view(time_s, others, signals))
         self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
         self.asks = self._button.see(self.user.route_progress_m, float(self.plant.v_B_mps[0]), time_s, signals)
         self._progressed_m = self.user.route_progress_m - self._progress_m
@@ -304,7 +309,7 @@ class Ego:
 
     def _new_user(self) -> SimulatedUser | RecordedUser:
         if isinstance(self._person, JoystickRecording):
-            return RecordedUser(self._person, self.chair.outline)
+            return RecordedUser(self._person.episode(self._episode), self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
         exact = self._person
         return SimulatedUser(
@@ -322,7 +327,8 @@ class Ego:
         self.asks = None
         self._progress_m = self.user.route_progress_m
 
-    def _view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
+    def view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
+        """What the user of this seat may know of the street now."""
         plant = self.chair.state()
         x, y, _ = plant.p_WB_m.tolist()
         return UserView(

@@ -10,9 +10,10 @@ from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.checks.validate import require_pavement
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.walking.routes import Router
 from wcsim.types import SeatSpec, Street, chair_actor_id
+from wcsim.users.recorded import require_driven_here
 
 
 class EgoSlots:
@@ -26,7 +27,7 @@ class EgoSlots:
             TownError: there are places, but the town has no pavement to drive on.
         """
         self.present: tuple[Ego, ...] = ()
-        self._config, self._street = config, street
+        self._config, self._street, self._town = config, street, town
         self._begun = [0] * len(specs)  # episodes of the epoch, by place
         self._seed = 0
         if specs:
@@ -79,7 +80,10 @@ class EgoSlots:
             seat.chair.forget(chair_actor_id(number))
 
     def _seat(self, number: int, spec: SeatSpec) -> Ego:
-        return Ego(number, spec, self._config, self._street, self._router)
+        ego = Ego(number, spec, self._config, self._street, self._router)
+        if ego.recording is not None:
+            require_driven_here(ego.recording, self._town.name, lambda: content_hash(self._town))
+        return ego
 
     def _find(self, number: int) -> Ego | None:
         return next((seat for seat in self.present if seat.index == number), None)

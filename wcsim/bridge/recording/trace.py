@@ -1,6 +1,6 @@
 """One hash for golden scenes, journals and replay, and the trace: where everything was, tick by tick.
 
-A trace is a file of records (`bridge/recording/framing.py`); the first payload is the header (JSON), every other one is
+A trace is a file of records (`users/recording/framing.py`); the first payload is the header (JSON), every other one is
 a tick: a JSON line with names, hash and the bodies that are new, then the numbers as little-endian float64. It is read
 by `bridge/recording/trace_file.py`.
 """
@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.recording.framing import framed
 from wcsim.config import ChairConfig
 from wcsim.core.closing import Closing
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import F64, ActorKind, ActorState, Command, PlantState, Snapshot
+from wcsim.users.recording.framing import framed
 
 MAGIC = "wcsim-trace-1"
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.bridge.recording.framing import torn_bytes, whole_records
 from wcsim.bridge.recording.trace import MAGIC, ActorBody, TickRecord, TraceHeader
 from wcsim.core.reading import FileKind, opened, parse_json, shown
 from wcsim.errors import JournalError
 from wcsim.types import ActorKind
+from wcsim.users.recording.framing import torn_bytes, whole_records
 
 _MAX_SEATS = 64
 _MAX_RATIO, FREE_BYTES = 100, 64 << 20  # unpacked against packed: traces come to 2 to 10

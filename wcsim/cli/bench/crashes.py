@@ -47,7 +47,7 @@ class CrashesOptions:
     policy: str = "follow"
     """Baselines, joined by commas; each meets the same starts and users."""
     profile: str = "inattentive"
-    """User profile; recorded:FILE.csv replays a recorded joystick."""
+    """User profile; FILE.toml is your own, recorded:FILE replays one."""
     noise: str = "typical"
     """Noise of the cameras: typical or none."""
     delay: int = 2

@@ -44,7 +44,7 @@ class Options:
     town: str = "monaco"
     """Towns, joined by commas."""
     profile: str = "inattentive"
-    """User profiles, joined by commas; recorded:FILE.csv replays a recorded joystick."""
+    """User profiles, joined by commas; FILE.toml is your own, recorded:FILE replays one."""
     episodes: int = 5
     """Episodes for each policy, town and profile."""
     max_steps: int = 10_000

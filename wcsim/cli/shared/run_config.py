@@ -17,13 +17,13 @@ from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
 from wcsim.core import reading, seeding
-from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profiles import HELD_OUT, profile
+from wcsim.users.profile_file import read_profile
+from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile
 
 
 class Asked(Protocol):
@@ -215,10 +215,13 @@ def require_user(name: str) -> None:
     """Refuse a user that there is not; what replays a recorded joystick is loaded for one of those alone.
 
     Raises:
-        ConfigError: There is no such profile, or no such recording.
+        ConfigError: There is no such profile, or no such file.
     """
-    if not name.startswith(RECORDED):
+    if not is_of_file(name):
         profile(name)
+        return
+    if name.endswith(PROFILE_SUFFIX):
+        read_profile(Path(name))
         return
     from wcsim.users.recorded import find_user
 

@@ -19,7 +19,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Self
 
-from wcsim.bridge.recording.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
 from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
@@ -43,6 +42,7 @@ from wcsim.server.journal.records import (
     told_apart,
 )
 from wcsim.server.journal.torn import keep_torn
+from wcsim.users.recording.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
 
 JOURNAL = "journal"  # its name in a run folder
 _SYNC_TICKS, _SYNC_S = 50, 1.0

@@ -126,7 +126,7 @@ def header_of(payload: bytes) -> JournalHeader:
 
 
 def is_chained(payload: bytes) -> bool:
-    """Whether the records of a journal with this sound header are chained, see `bridge/recording/framing.py`."""
+    """Whether the records of a journal with this sound header are chained, see `users/recording/framing.py`."""
     return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= _CHAINED
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from wcsim.core.constants import RECORDED
 from wcsim.core.reading import shown
 from wcsim.errors import (
     ConfigError,
@@ -22,7 +21,7 @@ from wcsim.server.protocol.bounds import MOST_METRES, MOST_STEPS
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Roster
 from wcsim.types import CLIENT_NAME, SeatSpec
-from wcsim.users.profiles import profile_names
+from wcsim.users.profiles import is_of_file, profile_names
 
 _NAME = re.compile(CLIENT_NAME)
 
@@ -79,11 +78,11 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
 
 def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     """What is wrong with what a client asks for; that a start lies in the town is the world's to see."""
-    named = spec.profile.startswith(RECORDED)
+    named = is_of_file(spec.profile)
     if named and rules.recordings is not None and spec.profile not in rules.recordings:
         return ConfigError(
-            "this world replays only recordings that it was started with; start it with --set "
-            "env.profile=recorded:FILE, or ask for one of wcsim's profiles"
+            "this world has only those files of users that it was started with; start it with --set "
+            "env.profile=recorded:FILE (or FILE.toml), or ask for one of wcsim's profiles"
         )
     if not named and spec.profile not in profile_names():
         known = ", ".join(profile_names())

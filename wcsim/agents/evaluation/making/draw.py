@@ -19,7 +19,8 @@ from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, ActorState, Outline, Route, Street, WayKind
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import UserProfile
+from wcsim.users.recorded import find_user
 
 SEATS: Final = 6  # in a block, at most
 APART_M: Final = 60.0  # the ways of a block's chairs keep so far from one another: they do not meet
@@ -206,5 +207,6 @@ def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) ->
 
 def reference_time_s(route: Route, who: str, config: RunConfig) -> float:
     """The time of a way with nothing to hinder it: at the speed that its user likes, from rest."""
-    share = 1.0 if who.startswith("recorded:") else profile(who).speed_share
+    person = find_user(who)
+    share = person.speed_share if isinstance(person, UserProfile) else 1.0
     return _FROM_REST_S + float(route.arc_m[-1]) / (share * config.chair.v_max_mps)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -16,8 +17,9 @@ from wcsim.errors import ConfigError, WcsimError
 
 TRACE: Final = "trace"
 JOURNAL: Final = "journal"
+DRIVE: Final = "drive"
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Kind = Literal["trace", "journal"]
+Kind = Literal["trace", "journal", "drive"]
 _SHOW_EVERY = 1000  # ticks
 
 
@@ -26,15 +28,17 @@ class Options:
     """Work with recorded runs: write one for other programs, make it again and compare, or compare two."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN]")] = ()
-    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), or one of these files."""
+    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), one of these files, or a drive."""
     fcd: Annotated[Path | None, tyro.conf.arg(metavar="FILE.xml")] = None
     """Write traffic and wheelchairs as SUMO's floating car data, which SUMO's tools and sumo-gui read."""
+    mcap: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap")] = None
+    """Write what the wheelchairs did, were told and sensed as messages of ROS 2 (needs the extra wcsim[bag])."""
     verify: Flag = False
-    """Make the world of a journal again and compare it with the journal tick by tick."""
+    """Make the world of a journal, or a drive, again and compare it tick by tick."""
     first_difference: Flag = False
     """Say where two traces, or two journals, begin to differ."""
     epoch: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Which epoch of the world; default 0 for --fcd, all of them for --verify."""
+    """Which epoch of the world; default 0 for --fcd and --mcap, all of them for --verify."""
     first: Annotated[int | None, tyro.conf.arg(name="from", metavar="TICK")] = None
     """The first tick of each epoch that --verify compares."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
@@ -59,6 +63,8 @@ def run(words: list[str]) -> int:
     _check(options)
     if options.first_difference:
         return _first_difference(options)
+    if options.mcap is not None:
+        return _mcap(options, options.mcap)
     return _verify(options) if options.verify else _fcd(options)
 
 
@@ -72,15 +78,19 @@ def _check(options: Options) -> None:
         raise ConfigError(f"{task} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
     _check_ticks(options, task)
     check_output("--fcd", options.fcd)
+    check_output("--mcap", options.mcap, ".mcap")
 
 
 def _task(options: Options) -> str:
     """The one option that says what to do."""
-    given = (options.fcd is not None, options.verify, options.first_difference)
-    tasks = [name for name, is_so in zip(("--fcd", "--verify", "--first-difference"), given, strict=True) if is_so]
+    given = (options.fcd is not None, options.mcap is not None, options.verify, options.first_difference)
+    known = ("--fcd", "--mcap", "--verify", "--first-difference")
+    tasks = [name for name, is_so in zip(known, given, strict=True) if is_so]
     if len(tasks) != 1:
         got = " and ".join(tasks) or "none"
-        raise ConfigError(f"replay got {got}; expected exactly one of --fcd FILE.xml, --verify, --first-difference")
+        raise ConfigError(
+            f"replay got {got}; expected exactly one of --fcd FILE.xml, --mcap FILE.mcap, --verify, --first-difference"
+        )
     return tasks[0]
 
 
@@ -88,7 +98,7 @@ def _check_ticks(options: Options, task: str) -> None:
     if not options.verify and (options.first is not None or options.last is not None):
         raise ConfigError(f"--from and --to say what --verify compares; expected no such option with {task}")
     if options.first_difference and options.epoch is not None:
-        raise ConfigError("--epoch says what --verify or --fcd works on; expected no such option")
+        raise ConfigError("--epoch says what --verify, --fcd or --mcap works on; expected no such option")
     for option, number in (("--epoch", options.epoch), ("--from", options.first), ("--to", options.last)):
         in_bounds(option, number or 0, 0, float("inf"))
     if options.last is not None:
@@ -105,7 +115,15 @@ def _find(run: Path, preferred: Kind, expected: str) -> Recording:
         raise ConfigError(f"{shown(run)}: has no trace and no journal; expected {expected}")
     if not is_file(run):
         raise ConfigError(f"{shown(run)}: is not there; expected {expected}")
-    return Recording(path=run, kind="journal" if _is_journal(run) else "trace")
+    return Recording(path=run, kind=_kind(run))
+
+
+def _kind(path: Path) -> Kind:
+    from wcsim.users.recording.drive_reader import is_drive
+
+    if is_drive(path):
+        return "drive"
+    return "journal" if _is_journal(path) else "trace"
 
 
 def _is_journal(path: Path) -> bool:
@@ -121,6 +139,8 @@ def _is_journal(path: Path) -> bool:
 def _fcd(options: Options) -> int:
     what = "a folder that `wcsim town run` or a server made, a trace, or a journal"
     found = _find(options.runs[0], TRACE, what)
+    if found.kind == DRIVE:
+        raise ConfigError(f"{found.path}: is a drive, which knows no traffic; expected a trace or a journal")
     fcd = options.fcd or Path()
     steps = 0
 
@@ -142,20 +162,57 @@ def _fcd(options: Options) -> int:
     return 0
 
 
+def _mcap(options: Options, mcap: Path) -> int:
+    """A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and the sticks."""
+    found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
+    if find_spec("rosbags") is None:
+        raise ConfigError("--mcap needs rosbags, which is not installed; expected the extra: pip install 'wcsim[bag]'")
+    counts: dict[str, int] = {}
+
+    def fill(part: Path) -> None:
+        counts.update(_bagged(found, part, options))
+
+    write_whole(mcap, fill)
+    print(f"wrote {mcap}: {sum(counts.values())} messages on {', '.join(sorted(counts))}")
+    if options.json is not None:
+        write_json(options.json, {"run": str(options.runs[0]), "mcap": str(mcap), "messages": counts})
+    return 0
+
+
+def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
+    if found.kind == DRIVE:
+        from wcsim.bridge.recording.ros_chairs import drive_bag
+        from wcsim.users.recording.drive_reader import read_drive
+
+        return drive_bag(read_drive(found.path), out)
+    if found.kind == JOURNAL:
+        from wcsim.server.journal.replay import recompute_bag
+
+        return recompute_bag(found.path, out, options.epoch or 0, options.hook)
+    from wcsim.bridge.recording.ros_chairs import trace_bag
+    from wcsim.bridge.recording.trace_file import read_trace
+
+    header, records = read_trace(found.path)
+    chosen = [record for record in records if record.epoch == (options.epoch or 0) and len(record.plants)]
+    if not chosen:
+        raise ConfigError(f"{found.path}: has no wheelchair in epoch {options.epoch or 0}; expected a run with some")
+    return trace_bag(header.tick_s, chosen, out)
+
+
 def _verify(options: Options) -> int:
     found = _find(options.runs[0], JOURNAL, "a run folder of a server, or a journal")
+    if found.kind == DRIVE:
+        return _verify_drive(found.path, options)
     if found.kind != JOURNAL:
-        raise ConfigError(f"{found.path}: is no journal, and only a journal can be verified; expected one of a server")
+        raise ConfigError(
+            f"{found.path}: is no journal, and only a journal or a drive can be verified; expected one of a server"
+        )
+    from wcsim.server.journal.journal import read_header
     from wcsim.server.journal.replay import verify
 
-    _note_versions(found.path)
+    _note_versions(JOURNAL, read_header(found.path).fingerprint)
     begun_s = time.perf_counter()
-
-    def show(ticks: int) -> None:
-        if ticks % _SHOW_EVERY == 0:
-            print(f"{ticks} ticks", file=sys.stderr)
-
-    result = verify(found.path, options.epoch, options.first or 0, options.last, show, options.hook)
+    result = verify(found.path, options.epoch, options.first or 0, options.last, _show, options.hook)
     rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
     if not result.ticks and (options.epoch, options.first, options.last) != (None, None, None):
         raise ConfigError(f"{found.path}: has no tick there; expected --epoch, --from and --to that leave some")
@@ -167,20 +224,43 @@ def _verify(options: Options) -> int:
     return 1 if result.mismatches else 0
 
 
-def _note_versions(journal: Path) -> None:
-    """Say it when equal hashes cannot be expected."""
-    from wcsim.bridge.recording.fingerprint import fingerprint
-    from wcsim.server.journal.journal import read_header
+def _verify_drive(path: Path, options: Options) -> int:
+    """Drive it again, with the recorded commands, and compare where the chair was."""
+    if (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
+        raise ConfigError("--epoch, --from, --to and --hook are for journals; expected a drive without them")
+    from wcsim.bridge.drives.remake import verify_drive
+    from wcsim.users.recording.drive_reader import read_drive
 
-    made_by, here = read_header(journal).fingerprint, fingerprint()
+    drive = read_drive(path)
+    _note_versions("drive", drive.header.fingerprint)
+    result = verify_drive(drive, _show)
+    told = "all equal" if not result.mismatches else f"{result.mismatches} differ, first {result.first_tick}"
+    print(f"{path}: {result.ticks} ticks compared, {told}, at most {result.farthest_m:.3g} m apart")
+    if options.json is not None:
+        write_json(options.json, asdict(result))
+    return 1 if result.mismatches else 0
+
+
+def _show(ticks: int) -> None:
+    if ticks % _SHOW_EVERY == 0:
+        print(f"{ticks} ticks", file=sys.stderr)
+
+
+def _note_versions(what: str, made_by: str) -> None:
+    """Say it when equal results cannot be expected."""
+    from wcsim.bridge.recording.fingerprint import fingerprint
+
+    here = fingerprint()
     if made_by != here:
-        told = f"the journal was made by other versions, hashes may differ: {shown(made_by)}; here: {here}"
+        told = f"the {what} was made by other versions, hashes may differ: {shown(made_by)}; here: {here}"
         print(told, file=sys.stderr)
 
 
 def _first_difference(options: Options) -> int:
     what = "a run folder, a trace, or a journal"
     one, other = (_find(run, JOURNAL, what) for run in options.runs)
+    if DRIVE in (one.kind, other.kind):
+        raise ConfigError("--first-difference compares traces or journals, not drives; expected two of these")
     if one.kind != other.kind:
         raise ConfigError(f"{one.path} is a {one.kind} and {other.path} a {other.kind}; expected two of a kind")
     if one.kind == TRACE:

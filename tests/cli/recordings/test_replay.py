@@ -86,6 +86,38 @@ def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder,
     assert wcsim("replay", journaled, "--fcd", "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
 
 
+def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, folder, journaled):
+    result = wcsim("replay", journaled, "--mcap", "a.mcap", "--epoch", 1, "--json", "told.json")
+    assert result.code == 0, result
+    counts = json.loads(Path("told.json").read_text())["messages"]
+    chairs = {topic.split("/")[1] for topic in counts if topic.startswith("/chair_")}
+    for chair in chairs:
+        ticks = counts[f"/{chair}/odom"]
+        assert ticks == counts[f"/{chair}/imu/data"] == counts[f"/{chair}/joy"] == counts[f"/{chair}/joy_command"]
+        assert ticks == counts[f"/{chair}/camera/front/depth/image_raw"] == counts[f"/{chair}/camera/front/camera_info"]
+    assert len(chairs) > 1 and max(counts[f"/{chair}/odom"] for chair in chairs) == 60
+    assert wcsim("replay", journaled / "beside.trace", "--mcap", "b.mcap").code == 0
+    assert Path("b.mcap").stat().st_size < Path("a.mcap").stat().st_size
+
+
+def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corner):
+    words = ("users", "record", corner, "--minutes", 0.05, "--seed", 4, "--set", "world.warmup_s=0")
+    slow = (*words, "--profile", "slow", "--out", "a.drive")
+    assert wcsim(*slow).out.endswith("30 ticks of a slow user in corner, 0 crashes\n")
+    refused(wcsim(*slow), "--out a.drive exists", "a new file")
+    refused(wcsim(*words, "--profile", "recorded:a.drive", "--out", "b.drive"), "is recorded already")
+    result = wcsim("replay", "a.drive", "--verify", "--json", "told.json")
+    assert (result.code, result.err) == (0, "")
+    assert "30 ticks compared, all equal, at most 0 m apart" in result.out
+    told = json.loads(Path("told.json").read_text())
+    assert told == {"ticks": 30, "mismatches": 0, "first_tick": None, "farthest_m": 0.0}
+    told = wcsim("replay", "a.drive", "--mcap", "a.mcap").out
+    assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in told
+    refused(wcsim("replay", "a.drive", "--fcd", "a.xml"), "is a drive, which knows no traffic")
+    refused(wcsim("replay", "a.drive", "--verify", "--epoch", 0), "are for journals")
+    refused(wcsim("replay", "a.drive", "a.drive", "--first-difference"), "not drives")
+
+
 def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     Path("empty").mkdir()
     Path("notes").write_text("hello")
@@ -97,6 +129,8 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
         (("nowhere", "--verify"), ("nowhere: is not there", "a trace or a journal")),
         (("trace", "--verify"), ("trace: is no journal",)),
         (("notes", "--verify"), ("notes: is no journal",)),
+        (("notes", "--mcap", "x.mcap"), ("not a trace",)),
+        (("trace", "--mcap", "x.bag"), ("expected a file name that ends in .mcap",)),
         (("notes", "--fcd", "x.xml"), ("not a trace",)),
         (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
         ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),

@@ -1,0 +1,133 @@
+"""A simulated user's drive is recorded, made again to the last bit, and drives a chair of its own town alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import open_world, quick_config
+from wcsim.bridge.drives.drive_header import drive_header
+from wcsim.bridge.drives.record_user import Given, UserDriveOrder, drawn_user, record_user, seat_tick
+from wcsim.bridge.drives.remake import verify_drive
+from wcsim.bridge.drives.shadow import seen_drive, with_shadow
+from wcsim.bridge.world import World, as_users_wish
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario.town import content_hash, find_town
+from wcsim.types import Command, Joystick, SeatSpec
+from wcsim.users.profile_file import profile_of_json
+from wcsim.users.profiles import profile
+from wcsim.users.recorded import write_recording
+from wcsim.users.recording.drive_reader import read_drive
+from wcsim.users.recording.drive_recorder import DriveRecorder
+from wcsim.users.recording.drive_types import RESPAWN, RecordedEvent
+
+
+@pytest.fixture(scope="module")
+def driven(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drives") / "a.drive"
+    user = drawn_user(profile("tremor"), 5)
+    order = UserDriveOrder(town=find_town(str(corner)), config=quick_config(), user=user, ticks=60, seed=2)
+    record_user(order, path)
+    return path
+
+
+def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driven):
+    drive = read_drive(driven)
+    assert (drive.header.profile, drive.header.policy, len(drive.ticks)) == ("tremor", "follow", 60)
+    assert drive.header.town_sha256 == content_hash(find_town(str(corner)))
+    assert profile_of_json(drive.header.user, "") == drawn_user(profile("tremor"), 5)
+    assert drive.knows_intents
+    assert all(tick.sticks.shape == (24, 2) for tick in drive.ticks)
+    assert all(
+        np.allclose(a.sticks[-1], (b.stick.x, b.stick.y), atol=1e-6)
+        for a, b in zip(drive.ticks, drive.ticks[1:], strict=False)
+    )
+    found = verify_drive(drive)
+    assert (found.ticks, found.mismatches, found.farthest_m) == (60, 0, 0.0)
+
+
+def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
+    drive = read_drive(driven)
+    wrong = replace(drive.ticks[20], commanded=Joystick(1.0, 0.0))
+    found = verify_drive(replace_ticks(drive, {20: wrong}))
+    assert (found.ticks, found.first_tick) == (60, 21)
+    assert found.mismatches >= 39 and found.farthest_m > 0.01
+    moved = replace(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
+    found = verify_drive(replace_ticks(drive, {30: moved}))
+    assert (found.mismatches, found.first_tick) == (1, 31)
+    with pytest.raises(TownError, match=r"\(cdcdcdcdcdcd\).*expected the same town") as caught:
+        verify_drive(replace_header(drive, town_sha256="cd" * 32))
+    assert str(caught.value).startswith("the drive was in ")
+
+
+def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
+    drive = read_drive(driven)
+    with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{driven}", truth=True)) as world:
+        for tick in drive.ticks:
+            assert world.snapshot.clients[0].user == tick.stick
+            assert world.snapshot.clients[0].truth.intent == tick.intent
+            world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded),))
+            assert np.array_equal(world.snapshot.clients[0].plant.p_WB_m, tick.p_WB_m)
+    with pytest.raises(ConfigError, match=r"was driven in .*\(\w{12}\), this is helsinki \("):
+        World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1)
+
+
+def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
+    """A person is whoever gives sticks: here a table of them, and an episode that is begun anew after tick 12."""
+    rng, config, town = np.random.default_rng(4), quick_config(), find_town(str(corner))
+    sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
+    write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
+    spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
+    with (
+        World(town, config, (spec,), 6) as world,
+        DriveRecorder(path, drive_header(town, config, 6, spec, None, "dwa", "1", "dev 1.0")) as recorder,
+    ):
+        for number in range(30):
+            if number == 12:
+                recorder.note(RecordedEvent(tick=12, time_s=1.2, kind=RESPAWN))
+                world.respawn(0)
+            before = world.snapshot.clients[0].first or world.snapshot.clients[0]
+            (command,) = as_users_wish(world.snapshot)
+            after = world.tick((command,)).clients[0]
+            given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
+            recorder.record(seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
+    drive = read_drive(path)
+    assert (drive.header.profile, drive.header.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
+    assert not drive.knows_intents
+    found = verify_drive(drive)
+    assert (found.ticks, found.mismatches) == (30, 0)
+
+
+def replace_ticks(drive, changed):
+    ticks = tuple(changed.get(number, tick) for number, tick in enumerate(drive.ticks))
+    return replace(drive, ticks=ticks)
+
+
+def replace_header(drive, **changes):
+    return replace(drive, header=replace(drive.header, **changes))
+
+
+def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner, tmp_path):
+    """A user of the model, whose intents are known, stands for the person; both know the same street."""
+    user = replace(drawn_user(profile("competent"), 3), noise=0.0)
+    config = quick_config("world.demand_scale=0")
+    order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=120, seed=4)
+    record_user(order, tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
+    hidden = replace(drive, ticks=tuple(replace(tick, intent=None) for tick in drive.ticks))
+    seen = seen_drive(hidden)
+    assert len(seen.views) == 120
+    made = with_shadow(seen, user)
+    assert made.knows_intents and not hidden.knows_intents
+    assert np.median(gaps(made, drive)) < 1e-6
+    late = with_shadow(seen, replace(user, reaction_s=0.9))
+    assert np.median(gaps(late, drive)) > 1e-4
+
+
+def gaps(one, other):
+    """How far the intents of two drives lie apart, tick by tick."""
+    pairs = ((a.intent, b.intent) for a, b in zip(one.ticks, other.ticks, strict=True))
+    return [np.hypot(a.x - b.x, a.y - b.y) for a, b in pairs]

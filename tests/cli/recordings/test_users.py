@@ -1,0 +1,51 @@
+"""`wcsim users fit`: a profile is written that other commands take, and drives that cannot be fitted are refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_bad_input import refused
+from tests.users.fitting.plane_drives import plane_drive
+from tests.users.recording.drives import write_drive
+from wcsim.users.profile_file import read_profile
+from wcsim.users.profiles import profile
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    made = plane_drive(replace(profile("slow"), reaction_s=0.8), 45.0, 3)
+    return write_drive(tmp_path_factory.mktemp("drives") / "slow.drive", list(made.ticks))
+
+
+def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
+    result = wcsim("users", "fit", drive, "--out", "my user.toml", "--base", "slow", "--json", "told.json")
+    assert result.code == 0, result
+    assert "reaction_s" in result.out and "wcsim test --profile" in result.out
+    assert "only 4" in result.err and "tremor" in result.out
+    told = json.loads(Path("told.json").read_text())
+    assert told["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)
+    assert told["estimates"]["reaction_s"]["told"] is True
+    made = read_profile(Path("my user.toml"))
+    assert (made.name, made.lookahead_m, made.spread) == ("my-user", 0.9, 0.0)
+    assert made.reaction_s == pytest.approx(0.8, abs=0.05)
+    assert "# 95 %: " in Path("my user.toml").read_text()
+
+
+def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
+    write_drive(Path("short.drive"), list(plane_drive(profile("competent"), 2.0, 1).ticks))
+    Path("notes.txt").write_text("hello")
+    before = sorted(Path().iterdir())
+    for words, told in (
+        (("short.drive", "--out", "a.toml"), ("no episode of 5 s or more", "drive longer")),
+        (("notes.txt", "--out", "a.toml"), ("notes.txt: is not a drive",)),
+        (("none.drive", "--out", "a.toml"), ("none.drive: cannot be read",)),
+        ((drive, "--out", "a.txt"), ("expected a file name that ends in .toml",)),
+        ((drive, "--out", "a.toml", "--base", "drunk"), ("unknown user profile 'drunk'",)),
+        ((drive, "--out", "a.toml", "--without-intents"), ("unknown town 'nowhere'",)),
+    ):
+        refused(wcsim("users", "fit", *words), *told)
+    assert sorted(Path().iterdir()) == before

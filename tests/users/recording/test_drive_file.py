@@ -1,0 +1,170 @@
+"""A drive on disk: what is recorded is read, a killed one keeps what was driven, what cannot be a drive is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.users.recording.drives import drive_header, tick, write_drive
+from wcsim.errors import ConfigError, JournalError, WcsimError
+from wcsim.types import Joystick, StartSpec
+from wcsim.users.recording.drive_bytes import header_payload, tick_of, tick_payload
+from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
+from wcsim.users.recording.drive_recorder import DriveRecorder
+from wcsim.users.recording.drive_types import DRIVE_MAGIC, RecordedEvent
+from wcsim.users.recording.framing import framed, whole_records
+
+FLAGS = ("warning", "intervening", "overruled", "helped", "arrived", "gave_up", "crashed", "truncated")
+UNIT = st.floats(-1.0, 1.0)
+
+
+def rechained(payloads):
+    """Records, each with the checksum of the one before."""
+    data, after = b"", 0
+    for payload in payloads:
+        record = framed(payload, after)
+        after = int.from_bytes(record[4:8], "little")
+        data += record
+    return data
+
+
+def payloads_of(path):
+    return [record.payload for record in whole_records(io.BytesIO(path.read_bytes()), 0)]
+
+
+def test_what_is_recorded_is_read(tmp_path):
+    ticks = [tick(1), tick(2, intent=None, helped=True), tick(3, crashed=True), tick(4, episode=1)]
+    events = (RecordedEvent(tick=0, time_s=0.0, kind="help", detail="a" * 900),)
+    start = StartSpec(p_W_m=(1.0, 2.0), yaw_rad=0.5, goal_W_m=(9.0, 2.0))
+    path = write_drive(tmp_path / "deep" / "a.drive", ticks, events, start=start)
+    drive = read_drive(path)
+    assert drive.header == drive_header(start=start) == read_drive_header(path)
+    assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
+    assert drive.ticks[0] == replace(ticks[0], sticks=ticks[0].sticks.astype(np.float32).astype(float))
+    assert drive.events == (replace(events[0], detail="a" * 400),)
+    assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.torn) == (None, True, False, False)
+    assert [len(part) for part in drive.episodes] == [3, 1]
+    assert [item.ends for item in drive.ticks] == [False, False, True, False]
+    assert is_drive(path)
+
+
+@given(UNIT, UNIT, st.sets(st.sampled_from(FLAGS)), st.integers(-1, 80), st.integers(0, 30))
+def test_a_tick_is_the_same_after_it_was_bytes(x, y, flags, action, samples):
+    sticks = np.linspace(-1.0, 1.0, 2 * samples).reshape(-1, 2).astype(np.float32).astype(float)
+    made = tick(5, stick=Joystick(x, y), action=action, sticks=sticks, **dict.fromkeys(flags, True))
+    assert tick_of(tick_payload(made)) == made
+
+
+def test_a_killed_drive_keeps_what_was_driven(tmp_path):
+    code = (
+        "import os, sys; from pathlib import Path; from tests.users.recording.drives import *\n"
+        "recorder = DriveRecorder(Path(sys.argv[1]), drive_header())\n"
+        "for number in range(1, 8): recorder.record(tick(number))\n"
+        f"os.kill(os.getpid(), {int(signal.SIGKILL)})"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.drive")], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert len(read_drive(tmp_path / "a.drive").ticks) == 7
+
+
+def test_a_torn_end_is_left_out_and_damage_before_it_is_refused(tmp_path):
+    path = write_drive(tmp_path / "a.drive", [tick(number) for number in range(1, 6)])
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-7])
+    drive = read_drive(path)
+    assert (len(drive.ticks), drive.torn) == (4, True)
+    for at in (len(whole) // 2, len(whole) - 300):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        with pytest.raises(JournalError, match=r"a\.drive"):
+            read_drive(path)
+    payloads = payloads_of(write_drive(tmp_path / "b.drive", [tick(number) for number in range(1, 4)]))
+    path.write_bytes(b"".join(map(framed, payloads)))  # whole records, but not of one chain
+    with pytest.raises(JournalError, match=r"a\.drive"):
+        read_drive(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"magic": "wcsim-drive-2"}, "is of format 'wcsim-drive-2'; expected 'wcsim-drive-1'"),
+        ({"tick_s": 0.0}, "no header of a drive"),
+        ({"tick_s": "0.1"}, "no header of a drive"),
+        ({"seed": -1}, "no header of a drive"),
+        ({"seed": True}, "no header of a drive"),
+        ({"town": 3}, "no header of a drive"),
+        ({"start": {"p_W_m": [1.0], "yaw_rad": 0.0, "goal_W_m": [0.0, 0.0]}}, "no header of a drive"),
+        ({"more": 1}, "no header of a drive"),
+        ({"magic": "wcsim-trace-1"}, "is not a drive"),
+    ],
+)
+def test_a_header_that_cannot_be_is_refused(tmp_path, change, says):
+    data = json.loads(header_payload(drive_header())) | change
+    (tmp_path / "a.drive").write_bytes(rechained([json.dumps(data).encode(), tick_payload(tick(1))]))
+    with pytest.raises(JournalError, match=says):
+        read_drive(tmp_path / "a.drive")
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"X",
+        b"T" + bytes(20),
+        tick_payload(tick(2))[:-3],
+        tick_payload(tick(2)) + bytes(8),
+        b"E{}",
+        b'E{"tick": 1, "time_s": 0.1, "kind": 3, "detail": ""}',
+        b"E" + json.dumps({"tick": 1, "time_s": 0.1, "kind": "a" * 99, "detail": ""}).encode(),
+        tick_payload(tick(7)),
+        tick_payload(tick(2, time_s=0.05)),
+    ],
+)
+def test_a_record_that_cannot_be_is_refused(tmp_path, payload):
+    records = [header_payload(drive_header()), tick_payload(tick(1)), payload]
+    (tmp_path / "a.drive").write_bytes(rechained(records))
+    with pytest.raises(JournalError, match=r"none of a drive|does not follow tick 1"):
+        read_drive(tmp_path / "a.drive")
+
+
+def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
+    with DriveRecorder(tmp_path / "a.drive", drive_header()) as recorder:
+        recorder.record(tick(1))
+        for wrong in ({"yaw_rad": np.nan}, {"stick": Joystick(1.1, 0.0)}, {"p_WB_m": np.array([1e12, 0.0, 0.0])}):
+            with pytest.raises(WcsimError, match="tick 2 holds a number"):
+                recorder.record(tick(2, **wrong))
+        recorder.record(tick(2))
+    assert len(read_drive(tmp_path / "a.drive").ticks) == 2
+    with pytest.raises(WcsimError, match="closed"):
+        recorder.record(tick(3))
+
+
+def test_a_recording_is_begun_once_and_in_a_place_that_can_be_written(tmp_path):
+    write_drive(tmp_path / "a.drive", [tick(1)])
+    before = (tmp_path / "a.drive").read_bytes()
+    with pytest.raises(ConfigError, match=r"a\.drive: cannot be begun \(File exists\)"):
+        DriveRecorder(tmp_path / "a.drive", drive_header())
+    with pytest.raises(ConfigError, match="choose the name of a new file"):
+        DriveRecorder(tmp_path / "a.drive" / "b", drive_header())
+    assert (tmp_path / "a.drive").read_bytes() == before
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match="link"):
+        DriveRecorder(tmp_path / "link", drive_header())
+
+
+def test_what_is_no_drive_is_not_taken_for_one(tmp_path):
+    (tmp_path / "a.csv").write_text("time_s,x,y\n0,0,0\n")
+    (tmp_path / "a.trace").write_bytes(framed(b'{"magic": "wcsim-trace-1"}'))
+    assert not any(is_drive(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
+    for path in tmp_path.iterdir():
+        with pytest.raises(JournalError, match="is not a drive"):
+            read_drive(path)
+    assert DRIVE_MAGIC == "wcsim-drive-1"

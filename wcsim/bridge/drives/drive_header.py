@@ -1,0 +1,52 @@
+"""What the header of a recorded drive says of the world that it is driven in."""
+
+from __future__ import annotations
+
+from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.config import RunConfig
+from wcsim.towns.scenario.town import Town, content_hash
+from wcsim.types import SeatSpec
+from wcsim.users.profile_file import profile_json
+from wcsim.users.profiles import UserProfile
+from wcsim.users.recording.drive_types import PERSON, DriveHeader, wcsim_version
+
+
+def drive_header(
+    town: Town,
+    config: RunConfig,
+    seed: int,
+    spec: SeatSpec,
+    user: UserProfile | None,
+    policy: str = "",
+    level: str = "",
+    episode: str = "",
+) -> DriveHeader:
+    """The header of a drive.
+
+    Args:
+        town: Where.
+        config: Of the world.
+        seed: Of the world.
+        spec: Of the only seat.
+        user: The simulated user as it was drawn; None when a person drives.
+        policy: Who assists; "" for nobody.
+        level: Of the assistance, where it has levels.
+        episode: Of a suite, its name, block and seat; "" for none.
+    """
+    return DriveHeader(
+        wcsim=wcsim_version(),
+        fingerprint=fingerprint(),
+        town=town.name,
+        town_address=town.address,
+        town_sha256=content_hash(town),
+        seed=seed,
+        tick_s=config.world.tick_s,
+        config=config.model_dump_json(),
+        profile=PERSON if user is None else user.name,
+        user="" if user is None else profile_json(user),
+        policy=policy,
+        level=level,
+        episode=episode,
+        max_steps=spec.max_steps,
+        start=spec.start,
+    )

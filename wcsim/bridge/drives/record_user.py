@@ -1,0 +1,126 @@
+"""Let a simulated user drive, as the baseline `follow` lets everybody, and record it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from wcsim.bridge.drives.drive_header import drive_header
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig
+from wcsim.core import seeding
+from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.towns.scenario.town import Town
+from wcsim.types import F64, ClientSnapshot, Command, Joystick, SeatSpec
+from wcsim.users.profile_file import profile_text
+from wcsim.users.profiles import UserProfile, sample
+from wcsim.users.recording.drive_recorder import DriveRecorder
+from wcsim.users.recording.drive_types import RecordedTick
+
+FOLLOW = "follow"
+ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UserDriveOrder:
+    """A drive of one simulated user, who stays the same from episode to episode."""
+
+    town: Town
+    config: RunConfig
+    user: UserProfile  # as drawn
+    ticks: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Given:
+    """What a chair was given in a tick, and by whom."""
+
+    commanded: Joystick
+    chosen: Joystick
+    action: int
+
+
+def drawn_user(base: UserProfile, seed: int) -> UserProfile:
+    """One user of a profile, who is then nobody else in any episode."""
+    return replace(sample(base, seeding.generator(seed, "drive", "user")), spread=0.0)
+
+
+def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], object] = lambda ticks: None) -> int:
+    """Drive and record; returns how many crashes there were. `progress` hears of every tick.
+
+    Raises:
+        ConfigError: The file is there already, or cannot be made.
+        DiskFullError: It could not be written on.
+        TownError: The town cannot be run.
+    """
+    points, crashes = action_set(order.config.env.actions), 0
+    with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
+        spec = SeatSpec(profile=write_user(Path(work), order.user), max_steps=ENDLESS)
+        header = drive_header(order.town, order.config, order.seed, spec, order.user, FOLLOW)
+        with DriveRecorder(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
+            world.go_blind()
+            for number in range(1, order.ticks + 1):
+                tick = driven_tick(world, 0, points)
+                recorder.record(tick)
+                crashes += tick.crashed
+                progress(number)
+    return crashes
+
+
+def write_user(folder: Path, user: UserProfile) -> str:
+    """The file of a profile, as a seat names it."""
+    path = folder / f"{user.name}.toml"
+    path.write_text(profile_text(user, {}), encoding="utf-8")
+    return str(path)
+
+
+def driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
+    """One tick of a world with a single chair, which gets the action nearest to its user's stick."""
+    (ego,), client = world.seats, world.snapshot.clients[0]
+    before = client.first or client
+    user, intent = ego.user, ego.user.intent
+    action = points.nearest((before.user.x, before.user.y))
+    x, y = points.points[action].tolist()
+    given = Given(commanded=Joystick(x, y), chosen=Joystick(x, y), action=action)
+    tick = world.snapshot.tick
+    (after,) = world.tick((Command(seat=seat, tick=tick, joystick=given.commanded),)).clients
+    return seat_tick(before, after, given, intent, user.sticks, world.config.world.tick_s)
+
+
+def seat_tick(
+    before: ClientSnapshot, after: ClientSnapshot, given: Given, intent: Joystick | None, sticks: F64, tick_s: float
+) -> RecordedTick:
+    """A tick of a seat as it is recorded.
+
+    Args:
+        before: The seat at the tick's beginning.
+        after: At its end; when that ended the episode, what comes next is in its `first`.
+        given: What the chair was given.
+        intent: What its user wanted.
+        sticks: (S, 2) the user's stick within the tick.
+        tick_s: How long it took.
+    """
+    plant, events = after.plant, after.events
+    return RecordedTick(
+        tick=after.tick,
+        episode=events.episode,
+        time_s=after.tick * tick_s,
+        stick=before.user,
+        intent=intent,
+        sticks=sticks,
+        commanded=given.commanded,
+        chosen=given.chosen,
+        action=given.action,
+        p_WB_m=plant.p_WB_m,
+        yaw_rad=plant.yaw_rad,
+        roll_rad=plant.roll_rad,
+        pitch_rad=plant.pitch_rad,
+        speed_mps=float(plant.v_B_mps[0]),
+        arrived=events.arrived,
+        gave_up=events.gave_up,
+        crashed=events.crashed,
+        truncated=events.truncated,
+    )

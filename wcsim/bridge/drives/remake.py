@@ -1,0 +1,111 @@
+"""A recorded drive made again: the same town, seed, settings and person, every tick commanded as it was."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.bridge.drives.record_user import write_user
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, parse_json
+from wcsim.core.constants import RECORDED
+from wcsim.core.reading import shown
+from wcsim.errors import TownError
+from wcsim.towns.scenario.town import Town, content_hash, find_town
+from wcsim.types import ClientSnapshot, Command, SeatSpec
+from wcsim.users.profile_file import profile_of_json
+from wcsim.users.recording.drive_types import RESPAWN, DriveHeader, DriveRecording, RecordedTick
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveCheck:
+    """How a drive compares with the same one made again."""
+
+    ticks: int = 0  # compared
+    mismatches: int = 0
+    first_tick: int | None = None  # that differs
+    farthest_m: float = 0.0  # between the two places of a tick
+
+
+Remaking = Generator[tuple[RecordedTick, ClientSnapshot, ClientSnapshot], None, None]
+"""Each tick as recorded, the seat before it and after it; holds a world: exhaust it, or close it."""
+
+
+def town_of_drive(header: DriveHeader) -> Town:
+    """The town of a drive, by its name or where it lay. Raises TownError when it is gone, or is not what it was."""
+    try:
+        town = find_town(header.town)
+    except TownError:
+        town = find_town(header.town_address)
+    here = content_hash(town)
+    if here != header.town_sha256:
+        raise TownError(
+            f"the drive was in {shown(header.town, 80)} ({header.town_sha256[:12]}), this is {town.name} "
+            f"({here[:12]}); expected the same town: restore its files"
+        )
+    return town
+
+
+def config_of_drive(header: DriveHeader) -> RunConfig:
+    """The settings of a drive. Raises ConfigError when they cannot be used."""
+    return parse_json(RunConfig, header.config, "the configuration in the drive")
+
+
+def remade(drive: DriveRecording, before_tick: Callable[[World], object] = lambda world: None) -> Remaking:
+    """Do again what was done in a drive; `before_tick` is shown the world before every tick.
+
+    Raises:
+        TownError: The town is gone, or is not what it was.
+        ConfigError: Its settings or its user cannot be used here.
+    """
+    header = drive.header
+    town, config = town_of_drive(header), config_of_drive(header)
+    cut = [event.tick for event in drive.events if event.kind == RESPAWN]
+    with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
+        spec = SeatSpec(profile=_user_of(drive, Path(work)), max_steps=header.max_steps, start=header.start)
+        with World(town, config, (spec,), header.seed) as world:
+            world.go_blind()
+            for tick in drive.ticks:
+                for _ in range(cut.count(world.snapshot.tick)):
+                    world.respawn(0)
+                before_tick(world)
+                client = world.snapshot.clients[0]
+                command = Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded)
+                yield tick, client.first or client, world.tick((command,)).clients[0]
+
+
+def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lambda ticks: None) -> DriveCheck:
+    """Compare every tick's place, heading, speed and, of a simulated user, stick. Raises what `remade` raises."""
+    result = DriveCheck()
+    with closing(remade(drive)) as steps:
+        for tick, before, after in steps:
+            result = _compared(result, tick, before.user == tick.stick, after)
+            progress(result.ticks)
+    return result
+
+
+def _user_of(drive: DriveRecording, work: Path) -> str:
+    if not drive.header.user:
+        return f"{RECORDED}{drive.name}"
+    return write_user(work, profile_of_json(drive.header.user, "the user in the drive"))
+
+
+def _compared(so_far: DriveCheck, tick: RecordedTick, same: bool, client: ClientSnapshot) -> DriveCheck:
+    """One tick more, in which the stick was the `same`, with the seat at its end."""
+    plant = client.plant
+    same = same and np.array_equal(plant.p_WB_m, tick.p_WB_m) and client.tick == tick.tick
+    same = same and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)
+    first = tick.tick if so_far.first_tick is None and not same else so_far.first_tick
+    return replace(
+        so_far,
+        ticks=so_far.ticks + 1,
+        mismatches=so_far.mismatches + (not same),
+        first_tick=first,
+        farthest_m=max(so_far.farthest_m, math.dist(plant.p_WB_m.tolist(), tick.p_WB_m.tolist())),
+    )

@@ -1,0 +1,64 @@
+"""What a person wanted, made by the user model: it looks at the same street, tick by tick, from the same chair.
+
+The drive is made again, and somebody of the model sits beside the person: on the same route, knowing of the same
+things, with the person's delay. What it would want is taken for what the person wanted.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+from wcsim.bridge.drives.remake import config_of_drive, remade
+from wcsim.bridge.world import World
+from wcsim.core import seeding
+from wcsim.types import Joystick, Outline, Street, UserView
+from wcsim.users.profiles import UserProfile
+from wcsim.users.recording.drive_types import DriveRecording
+from wcsim.users.user import SimulatedUser
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenDrive:
+    """A drive, and what there was to see at the beginning of each of its ticks."""
+
+    drive: DriveRecording
+    views: tuple[UserView, ...]
+    street: Street
+    outline: Outline
+
+
+def seen_drive(drive: DriveRecording) -> SeenDrive:
+    """Make a drive again and keep what its person saw. Raises what `remade` raises."""
+    views: list[UserView] = []
+    held: list[tuple[Street, Outline]] = []
+
+    def look(world: World) -> None:
+        views.append(world.view_of(0))
+        if not held:
+            held.append((world.street, world.seats[0].chair.outline))
+
+    with closing(remade(drive, look)) as steps:
+        for _ in steps:
+            pass
+    street, outline = held[0]
+    return SeenDrive(drive=drive, views=tuple(views), street=street, outline=outline)
+
+
+def with_shadow(seen: SeenDrive, user: UserProfile) -> DriveRecording:
+    """The drive with the intents of an attentive driver of these delays, who misses nothing and always corrects."""
+    careful = replace(user, see_share=1.0, away_share=0.0, correct_every_s=0.0, give_up_s=3600.0)
+    chair, shadow, before = config_of_drive(seen.drive.header).chair, None, None
+    wishes: list[Joystick] = []
+    for tick, view in zip(seen.drive.ticks, seen.views, strict=True):
+        if shadow is None or before is None or tick.episode != before[0]:
+            rng = seeding.generator(seen.drive.header.seed, "shadow", tick.episode)
+            shadow = SimulatedUser(careful, rng, chair, seen.outline, seen.street)
+            before = None
+        if before is None or before[1] is not view.route:
+            shadow.follow(view.route)
+        shadow.look(view)
+        wishes.append(shadow.intent)
+        before = (tick.episode, view.route)
+    ticks = tuple(replace(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
+    return replace(seen.drive, ticks=ticks)

@@ -1,0 +1,186 @@
+"""MCAP files with messages of ROS 2, the one place that needs rosbags, which is an extra.
+
+Frames are those of REP 103 and REP 105: metres, seconds, radians; x forward, y left, z up; `map`, `odom`, `base_link`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from wcsim.core.closing import Closing
+from wcsim.errors import ConfigError
+from wcsim.types import F32, F64, U8
+
+_VERSION: Final = 8  # of the format that ROS 2 Humble and later read
+
+
+class RosBag(Closing):
+    """A new MCAP file; it appears when it is closed."""
+
+    def __init__(self, path: Path) -> None:
+        """Begin a file. Raises ConfigError when the extra is not installed."""
+        try:
+            from rosbags.rosbag2 import StoragePlugin, Writer
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise ConfigError(
+                "--mcap needs rosbags, which is not installed; expected the extra: pip install 'wcsim[bag]'"
+            ) from None
+        self._path = path
+        self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
+        self._work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        self._writer: Any = Writer(self._work / "bag", version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        self._topics: dict[str, Any] = {}
+        self._closed = False
+        self.counts: dict[str, int] = {}  # of messages, by topic
+
+    def close(self) -> None:
+        """End the file and put it in its place; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._writer.close()
+            (self._work / "bag" / "bag.mcap").replace(self._path)
+        finally:
+            shutil.rmtree(self._work, ignore_errors=True)
+
+    def joy(self, topic: str, time_s: float, axes: Sequence[float], buttons: Sequence[bool] = ()) -> None:
+        """sensor_msgs/Joy."""
+        self._write(
+            topic,
+            "sensor_msgs/msg/Joy",
+            time_s,
+            header=self._header(time_s, ""),
+            axes=np.array(axes, np.float32),
+            buttons=np.array(buttons, np.int32),
+        )
+
+    def odometry(
+        self, topic: str, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], v: F64, w: F64
+    ) -> None:
+        """nav_msgs/Odometry: a frame in its parent, and how it moves, seen from itself.
+
+        Args:
+            topic: Where.
+            time_s: When.
+            frames: Parent and child.
+            pose: Place (3,) and quaternion (4,) x, y, z, w of the child in the parent.
+            v: (3,) its velocity.
+            w: (3,) its angular velocity.
+        """
+        exact = np.zeros(36)
+        at = self._made("geometry_msgs/msg/Pose", position=self._point(pose[0]), orientation=self._quaternion(pose[1]))
+        twist = self._made("geometry_msgs/msg/Twist", linear=self._vector(v), angular=self._vector(w))
+        self._write(
+            topic,
+            "nav_msgs/msg/Odometry",
+            time_s,
+            header=self._header(time_s, frames[0]),
+            child_frame_id=frames[1],
+            pose=self._made("geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=exact),
+            twist=self._made("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=exact),
+        )
+
+    def transform(self, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], fixed: bool = False) -> None:
+        """tf2_msgs/TFMessage: the place and quaternion of a frame in its parent, on /tf_static where it is `fixed`."""
+        moved = self._made(
+            "geometry_msgs/msg/Transform", translation=self._vector(pose[0]), rotation=self._quaternion(pose[1])
+        )
+        stamped = self._made(
+            "geometry_msgs/msg/TransformStamped",
+            header=self._header(time_s, frames[0]),
+            child_frame_id=frames[1],
+            transform=moved,
+        )
+        self._write("/tf_static" if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=[stamped])
+
+    def imu(self, topic: str, time_s: float, frame: str, q: F64, w: F64, a: F64) -> None:
+        """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,), gravity included."""
+        unknown = np.zeros(9)
+        self._write(
+            topic,
+            "sensor_msgs/msg/Imu",
+            time_s,
+            header=self._header(time_s, frame),
+            orientation=self._quaternion(q),
+            orientation_covariance=unknown,
+            angular_velocity=self._vector(w),
+            angular_velocity_covariance=unknown,
+            linear_acceleration=self._vector(a),
+            linear_acceleration_covariance=unknown,
+        )
+
+    def image(self, topic: str, time_s: float, frame: str, picture: U8 | F32, encoding: str) -> None:
+        """sensor_msgs/Image (H, W) or (H, W, 3), as rgb8, mono8 or 32FC1."""
+        rows = np.ascontiguousarray(picture)
+        self._write(
+            topic,
+            "sensor_msgs/msg/Image",
+            time_s,
+            header=self._header(time_s, frame),
+            height=rows.shape[0],
+            width=rows.shape[1],
+            encoding=encoding,
+            is_bigendian=0,
+            step=rows.strides[0],
+            data=rows.view(np.uint8).reshape(-1),
+        )
+
+    def camera_info(self, topic: str, time_s: float, frame: str, size_px: tuple[int, int], focal_px: float) -> None:
+        """sensor_msgs/CameraInfo of an ideal camera of that width and height."""
+        width, height = size_px
+        cx, cy = 0.5 * width - 0.5, 0.5 * height - 0.5
+        roi = self._made(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        self._write(
+            topic,
+            "sensor_msgs/msg/CameraInfo",
+            time_s,
+            header=self._header(time_s, frame),
+            height=height,
+            width=width,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=np.array([focal_px, 0.0, cx, 0.0, focal_px, cy, 0.0, 0.0, 1.0]),
+            r=np.eye(3).ravel(),
+            p=np.array([focal_px, 0.0, cx, 0.0, 0.0, focal_px, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
+            binning_x=0,
+            binning_y=0,
+            roi=roi,
+        )
+
+    def _write(self, topic: str, kind: str, stamp_s: float, **content: Any) -> None:
+        if topic not in self._topics:
+            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        data = self._store.serialize_cdr(self._made(kind, **content), kind)
+        self._writer.write(self._topics[topic], round(stamp_s * 1e9), data)
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+
+    def _made(self, kind: str, **content: Any) -> Any:
+        return self._store.types[kind](**content)
+
+    def _header(self, time_s: float, frame: str) -> Any:
+        seconds, nanoseconds = divmod(round(time_s * 1e9), 1_000_000_000)
+        stamp = self._made("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return self._made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def _point(self, p: F64) -> Any:
+        x, y, z = p.tolist()
+        return self._made("geometry_msgs/msg/Point", x=x, y=y, z=z)
+
+    def _vector(self, v: F64) -> Any:
+        x, y, z = v.tolist()
+        return self._made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def _quaternion(self, q: F64) -> Any:
+        x, y, z, w = q.tolist()
+        return self._made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)

@@ -1,0 +1,154 @@
+"""Wheelchairs as ROS 2 sees them: the topics and frames of each, and what a recording's ticks are in them.
+
+One chair has `odom` and `base_link`; of several, those of seat n stand behind `chair_n/`. `base_link` is wcsim's frame
+B (below the middle of the drive axle; x forward, y left, z up), `map` its frame W (x east, y north, z up). Odometry is
+the truth, so `odom` stays on `map`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.bridge.recording.ros_bag import RosBag
+from wcsim.bridge.recording.trace import TickRecord
+from wcsim.config import RunConfig
+from wcsim.core.frames import wrap
+from wcsim.core.rotations import quaternion
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
+from wcsim.types import F64, ClientSnapshot, Joystick
+from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
+
+MAP, ODOM, BASE = "map", "odom", "base_link"
+_LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+_PLANT = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)  # of a row in a trace: place, turn, speed, turn rate
+
+
+class RosChair:
+    """Writes one wheelchair's messages into a bag."""
+
+    def __init__(self, bag: RosBag, seat: int | None, begun_s: float) -> None:
+        """The only chair where `seat` is None; `begun_s` is when the recording begins."""
+        self._bag = bag
+        self._space = "" if seat is None else f"chair_{seat}/"
+        bag.transform(begun_s, (MAP, self.frame(ODOM)), (np.zeros(3), _LEVEL), fixed=True)
+
+    def frame(self, name: str) -> str:
+        """The name of one of the chair's frames."""
+        return f"{self._space}{name}"
+
+    def topic(self, name: str) -> str:
+        """The name of one of the chair's topics."""
+        return f"/{self._space}{name}"
+
+    def stick(self, name: str, time_s: float, stick: Joystick, buttons: Sequence[bool] = ()) -> None:
+        """A joystick as ROS's drivers give one: axes to the left and forward."""
+        self._bag.joy(self.topic(name), time_s, (0.0 - stick.x, stick.y), buttons)
+
+    def moved(self, time_s: float, p_WB_m: F64, q_WB: F64, v_B_mps: F64, w_B_radps: F64) -> None:
+        """Where the chair is, as odometry and as a transform."""
+        frames, pose = (self.frame(ODOM), self.frame(BASE)), (p_WB_m, q_WB)
+        self._bag.odometry(self.topic("odom"), time_s, frames, pose, v_B_mps, w_B_radps)
+        self._bag.transform(time_s, frames, pose)
+
+    def mounted(self, time_s: float, config: RunConfig) -> None:
+        """Where the chair's IMU and cameras sit."""
+        imu = np.array(config.imu.p_BI_m)
+        self._bag.transform(time_s, (self.frame(BASE), self.frame("imu_link")), (imu, _LEVEL), fixed=True)
+        for camera in config.cameras:
+            T_CB = camera_matrix(np.eye(3, 4), mount(camera))
+            R_BC = T_CB[:, :3].T
+            pose = (-R_BC @ T_CB[:, 3], quaternion_of(R_BC))
+            self._bag.transform(time_s, (self.frame(BASE), self.frame(optical(camera.name))), pose, fixed=True)
+
+    def saw(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
+        """Everything that a world says of a chair."""
+        plant = client.plant
+        self.stick("joy", time_s, client.user)
+        self.moved(time_s, plant.p_WB_m, plant.q_WB, plant.v_B_mps, plant.w_B_radps)
+        self.sensed(time_s, client, config)
+
+    def sensed(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
+        """What the chair's IMU and cameras say; a picture when it is new."""
+        imu = client.sensors.imu
+        turn = np.array(quaternion(imu.yaw_rad, imu.pitch_rad, imu.roll_rad))
+        self._bag.imu(self.topic("imu/data"), time_s, self.frame("imu_link"), turn, imu.gyro_radps, imu.accel_mean_mps2)
+        for frame, camera in zip(client.sensors.cameras, config.cameras, strict=True):
+            if frame.taken_tick != client.tick:
+                continue
+            space, where = f"camera/{frame.name}", self.frame(optical(frame.name))
+            size_px, ideal = (camera.width_px, camera.height_px), pinhole(camera)
+            self._bag.camera_info(self.topic(f"{space}/camera_info"), time_s, where, size_px, ideal.focal_px)
+            self._bag.image(self.topic(f"{space}/depth/image_raw"), time_s, where, frame.depth_m, "32FC1")
+            self._bag.image(self.topic(f"{space}/class/image_raw"), time_s, where, frame.class_id, "mono8")
+            if frame.rgb is not None:
+                self._bag.image(self.topic(f"{space}/rgb/image_raw"), time_s, where, frame.rgb, "rgb8")
+
+
+def drive_bag(drive: DriveRecording, out: Path) -> dict[str, int]:
+    """Write a drive as an MCAP file; returns how many messages each topic has. Raises ConfigError without rosbags."""
+    with RosBag(out) as bag:
+        chair, before, tick_s = RosChair(bag, None, 0.0), None, drive.header.tick_s
+        for tick in drive.ticks:
+            chair.stick("joy", tick.time_s - tick_s, tick.stick, (tick.helped, tick.overruled))
+            if tick.intent is not None:
+                chair.stick("joy_intent", tick.time_s - tick_s, tick.intent)
+            buttons = (tick.warning, tick.intervening)
+            chair.stick("joy_command", tick.time_s - tick_s, tick.commanded, buttons)
+            turn_radps = _turn_radps(before, tick, tick_s)
+            chair.moved(
+                tick.time_s,
+                tick.p_WB_m,
+                np.array(quaternion(tick.yaw_rad, tick.pitch_rad, tick.roll_rad)),
+                np.array([tick.speed_mps, 0.0, 0.0]),
+                np.array([0.0, 0.0, turn_radps]),
+            )
+            before = tick
+        return bag.counts
+
+
+def trace_bag(tick_s: float, records: Iterable[TickRecord], out: Path) -> dict[str, int]:
+    """Write the chairs of a trace as an MCAP file; returns how many messages each topic has. Raises ConfigError."""
+    with RosBag(out) as bag:
+        chairs: dict[int, RosChair] = {}
+        for record in records:
+            seats = record.seats or tuple(range(len(record.plants)))
+            for seat, command, plant in zip(seats, record.commands, record.plants, strict=True):
+                if seat not in chairs:
+                    chairs[seat] = RosChair(bag, seat if max(seats) > 0 else None, record.time_s - tick_s)
+                chairs[seat].stick("joy_command", record.time_s - tick_s, Joystick(*command.tolist()))
+                chairs[seat].moved(record.time_s, *(plant[part] for part in _PLANT))
+        return bag.counts
+
+
+def optical(name: str) -> str:
+    """The frame of a camera's pictures: x right, y down, z forward."""
+    return f"camera_{name}_optical_frame"
+
+
+def quaternion_of(turn: F64) -> F64:
+    """Unit quaternion (4,) x, y, z, w of a rotation matrix (3, 3).
+
+    >>> quaternion_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(4).tolist()
+    [0.0, 0.0, 0.7071, 0.7071]
+    """
+    (a, b, c), (d, e, f), (g, h, i) = turn.tolist()
+    k = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    found = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(found if found[3] >= 0.0 else -found, np.float64)
+
+
+def _turn_radps(before: RecordedTick | None, tick: RecordedTick, tick_s: float) -> float:
+    """How fast the chair turned in a tick; 0 in the first one of an episode."""
+    if before is None or before.episode != tick.episode:
+        return 0.0
+    return wrap(tick.yaw_rad - before.yaw_rad) / tick_s

@@ -1,0 +1,113 @@
+"""`wcsim users fit`: the user model fitted to recorded drives, as a profile that trainings and tests take."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from wcsim.cli.shared.common import OutFile, check_output, write_json, write_whole
+from wcsim.errors import ConfigError
+from wcsim.users.profile_file import profile_text
+from wcsim.users.profiles import UserProfile, profile
+
+if TYPE_CHECKING:  # loads what --help must not
+    from wcsim.users.fitting.fit_user import UserFit
+    from wcsim.users.recording.drive_types import DriveRecording
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+_ROUNDS = 3  # of making intents by the last fit, and fitting to them
+
+
+@dataclass
+class UserFitOptions:
+    """Fit the user model to recorded drives of one person, and write it as a profile."""
+
+    drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
+    """Recorded drives of one person."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")]
+    """The profile, for --profile of test and video, or env.profile."""
+    base: str = "competent"
+    """The profile whose numbers stand for what a drive cannot tell."""
+    without_intents: Flag = False
+    """Leave aside what a recording says of intents, as of a person's: the user model makes them from the street."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: UserFitOptions) -> int:
+    """Fit, print, write."""
+    check_output("--out", options.out, ".toml")
+    base = profile(options.base)
+    if not options.drives:
+        raise ConfigError("users fit got no drive; expected one or more files that were recorded")
+    from wcsim.users.recording.drive_reader import read_drive
+
+    drives = [read_drive(path) for path in options.drives]
+    known = all(drive.knows_intents for drive in drives) and not options.without_intents
+    fit = _fitted(drives, base) if known else _reconstructed(drives, base)
+    fit = replace(fit, profile=replace(fit.profile, name=base_name(options.out)))
+    head = f"fitted to {fit.seconds:.0f} s of driving; what has no interval is that of {base.name}\n"
+    text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
+    write_whole(options.out, lambda part: part.write_text(text, encoding="utf-8"))
+    _print(fit)
+    print(f"wrote {options.out}; try it: wcsim test --profile {options.out}")
+    if options.json is not None:
+        from wcsim.users.fitting.fit_user import is_told
+
+        told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
+        write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
+    return 0
+
+
+def base_name(path: Path) -> str:
+    """What a profile is called that is written to a file."""
+    return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in path.stem)[:64] or "user"
+
+
+def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
+    from wcsim.users.fitting.fit_user import fit_user
+
+    return fit_user(drives, base)
+
+
+def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
+    """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
+    from wcsim.bridge.drives.shadow import seen_drive, with_shadow
+    from wcsim.users.fitting.fit_user import fit_user
+
+    print("making the drives again, to see what their person saw", file=sys.stderr)
+    seen = [seen_drive(drive) for drive in drives if drive.ticks]
+    user = base
+    for number in range(1, _ROUNDS + 1):
+        fit = fit_user([with_shadow(item, user) for item in seen], base, wanted=False)
+        user = fit.profile
+        print(f"fitted {number} of {_ROUNDS} times", file=sys.stderr)
+    return fit
+
+
+def _notes(fit: UserFit) -> dict[str, str]:
+    """Intervals by the profile's keys."""
+    told: dict[str, list[str]] = {}
+    for name, item in fit.estimates.items():
+        key = name.partition("_")[0] if name.startswith(("gain", "bias")) else name
+        told.setdefault(key, []).append(f"{item.low:.4g} to {item.high:.4g}")
+    return {key: "95 %: " + ", ".join(parts) for key, parts in told.items()}
+
+
+def _print(fit: UserFit) -> None:
+    from wcsim.users.fitting.fit_user import is_told
+
+    table = Table("number", "fitted", "95 % from", "to", "", box=box.SIMPLE_HEAD)
+    for name, item in fit.estimates.items():
+        told = "" if is_told(name, item) else "not told to 15 %"
+        table.add_row(name, f"{item.value:.3g}", f"{item.low:.3g}", f"{item.high:.3g}", told)
+    Console().print(table)
+    for line in fit.warnings:
+        print(f"note: {line}", file=sys.stderr)

@@ -1,0 +1,79 @@
+"""`wcsim users record`: a simulated user drives through a town, and what it does is kept in a file."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, write_json
+from wcsim.cli.shared.run_config import require_user
+from wcsim.config import load_run_config
+from wcsim.core.constants import RECORDED
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError
+from wcsim.towns.scenario.town import find_town
+from wcsim.users.profile_file import read_profile
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile
+
+SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
+_MOST_MINUTES = 600.0
+_TELL_EVERY_S = 60.0
+
+
+@dataclass
+class UserRecordOptions:
+    """Let a simulated user drive through a town, and record the drive."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    """A town's name or folder."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The file of the recording, a new one."""
+    profile: str = "competent"
+    """Of the user, or FILE.toml; one user is drawn of it, and stays the same from crash to crash."""
+    minutes: float = 10.0
+    """How long to drive."""
+    seed: int = 0
+    """Seed of town, starts and user."""
+    set: Repeated = ()
+    """section.key=value, laid over preset quick; may be given several times."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: UserRecordOptions) -> int:
+    """Drive and record."""
+    in_bounds("--minutes", options.minutes, 0.01, _MOST_MINUTES)
+    check_output("--out", options.out)
+    if os.path.lexists(options.out):
+        raise ConfigError(f"--out {shown(options.out)} exists; expected the name of a new file")
+    base = _profile(options.profile)
+    config = load_run_config("quick", (*SMALL_CAMERA, *options.set))
+    town = find_town(options.town)
+
+    from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user  # loads the simulators
+
+    user, ticks = drawn_user(base, options.seed), max(2, round(60.0 * options.minutes / config.world.tick_s))
+
+    def show(done: int) -> None:
+        if done % round(_TELL_EVERY_S / config.world.tick_s) == 0:
+            print(f"{done * config.world.tick_s / 60.0:.0f} of {options.minutes:g} minutes", file=sys.stderr)
+
+    order = UserDriveOrder(town=town, config=config, user=user, ticks=ticks, seed=options.seed)
+    crashes = record_user(order, options.out, show)
+    print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {crashes} crashes")
+    if options.json is not None:
+        told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
+        write_json(options.json, told)
+    return 0
+
+
+def _profile(name: str) -> UserProfile:
+    if name.startswith(RECORDED):
+        raise ConfigError(f"--profile {shown(name, 80)} is recorded already; expected a profile, or FILE.toml")
+    require_user(name)
+    return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)

@@ -1,0 +1,89 @@
+"""A recorded hand as the fit takes it: episodes of samples some 30 ms apart, and what was wanted meanwhile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wcsim.types import F64, Bool
+from wcsim.users.fitting.habits import STICK_FILTER_S
+from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
+
+_FINE_STEPS = 24  # of a tick, at least, in which a wish is followed to the hand
+_APART_S = 0.034  # between two samples that are fitted
+_FINE_S = 0.01  # samples no farther apart show what the joystick's low-pass took off
+_AT_GATE = 1.0 - 1e-5  # of the stick's travel: there it may have been stopped
+SHORTEST_S = 5.0  # of an episode that is fitted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HandSeries:
+    """A hand over one episode of N ticks."""
+
+    tick_s: float
+    steps: int  # of a tick, in which a wish is followed
+    intents: F64  # (N, 2) wish during each tick
+    at: np.typing.NDArray[np.intp]  # (n,) the steps after which the samples were taken
+    hand: F64  # (n, 2) samples, before the joystick's low-pass where that can be undone
+    stick: F64  # (n, 2) the same as recorded
+    filter_s: float  # what of the low-pass is still in the samples
+    begun_s: float  # when the episode began
+
+    @property
+    def apart_s(self) -> float:
+        """Seconds between two samples."""
+        return self.tick_s / self.steps * float(self.at[1] - self.at[0])
+
+    @property
+    def free(self) -> Bool:
+        """(n,) which samples the gate did not stop."""
+        found: Bool = np.hypot(self.stick[:, 0], self.stick[:, 1]) < _AT_GATE
+        return found
+
+    @property
+    def time_s(self) -> F64:
+        """(n,) when they were taken."""
+        return np.asarray(self.begun_s + self.tick_s / self.steps * (self.at + 1), np.float64)
+
+
+def hand_series(drives: Iterable[DriveRecording]) -> tuple[HandSeries, ...]:
+    """The episodes of drives whose intents are known, one after the other; short ones are left out."""
+    found, begun_s = [], 0.0
+    for drive in drives:
+        for ticks in drive.episodes:
+            if len(ticks) * drive.header.tick_s >= SHORTEST_S:
+                found.append(_series(ticks, drive.header.tick_s, begun_s))
+            begun_s += len(ticks) * drive.header.tick_s
+    return tuple(found)
+
+
+def _series(ticks: Sequence[RecordedTick], tick_s: float, begun_s: float) -> HandSeries:
+    intents = np.array([(0.0, 0.0) if tick.intent is None else (tick.intent.x, tick.intent.y) for tick in ticks])
+    samples = min(len(tick.sticks) for tick in ticks)
+    if samples:
+        sticks = np.concatenate([tick.sticks[-samples:] for tick in ticks])
+    else:  # the stick at the beginning of each tick is that at the end of the one before
+        samples, intents = 1, intents[:-1]
+        sticks = np.array([(tick.stick.x, tick.stick.y) for tick in ticks[1:]])
+    apart_s = tick_s / samples
+    hand, filter_s = sticks, STICK_FILTER_S
+    if apart_s <= _FINE_S:
+        before = np.concatenate([[(ticks[0].stick.x, ticks[0].stick.y)], sticks[:-1]])
+        keep = math.exp(-apart_s / STICK_FILTER_S)
+        hand, filter_s = (sticks - keep * before) / (1.0 - keep), 0.0
+    thin = max(1, round(_APART_S / apart_s))
+    per_sample = math.ceil(_FINE_STEPS / samples)
+    chosen = np.arange(thin - 1, len(sticks), thin)
+    return HandSeries(
+        tick_s=tick_s,
+        steps=samples * per_sample,
+        intents=intents,
+        at=(chosen + 1) * per_sample - 1,
+        hand=np.ascontiguousarray(hand[chosen]),
+        stick=sticks[chosen],
+        filter_s=filter_s,
+        begun_s=begun_s,
+    )

@@ -1,0 +1,98 @@
+"""Four switches in the place of a stick: whether a drive was driven with them, and how late and how long they are held.
+
+Switches add no chance of their own, so the right delay and the right hold make every sample again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wcsim.types import F64, Joystick
+from wcsim.users.fitting.hand_series import HandSeries
+from wcsim.users.hand import SWITCH_POSITIONS, SwitchHand
+from wcsim.users.profiles import UserProfile
+
+_SAME = 1e-4  # of the stick's travel
+_FEW_TICKS, _MORE_TICKS = 400, 1200  # of a drive are looked at: more of them say the same again
+_COARSE_S = 0.1, 0.06
+_REACTIONS_S, _HOLDS_S = np.arange(0.2, 1.3, _COARSE_S[0]), np.arange(0.08, 0.75, _COARSE_S[1])
+_HALVINGS, _FINE_S = 4, 0.005
+_AS_GOOD = 0.002  # share of the samples by which one value may be worse than the best and still be possible
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SwitchLaw:
+    """What of switches was found, each with the least and the most that fit as well."""
+
+    reaction_s: tuple[float, float, float]
+    hold_s: tuple[float, float, float]
+    wrong_share: float  # of the samples that are not made again
+
+
+def by_switches(series: Sequence[HandSeries]) -> bool:
+    """Whether every sample is a position that four switches stand for."""
+    positions = np.array(SWITCH_POSITIONS)
+    sticks = np.concatenate([item.stick for item in series])
+    away = np.abs(sticks[:, None, :] - positions[None]).max(axis=2).min(axis=1)
+    return bool((away < _SAME).all())
+
+
+def fit_switches(series: Sequence[HandSeries], base: UserProfile) -> SwitchLaw:
+    """Delay and hold that make the most samples again; the others of `base` play no part.
+
+    Both are looked for together, on a lattice that gets finer around the best: a wrong hold makes a wrong delay look
+    right.
+    """
+    found = _best(series, base, _REACTIONS_S, _HOLDS_S, _FEW_TICKS)
+    for step in range(1, _HALVINGS + 1):
+        steps = 0.5**step * np.arange(-2.0, 2.5)
+        reactions_s = np.maximum(found[0] + _COARSE_S[0] * steps, 0.0)
+        holds_s = np.maximum(found[1] + _COARSE_S[1] * steps, 0.01)
+        found = _best(series, base, reactions_s, holds_s, _MORE_TICKS)
+    user = replace(base, reaction_s=found[0], hold_s=found[1])
+    around_s = _FINE_S * np.arange(-8.0, 8.5)
+    late = np.array([_wrong(series, replace(user, reaction_s=found[0] + by_s), _MORE_TICKS) for by_s in around_s])
+    held = np.array([_wrong(series, replace(user, hold_s=found[1] + by_s), _MORE_TICKS) for by_s in around_s])
+    return SwitchLaw(
+        reaction_s=_interval(found[0] + around_s, late),
+        hold_s=_interval(found[1] + around_s, held),
+        wrong_share=float(min(late.min(), held.min())),
+    )
+
+
+def _best(
+    series: Sequence[HandSeries], base: UserProfile, reactions_s: F64, holds_s: F64, ticks: int
+) -> tuple[float, float]:
+    """The delay and the hold of a lattice that make the most samples again."""
+    pairs = [(float(late_s), float(hold_s)) for late_s in reactions_s for hold_s in holds_s]
+    wrong = [_wrong(series, replace(base, reaction_s=late_s, hold_s=hold_s), ticks) for late_s, hold_s in pairs]
+    return pairs[int(np.argmin(wrong))]
+
+
+def _interval(values: F64, wrong: F64) -> tuple[float, float, float]:
+    """The middle of the values that fit best, and the least and the most that fit nearly as well."""
+    best = values[wrong <= wrong.min()]
+    fits = values[wrong <= wrong.min() + _AS_GOOD]
+    half_s = 0.5 * float(values[1] - values[0])
+    return float(best.mean()), max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
+
+
+def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float:
+    """The share of the samples of so many ticks that switches of this user would not have given."""
+    wrong = total = 0
+    for item in series:
+        hand, made = SwitchHand(user), []
+        for x, y in item.intents[:ticks].tolist():
+            hand.want(Joystick(x, y))
+            made.append(hand.move(item.steps, item.tick_s / item.steps))
+        sticks = np.concatenate(made)
+        at = item.at[item.at < len(sticks)]
+        wrong += int((np.abs(sticks[at] - item.stick[: len(at)]).max(axis=1) > _SAME).sum())
+        total += len(at)
+        ticks -= len(item.intents)
+        if ticks <= 0:
+            break
+    return wrong / max(1, total)

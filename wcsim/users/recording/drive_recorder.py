@@ -1,0 +1,77 @@
+"""Writing a drive: a file that grows tick by tick and is whole after each, whatever ends the process."""
+
+from __future__ import annotations
+
+import os
+from io import FileIO
+from pathlib import Path
+
+from wcsim.core.closing import Closing
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError, DiskFullError, WcsimError
+from wcsim.users.recording.drive_bytes import event_payload, header_payload, tick_payload
+from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
+from wcsim.users.recording.framing import crc_of, framed
+
+
+class DriveRecorder(Closing):
+    """Appends to a new recording of a drive; a context manager. A killed process leaves all that it had recorded."""
+
+    def __init__(self, path: Path, header: DriveHeader) -> None:
+        """Begin a recording. Raises ConfigError when the file is there already or cannot be made, DiskFullError."""
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
+            self._file = FileIO(os.open(path, flags, 0o644), "w")
+        except OSError as error:
+            reason = error.strerror or error
+            raise ConfigError(f"{shown(path)}: cannot be begun ({reason}); choose the name of a new file") from None
+        self._end, self._after = 0, 0
+        try:
+            self._put(header_payload(header))
+        except BaseException:
+            self.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    def record(self, tick: RecordedTick) -> None:
+        """Append a tick.
+
+        Raises:
+            WcsimError: A number in it is not finite or out of its bounds, or the recorder is closed.
+            DiskFullError: It could not be written; the file is what it was before.
+        """
+        try:
+            payload = tick_payload(tick)
+        except ValueError:
+            raise WcsimError(
+                f"{shown(self._path)}: tick {tick.tick} holds a number that is not finite or out of its bounds; "
+                "expected sticks of -1 to 1, and a place in the town"
+            ) from None
+        self._put(payload)
+
+    def note(self, event: RecordedEvent) -> None:
+        """Append an event. Raises as `record` does."""
+        self._put(event_payload(event))
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._file.close()
+
+    def _put(self, payload: bytes) -> None:
+        """One unbuffered write; on a full disk the part that was written is taken back."""
+        if self._file.closed:
+            raise WcsimError(f"{shown(self._path)}: this recording is closed; begin another one")
+        data = framed(payload, self._after)
+        try:
+            written = self._file.write(data) or 0
+            reason = "" if written == len(data) else "only a part was written"
+        except OSError as error:
+            reason = str(error.strerror)
+        if reason:
+            os.ftruncate(self._file.fileno(), self._end)
+            self._file.seek(self._end)
+            raise DiskFullError(f"{shown(self._path)}: a record could not be written ({reason}); make room")
+        self._end += len(data)
+        self._after = crc_of(data)
