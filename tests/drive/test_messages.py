@@ -15,8 +15,8 @@ from wcsim.errors import ProtocolError
 GOOD = (
     m.Stick(x=0.5, y=-1.0, overrule=True),
     m.Help(),
-    m.Seen(number=7),
-    m.View(
+    m.SeenPictures(number=7),
+    m.PageView(
         turn_rad=1.0, tilt_rad=0.2, distance_m=5.0, width_px=800, height_px=450, camera=CameraKind.DEPTH, chart=True
     ),
     m.Assist(on=True),

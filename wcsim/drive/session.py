@@ -17,7 +17,7 @@ from wcsim.core.closing import Closing
 from wcsim.core.frames import wrap
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind, EventKind
-from wcsim.drive.places import DriveStart, OpenPlace, open_place
+from wcsim.drive.starts import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import hardest

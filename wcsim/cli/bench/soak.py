@@ -67,16 +67,8 @@ class SoakOptions:
 
 def run(options: SoakOptions) -> int:
     """Soak, print what was seen, and say by the exit code whether it is as it should be."""
-    in_bounds("--minutes", 30.0 if options.minutes is None else options.minutes, 0.1, 6000.0)
-    in_bounds("--clients", options.clients, 2, 16)
-    in_bounds("--lease", 3.0 if options.lease is None else options.lease, 0.5, 600.0)
-    in_bounds("--steps", options.steps, 10, 10_000_000)
-    for name in ("kills", "stops"):
-        in_bounds(f"--{name}", getattr(options, name), 0, 100_000)
-    in_bounds("--slow", options.slow, 1, 100)
+    _check(options)
     kept = options.out
-    if kept is not None and kept.exists() and any(kept.iterdir()):
-        raise ConfigError(f"--out {kept} is not empty; choose a new folder")
     town = find_town(options.town or ("helsinki" if options.networks else "monaco"))
     folder = kept if kept is not None else Path(tempfile.mkdtemp(prefix="wcsim-soak-"))
     folder.mkdir(parents=True, exist_ok=True)
@@ -95,6 +87,20 @@ def run(options: SoakOptions) -> int:
     if facts.outcome.by_signal:
         return Exit.STOPPED
     return Exit.FAILED if faults_of(facts) else Exit.DONE
+
+
+def _check(options: SoakOptions) -> None:
+    """Raises ConfigError."""
+    in_bounds("--minutes", 30.0 if options.minutes is None else options.minutes, 0.1, 6000.0)
+    in_bounds("--clients", options.clients, 2, 16)
+    in_bounds("--lease", 3.0 if options.lease is None else options.lease, 0.5, 600.0)
+    in_bounds("--steps", options.steps, 10, 10_000_000)
+    for name in ("kills", "stops"):
+        in_bounds(f"--{name}", getattr(options, name), 0, 100_000)
+    in_bounds("--slow", options.slow, 1, 100)
+    kept = options.out
+    if kept is not None and kept.exists() and any(kept.iterdir()):
+        raise ConfigError(f"--out {kept} is not empty; choose a new folder")
 
 
 def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
