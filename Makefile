@@ -11,7 +11,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup setup-cpu demo test lint look bench proof results release clean
+.PHONY: setup setup-cpu demo test lint look docs bench proof results release clean
 
 setup: $(STAMP)
 
@@ -52,6 +52,12 @@ proof: $(STAMP)
 # The tables about learning, in parts of at most 90 minutes; one of them with PART=laptop-1, what there is with PART=--list.
 results: $(STAMP)
 	$(BIN)/python -m tools.results $(PART)
+
+# The pages of docs/ with search and signatures, from the disk: build/site/index.html. NO_MKDOCS_2_WARNING: mkdocs-material's
+# word about its own successor, no fault of a page.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --config-file tools/docs_site/mkdocs.yml
+	@echo "built: build/site/index.html (python -m http.server --directory build/site: with search)"
 
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick

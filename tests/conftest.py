@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 
 BUDGET_S = {
-    "api": 140,
+    "api": 170,
     "agents": 170,
     "attack": 110,
     "bench": 150,

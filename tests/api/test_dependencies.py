@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 OWN = {"wcsim", "tests", "tools", "examples"}
 STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}
+STARTED |= {"mkdocs-material", "mkdocstrings-python"}
 """Tools of developers that commands start and nothing imports."""
 
 

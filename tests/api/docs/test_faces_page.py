@@ -14,7 +14,7 @@ from tests.server.servers import Server, stand_in_order
 from wcsim.config import load_run_config
 from wcsim.server.protocol.events import Rules
 
-PAGE = (Path(__file__).parents[2] / "docs" / "faces.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "faces.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^## (.+?)\n.*?^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
 
