@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.drive.lookers import Noted
-from wcsim.drive.places import DriveStart
 from wcsim.drive.session import DriveSession
+from wcsim.drive.starting import DriveStart
 
 
 @pytest.fixture

@@ -54,8 +54,8 @@ def run(words: list[str]) -> int:
         raise ConfigError("--block and --seat name an episode of a suite; expected --suite beside them")
     else:
         find_town(options.town)
-    from wcsim.drive.places import DriveStart, checked  # loads the simulators, which --help must not
     from wcsim.drive.serving.server import ServeOrder, serve_drive
+    from wcsim.drive.starting import DriveStart, checked  # loads the simulators, which --help must not
 
     start = DriveStart(
         town=options.town,

@@ -60,10 +60,10 @@ def about_of(session: DriveSession) -> m.About:
     )
 
 
-def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> m.State:
+def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> m.DriveState:
     """The drive as it is; `last` is its newest tick, None at the beginning of an episode."""
     rest = Joystick(0.0, 0.0)
-    return m.State(
+    return m.DriveState(
         tick=session.ticks,
         time_s=round(session.time_s, 3),
         step=session.tally.steps,

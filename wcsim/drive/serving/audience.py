@@ -126,4 +126,4 @@ class Audience:
             drives = page is self.driver
             taken = not drives and self.driver is not None
             told = "" if drives else _TAKEN if taken else "Nobody drives."
-            page.put(m.spoken(m.Role(drives=drives, taken=taken, told=told)))
+            page.put(m.spoken(m.PageRole(drives=drives, taken=taken, told=told)))
