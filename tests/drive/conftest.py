@@ -9,7 +9,7 @@ import pytest
 
 from tests.drive.lookers import Noted
 from wcsim.drive.session import DriveSession
-from wcsim.drive.starts import DriveStart
+from wcsim.drive.starting import DriveStart
 
 
 @pytest.fixture

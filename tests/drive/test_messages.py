@@ -15,8 +15,8 @@ from wcsim.errors import ProtocolError
 GOOD = (
     m.Stick(x=0.5, y=-1.0, overrule=True),
     m.Help(),
-    m.SeenPictures(number=7),
-    m.PageView(
+    m.Shown(number=7),
+    m.SetView(
         turn_rad=1.0, tilt_rad=0.2, distance_m=5.0, width_px=800, height_px=450, camera=CameraKind.DEPTH, chart=True
     ),
     m.Assist(on=True),
@@ -53,12 +53,12 @@ def test_what_a_page_says_is_read_as_it_was_said(message: m.PageMessage) -> None
         b'{"say":"stick","x":"0","y":0}',
         b'{"say":"stick","x":0,"y":0,"more":1}',
         b'{"say":"pace","times":-1}',
-        b'{"say":"seen","number":-1}',
-        b'{"say":"seen","number":2147483648}',
+        b'{"say":"shown","number":-1}',
+        b'{"say":"shown","number":2147483648}',
         b'{"say":"setuser","profile":"' + b"a" * 401 + b'"}',
         b'{"say":"open","seed":1.5}',
         b'{"say":"driveby","who":"me"}',
-        b'{"say":"view","turn_rad":0}',
+        b'{"say":"setview","turn_rad":0}',
         b'{"say":"gone"}',
         b'{"say":"ready"}',
         b'{"say":"end"}',  # of the server alone

@@ -9,7 +9,7 @@ import pytest
 from tests.drive.lookers import Noted
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.session import AT_REST, DriveSession, Wish
-from wcsim.drive.starts import DriveStart, checked
+from wcsim.drive.starting import DriveStart, checked
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.types import Joystick
 from wcsim.users.user import SimulatedUser

@@ -55,7 +55,7 @@ def run(words: list[str]) -> int:
     else:
         find_town(options.town)
     from wcsim.drive.serving.server import ServeOrder, serve_drive
-    from wcsim.drive.starts import DriveStart, checked  # loads the simulators, which --help must not
+    from wcsim.drive.starting import DriveStart, checked  # loads the simulators, which --help must not
 
     start = DriveStart(
         town=options.town,

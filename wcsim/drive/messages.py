@@ -38,13 +38,13 @@ class Help(PageMessage, frozen=True):
     """The person asks for help."""
 
 
-class SeenPictures(PageMessage, tag="seen", frozen=True):
+class Shown(PageMessage, frozen=True):
     """The pictures with this number are on the page: it takes newer ones."""
 
     number: Count
 
 
-class PageView(PageMessage, tag="view", frozen=True):
+class SetView(PageMessage, frozen=True):
     """What the page shows."""
 
     turn_rad: Turn
@@ -127,7 +127,7 @@ class End(PageMessage, frozen=True):
 
 
 _Settings = Assist | SetLevel | DriveBy | Pace | Pause | SetUser
-FromPage = _Settings | Stick | Help | SeenPictures | PageView | NewPlace | Again | Open | TakeOver
+FromPage = _Settings | Stick | Help | Shown | SetView | NewPlace | Again | Open | TakeOver
 _PAGE: Final = msgspec.json.Decoder(FromPage)
 _RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)
 
@@ -168,7 +168,7 @@ class Notice(_Said, frozen=True):
     told: str
 
 
-class PageRole(_Said, tag="role", frozen=True):
+class PageRole(_Said, frozen=True, tag="role"):
     """What this page may do."""
 
     drives: bool
@@ -214,7 +214,7 @@ class Kpis(msgspec.Struct, frozen=True):
     interventions: int
 
 
-class DriveState(_Said, tag="state", frozen=True):
+class DriveState(_Said, frozen=True, tag="state"):
     """The drive as it is, once a tick."""
 
     tick: int

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
-from wcsim.drive.drawing.pictures import DrivePictures, PictureLooks
+from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, EventKind
 from wcsim.drive.session import DriveSession
-from wcsim.drive.starts import DriveStart, checked
+from wcsim.drive.starting import DriveStart, checked
 from wcsim.drive.stating import about_of, state_of
 from wcsim.drive.stick_watch import StickWatch
 from wcsim.errors import WcsimError
@@ -51,7 +51,7 @@ class DriveRunner:
         self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
         self.session: DriveSession | None = None
         self._pictures: DrivePictures | None = None
-        self._watch, self._looks = StickWatch(), PictureLooks()
+        self._watch, self._looks = StickWatch(), PageLooks()
         self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
         self._over = False
         self._due_s = self._held_s = self._drawn_s = 0.0
@@ -62,7 +62,7 @@ class DriveRunner:
         self._does: dict[type, Callable[[Any], None]] = {
             m.Stick: self._stick,
             m.Help: lambda _: self._watch.ask_for_help(),
-            m.PageView: self._view,
+            m.SetView: self._view,
             m.Assist: lambda said: self._open_session().assist(said.on),
             m.SetLevel: lambda said: self._open_session().set_level(said.level),
             m.DriveBy: self._drive_by,
@@ -200,10 +200,10 @@ class DriveRunner:
     def _stick(self, said: m.Stick) -> None:
         self._watch.hear(Joystick(said.x, said.y), said.overrule, self._clock())
 
-    def _view(self, said: m.PageView) -> None:
+    def _view(self, said: m.SetView) -> None:
         orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
         size = {"width_px": said.width_px, "height_px": said.height_px}
-        self._looks = PictureLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
+        self._looks = PageLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
 
     def _take_ready(self, _: m.Ready) -> None:
         self._ready = True

@@ -17,7 +17,7 @@ from wcsim.core.closing import Closing
 from wcsim.core.frames import wrap
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind, EventKind
-from wcsim.drive.starts import DriveStart, OpenPlace, open_place
+from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import hardest
@@ -47,7 +47,7 @@ class DriveSession(Closing):
     """
 
     def __init__(self, start: DriveStart, observers: Sequence[DriveObserver] = ()) -> None:
-        """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `places.open_place`."""
+        """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `starting.open_place`."""
         self.tally, self.driver = DriveTally(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
         self._ticks, self._episode, self._give_up_s = 0, 0, math.inf

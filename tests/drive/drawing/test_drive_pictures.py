@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wcsim.drive.drawing.guidance import GOAL_RGB, WAY_RGB, ground_points, mark_goal
-from wcsim.drive.drawing.pictures import CameraKind, DrivePictures, PictureLooks
+from wcsim.drive.drawing.pictures import CameraKind, DrivePictures, PageLooks
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.types import Joystick
 
@@ -29,7 +29,7 @@ def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
 def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> None:
     session.tick(Wish())
     pictures = DrivePictures(session)
-    shown = parts(pictures.draw(session, PictureLooks(width_px=640, height_px=360), 0.1))
+    shown = parts(pictures.draw(session, PageLooks(width_px=640, height_px=360), 0.1))
     assert {letter: picture.shape[:2] for letter, picture in shown.items()} == {
         "S": (360, 640),
         "C": (240, 320),
@@ -37,17 +37,17 @@ def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> 
     }
     assert all(picture.std() > 10.0 for picture in shown.values())
     assert near(shown["S"], WAY_RGB) > 20, "the way is dotted"
-    less = parts(pictures.draw(session, PictureLooks(camera=CameraKind.NOTHING, chart=False), 0.1))
+    less = parts(pictures.draw(session, PageLooks(camera=CameraKind.NOTHING, chart=False), 0.1))
     assert set(less) == {"S"}
 
 
 def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession) -> None:
     session.assist(False)
     pictures = DrivePictures(session)
-    before = pictures.draw(session, PictureLooks(), 0.1)
+    before = pictures.draw(session, PageLooks(), 0.1)
     for _ in range(15):
         session.tick(Wish(stick=Joystick(0.0, 1.0)))
-    after = pictures.draw(session, PictureLooks(), 0.1)
+    after = pictures.draw(session, PageLooks(), 0.1)
     assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
     changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
     assert changed > 0.3
@@ -56,7 +56,7 @@ def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSe
 @pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
 def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
     pictures = DrivePictures(session)
-    shown = parts(pictures.draw(session, PictureLooks(camera=kind), 0.1))["C"]
+    shown = parts(pictures.draw(session, PageLooks(camera=kind), 0.1))["C"]
     assert shown.shape == (240, 320, 3)
     block = shown[100:104, 100:104]
     assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"

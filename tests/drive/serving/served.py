@@ -69,7 +69,7 @@ class FakePage:
         data = self.socket.recv(timeout=0.05)
         if isinstance(data, bytes):
             self.pictures += 1
-            self.say("seen", number=int.from_bytes(data[:4], "little"))
+            self.say("shown", number=int.from_bytes(data[:4], "little"))
             return None
         message: dict[str, Any] = json.loads(data)
         self.heard = [*self.heard[-50:], message]

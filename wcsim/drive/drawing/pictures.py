@@ -50,7 +50,7 @@ class CameraKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureLooks:
+class PageLooks:
     """What a page wants to see, and how large."""
 
     orbit: Orbit = Orbit()  # noqa: RUF009 - frozen
@@ -81,7 +81,7 @@ class DrivePictures:
         self._number = 0
         self.spent_s = 0.0
 
-    def draw(self, session: DriveSession, looks: PictureLooks, dt_s: float) -> bytes:
+    def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
         """All pictures of a moment in one message: its number, then for each part a letter, its length, its JPEG.
 
         Args:
@@ -104,7 +104,7 @@ class DrivePictures:
         self.spent_s += time.perf_counter() - began_s
         return message
 
-    def _scene(self, session: DriveSession, looks: PictureLooks, chair: ChairPose) -> U8:
+    def _scene(self, session: DriveSession, looks: PageLooks, chair: ChairPose) -> U8:
         camera, T_CW = _pinhole(looks), eye(chair.p_WB_m, self._yaw_rad, looks.orbit)
         rows, shown = self._rows(session, chair)
         images = self._look(camera, T_CW, rows, shown)
@@ -164,7 +164,7 @@ def jpeg(picture: U8) -> bytes:
     return data.tobytes()
 
 
-def _pinhole(looks: PictureLooks) -> Pinhole:
+def _pinhole(looks: PageLooks) -> Pinhole:
     width, height = looks.width_px, looks.height_px
     return Pinhole(
         width_px=width,

@@ -59,7 +59,7 @@ const link = new Link({
     if (what === "open") scene.tell();
     else { stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
-  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("seen", { number })); },
+  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); big(""); },
   busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
   notice(message) { note(message.kind, message.told); if (message.kind === "bad" && busy) big(message.told); },

@@ -64,7 +64,7 @@ export class Scene {
     const box = this.canvases.S.getBoundingClientRect();
     const scale = Math.min(devicePixelRatio || 1, MOST_PX / Math.max(1, box.width));
     const size = (length) => Math.round(Math.min(1280, Math.max(160, length * scale)));
-    this.link.say("view", {
+    this.link.say("setview", {
       ...this.orbit, width_px: size(box.width), height_px: size(box.height),
       camera: document.getElementById("camera-kind").value, chart: document.getElementById("chart-on").checked,
     });
@@ -80,6 +80,6 @@ export class Scene {
     }
     this.shown += 1;
     document.body.dataset.pictures = String(this.shown);
-    this.link.say("seen", { number });
+    this.link.say("shown", { number });
   }
 }

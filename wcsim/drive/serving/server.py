@@ -27,7 +27,7 @@ from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
 from wcsim.drive.serving.words import Words
-from wcsim.drive.starts import DriveStart
+from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, ProtocolError
 
 log = logging.getLogger("wcsim.drive")
@@ -235,7 +235,7 @@ class DriveServer:
             self._obey(line, message)
 
     def _obey(self, line: PageLine, message: m.PageMessage) -> None:
-        if isinstance(message, m.SeenPictures):
+        if isinstance(message, m.Shown):
             line.seen(message.number)
             self._ask_for_pictures()
         elif isinstance(message, m.TakeOver):

@@ -9,7 +9,7 @@ from typing import Final
 from wcsim.drive import messages as m
 
 _MOST: Final = 256
-_REPEATS: Final = (m.Stick, m.Ready, m.PageView)
+_REPEATS: Final = (m.Stick, m.Ready, m.SetView)
 
 
 class Words:
