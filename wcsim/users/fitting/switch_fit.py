@@ -69,8 +69,8 @@ def _first_press_s(series: Sequence[HandSeries]) -> float | None:
     """The shortest time from the first wish of an episode to the first switch; None where none began at rest."""
     found = []
     for item in series:
-        wants = (item.intents[:, 1] > DRIVE_ABOVE) | (np.abs(item.intents[:, 0]) > STEER_ABOVE)
-        pressed = (np.abs(item.stick) > _SAME).any(axis=1)
+        wants = np.asarray((item.intents[:, 1] > DRIVE_ABOVE) | (np.abs(item.intents[:, 0]) > STEER_ABOVE), np.bool_)
+        pressed = np.asarray((np.abs(item.stick) > _SAME).any(axis=1), np.bool_)
         if wants.any() and pressed.any() and not pressed[0]:
             pressed_s = float(item.time_s[int(np.argmax(pressed))]) - item.begun_s
             found.append(pressed_s - int(np.argmax(wants)) * item.tick_s)
