@@ -17,7 +17,7 @@ from wcsim.users.profiles import profile, profile_names, sample
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
-NOT_TOLD = {"inattentive": ("away_share", "away_s"), "ataxic": ("speed_share",)}  # to 15 %; docs/user.md says why
+NOT_TOLD = {"inattentive": ("away_share", "away_s"), "ataxic": ("bias_x", "speed_share")}  # docs/user.md says why
 
 
 def drawn(name, seed):

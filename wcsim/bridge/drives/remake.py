@@ -39,17 +39,21 @@ Remaking = Generator[tuple[RecordedTick, ClientSnapshot, ClientSnapshot], None, 
 
 def town_of_drive(header: DriveHeader) -> Town:
     """The town of a drive, by its name or where it lay. Raises TownError when it is gone, or is not what it was."""
-    try:
-        town = find_town(header.town)
-    except TownError:
-        town = find_town(header.town_address)
-    here = content_hash(town)
-    if here != header.town_sha256:
-        raise TownError(
+    refused: TownError | None = None
+    for place in (header.town, header.town_address):
+        try:
+            town = find_town(place)
+        except TownError as error:
+            refused = refused or error
+            continue
+        here = content_hash(town)
+        if here == header.town_sha256:
+            return town
+        refused = TownError(
             f"the drive was in {shown(header.town, 80)} ({header.town_sha256[:12]}), this is {town.name} "
             f"({here[:12]}); expected the same town: restore its files"
         )
-    return town
+    raise refused or TownError("the drive names no town; record it again")
 
 
 def config_of_drive(header: DriveHeader) -> RunConfig:
