@@ -57,7 +57,7 @@ def test_its_card_says_how_it_was_made_and_measured(made):
     card = (made / "MODEL_CARD.md").read_text()
     for word in ("helsinki", "wcsim train --seed 3", "gaps map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
         assert word in card
-    assert "No results" in TOOL["card"](open_run(made.parent / "run"), [], 1.0)
+    assert "No results" in TOOL["card"](open_run(made.parent / "run"), [])
 
 
 @pytest.mark.parametrize("name", shipped.HELD)

@@ -421,7 +421,7 @@ def test_the_options_are_named_where_an_editor_shows_them(face):
 
 def test_wrong_settings_are_named_before_a_world_is_made():
     for wrong, told in (
-        ({"preset": "nope"}, "unknown preset 'nope'; expected one of: dqn, laptop, paper, quick"),
+        ({"preset": "nope"}, "unknown preset 'nope'; expected one of: best, dqn, laptop, paper, quick"),
         ({"overrides": ("env.colour=1",)}, "unknown key 'env.colour'"),
         ({"overrides": ('env.profile="nobody"',)}, "unknown user profile 'nobody'; expected one of: competent"),
         ({"render_mode": "human"}, "expected 'rgb_array'"),

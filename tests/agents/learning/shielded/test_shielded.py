@@ -95,7 +95,7 @@ def test_an_assistance_level_is_the_threshold_of_values_too(run: Path, part: Pat
     bold, own = (open_policy(name, config(part)) for name in (f"{run}@1.0", str(run)))
     for policy in (bold, own):
         policy.reset()
-    assert bold.level == 1.0 and own.level == 0.3
+    assert bold.level == 1.0 and own.level == 0.2
     assert own.act(seen) in range(81) and bold.act(seen) in range(81)
 
 
