@@ -112,7 +112,7 @@ def test_options_that_a_sentence_names_are_there(told: str, capsys: pytest.Captu
     """Commands within a sentence leave things out, so only their options are looked up."""
     words = told.split()[1:]
     first = [word for word in words if word in ("--suite", "--make-suite")]
-    second = words[1:2] if words[0] in ("town", "scene", "bench") else []
+    second = words[1:2] if words[0] in ("town", "scene", "bench", "users") else []
     assert main([words[0], *second, *(each for word in first[:1] for each in (word, "x")), "--help"]) == 0
     known = set(OPTION.findall(capsys.readouterr().out))
     assert set(OPTION.findall(told)) <= known
