@@ -242,11 +242,11 @@ class DriveRunner:
 
     def _open_other(self, said: m.Open) -> None:
         before = self.session.place.start if self.session is not None else self._start
-        profile = "" if said.suite else (self.session.profile if self.session is not None else before.profile)
+        profile = before.profile if self.session is None or before.suite else self.session.profile
         start = DriveStart(
             town=said.town or before.town,
             policy=before.policy,
-            profile=profile or ("" if said.suite else "competent"),
+            profile="" if said.suite else profile or DriveStart().profile,  # a suite's own user may be a file of it
             seed=said.seed,
             suite=said.suite,
             block=said.block,
@@ -282,12 +282,10 @@ class _Teller:
         """The state says it."""
 
     def event(self, event: DriveEvent) -> None:
-        """Those that a person wants to hear of."""
+        """Those that a person wants to hear of; a crash is in the state."""
         if event.kind in _TOLD:
             kind, told = _TOLD[event.kind]
             self._say(m.Notice(kind=kind, told=told))
-        elif event.kind is EventKind.CRASHED:
-            self._say(m.Notice(kind="bad", told=f"The chair {event.told}. A new start follows."))
         elif event.kind is EventKind.POLICY_FAILED:
             self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.told}"))
 

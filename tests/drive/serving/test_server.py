@@ -117,6 +117,20 @@ def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
         first.role(drives=True)
 
 
+def test_from_an_episode_of_a_suite_back_into_a_town(running: Served, corner: Path) -> None:
+    """A generated scene has a recorded user, in a file that goes with it."""
+    with FakePage(running[0]) as page:
+        page.state()
+        page.say("open", suite="dev", block=25, seat=0)
+        told = page.until(lambda message: message["say"] == "about" and message["place"].startswith("dev 25.0"))
+        assert told["profile"].startswith("recorded:")
+        page.drive_off()
+        page.say("open", town=str(corner), seed=4)
+        told = page.until(lambda message: message["say"] == "about" and not message["place"].startswith("dev"))
+        assert told["profile"] == "competent"
+        page.drive_off()
+
+
 def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -> None:
     with FakePage(running[0]) as page:
         page.socket.send('{"say":"stick","x":9,"y":0}')

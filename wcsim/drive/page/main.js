@@ -16,6 +16,7 @@ let drives = false;
 let overrules = false;
 let busy = "";
 let lastSaid = "";
+let crash = "";
 let noticeTimer = 0;
 
 function say(text) {
@@ -68,10 +69,12 @@ const link = new Link({
     panel.tellState(state);
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
+    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. A new start follows.`);
+    crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
     const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
     const standing = state.waiting || (state.paused ? "Paused" : pushed ? "Let go of the stick once." : "");
-    big(busy || (state.crash ? `The chair ${state.crash}.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+    big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
 

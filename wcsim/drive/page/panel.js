@@ -65,7 +65,7 @@ export class Panel {
     this.about = about;
     by("place").textContent = about.place;
     by("policy").textContent = about.policy;
-    const same = (names) => names.map((name) => [name, name]);
+    const same = (names) => names.map((name) => [name, name.startsWith("recorded:") ? "recorded" : name]);
     const users = about.profiles.includes(about.profile) ? about.profiles : [about.profile, ...about.profiles];
     const towns = about.towns.includes(about.town) ? about.towns : [...about.towns, about.town];
     this.fill("user", same(users), about.profile);
