@@ -22,7 +22,12 @@ PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it take
 def served(town: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Host and port of a served drive, and its process."""
     command = [sys.executable, "-m", "wcsim", "drive", str(town), "--port", "0", "--seed", "4", *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    # Ctrl-C is ignored in a shell's background, and a child inherits that.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
