@@ -15,15 +15,17 @@ from wcsim.drive import messages as m
 
 _MOST_WAITING: Final = 64  # lines to a page; of a page that reads too slowly the oldest are lost
 _NUMBER = struct.Struct("<I")
+_STATE: Final = b'{"say":"state"'
 _TAKEN: Final = "Another page drives. You look on."
 
 
 class PageLine:
-    """What is on its way to one page: lines in order, and the newest pictures alone."""
+    """What is on its way to one page: lines in order, and of states and pictures the newest alone."""
 
     def __init__(self, connection: ServerConnection) -> None:
         self._connection = connection
         self._lines = deque[bytes](maxlen=_MOST_WAITING)
+        self._state: bytes | None = None
         self._pictures: bytes | None = None
         self._on_the_way: int | None = None  # the number of the pictures that the page has not shown yet
         self._some = asyncio.Event()
@@ -35,7 +37,10 @@ class PageLine:
 
     def put(self, line: bytes) -> None:
         """Send a line."""
-        self._lines.append(line)
+        if line.startswith(_STATE):  # as fast as it can, a drive says more of them than a page reads
+            self._state = line
+        else:
+            self._lines.append(line)
         self._some.set()
 
     def show(self, pictures: bytes) -> None:
@@ -57,6 +62,9 @@ class PageLine:
                 self._some.clear()
                 while self._lines:
                     await self._connection.send(self._lines.popleft().decode())
+                if self._state is not None:
+                    state, self._state = self._state, None
+                    await self._connection.send(state.decode())
                 if self._pictures is not None and self._on_the_way is None:
                     pictures, self._pictures = self._pictures, None
                     (self._on_the_way,) = _NUMBER.unpack_from(pictures)
