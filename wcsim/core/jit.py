@@ -5,7 +5,8 @@ that it names. Its own copies on disk notice a change of the kernel's file alone
 the kernel and of all that is frozen into it, taken at the first call, when everything has its value.
 
 The copies lie in `__pycache__` beside the source, or in the user's cache folder when the package is read-only; where
-neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept.
+neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept. Of
+processes that want the same copy at the same time one makes it, and the others wait (`compile_lock`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import numba
 import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import is_jitted
+
+from wcsim.core.compile_lock import CompileLock
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -75,17 +78,26 @@ class _FrozenCache(FunctionCache):
         self._compiled = compiled
         self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
         self._aimed = False
+        self._lock = CompileLock(Path(self._cache_path) / f"{self._stem}.lock")
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The machine code for a signature, or None."""
+        """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
         self._aim()
-        return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is None and self._lock.take():
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if found is not None:
+                self._lock.give()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for a signature, and let go of old copies."""
         self._aim()
-        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-        _keep_newest(Path(self._cache_path), self._stem)
+        try:
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+            _keep_newest(Path(self._cache_path), self._stem)
+        finally:
+            self._lock.give()
 
     def _aim(self) -> None:
         if not self._aimed:
