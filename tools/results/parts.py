@@ -29,9 +29,16 @@ OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
     "no-own-driving": ("collect.network_share=0.0",),
     "no-delay": ("world.action_delay_ticks=0", "collect.variants=[]"),
     "no-variants": ("collect.variants=[]",),
+    "no-noise": ("cameras.0.noise=none", "collect.variants=[]"),  # its row of comparison is `no-variants`
     "one-town": ("collect.made_towns=0",),
+    "25-towns": ("collect.made_towns=24",),
     "no-scenes": ("collect.scene_share=0.0",),
 }
+# Rewards choose among what the danger network of `laptop-1` allows.
+ON_TOP: Final = (
+    *("learn.danger_weight=1", "learn.phase1_steps=0"),
+    *("cameras.0.noise=typical", "world.action_delay_ticks=2"),
+)
 ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=5000")  # as many as the rounds have
 
 
@@ -84,6 +91,9 @@ def _ablations(out: Path) -> Iterator[Part]:
         learned = trained(out, run, 1, settings=(*ALL_AT_ONCE, *settings), data=out / "laptop-1" / "data")
         steps = first, learned, judged(out, "dev", (run,), alone=True)
         yield Part(name=run, says=f"of laptop-1's driving, {_told(settings)}", steps=steps)
+    on_top = trained(out, "values-on-top", 1, "dqn", (f"learn.danger={out / 'laptop-1'}", *ON_TOP))
+    steps = first, on_top, judged(out, "dev", ("laptop-1", "values-on-top"), alone=True)
+    yield Part(name="values-on-top", says="Q-learning among what laptop-1 allows", steps=steps)
     for name, settings in OF_THE_DRIVING.items():
         run = f"ablation-{name}"
         steps = first, trained(out, run, 1, settings=settings), judged(out, "dev", ("laptop-1", run), alone=True)
