@@ -29,12 +29,12 @@ PLANTED = (
         "kerb-drop", "scene.toml", "kerb_height_m = 0.12", "kerb_height_m = 0.02", told="crashed is False", quick=True
     ),
     Planted("left-hand-crossing", "scene.toml", "lefthand = true", "lefthand = false", told="closest_vehicle_m"),
-    Planted("lowered-kerb", "street.con.xml", "<crossing [^>]*/>", "", told="crashed is True", quick=True),
+    Planted("lowered-kerb", "street.con.xml", "<crossing [^>]*/>", "", told="crashed is True"),
     Planted("parked-car-and-sign", "street.rou.xml", "<vehicle .*</vehicle>", "", told="closest_vehicle_m"),
     Planted("pedestrian-crossing", *NOBODY_LOOKS, told="made_way_m is 0"),
-    Planted("roadworks", "street.add.xml", "<poly [^>]*/>", "", told="narrowest_m", quick=True),
+    Planted("roadworks", "street.add.xml", "<poly [^>]*/>", "", told="narrowest_m"),
     Planted("rush-hour", *NOBODY_STEERS, told="red_starts is "),
-    Planted("slope", "street.nod.xml", 'z="16"', 'z="10"', told="climb_m", quick=True),
+    Planted("slope", "street.nod.xml", 'z="16"', 'z="10"', told="climb_m"),
     Planted("turning-bus", *NOBODY_LOOKS, told="crashed is True", quick=True),
     Planted("two-chairs", *NOBODY_STEERS, told="crashed is True"),
 )

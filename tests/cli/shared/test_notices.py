@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import QUICK, files_in
 from wcsim.cli import serve
 from wcsim.server.transport.keys import make_keys
@@ -35,6 +37,7 @@ def test_a_street_that_is_built_is_announced_to_the_user_of_an_environment_once(
     assert list((tmp_path / "wcsim").glob("street-*.npz"))
 
 
+@pytest.mark.proof
 def test_a_street_that_is_built_is_announced_by_the_commands_once(tmp_path, corner):
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
     words = ("test", "follow", "--town", str(corner), "--episodes", "1", "--max-steps", "2", *QUICK)

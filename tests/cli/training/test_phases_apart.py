@@ -104,6 +104,7 @@ def check(run, best, left):
     assert all(open_run(run / name).policy("phase1").is_dir() for name in (best, left))
 
 
+@pytest.mark.proof
 def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner, suite, monkeypatch):
     words = ("train", "--town", corner, "--clients", "small,gru", "--select-by", suite, "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, *words, "--json", "x.json")
