@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
-import wcsim
-from wcsim.core.compile_lock import CompileLock
+import pytest
+from filelock import FileLock
 
-ROOT = Path(wcsim.__file__).parent
+import wcsim
+from wcsim.core import jit
+from wcsim.core.jit import exact_kernel
+
 CODE = """
 import json, sys
 import numpy as np
-from wcsim.core.compile_lock import CompileLock
 from wcsim.physics.wheelchair.drive_controller import target
 sys.stdin.readline()
 target(1.0, 0.0, 1.0, np.linspace(0.5, 2.0, 40))
@@ -24,32 +26,36 @@ print(json.dumps([sum(target.stats.cache_hits.values()), sum(target.stats.cache_
 """
 
 
-def test_one_has_it_and_the_next_one_gets_it(tmp_path: Path) -> None:
-    mine, other = CompileLock(tmp_path / "a" / "k.lock"), CompileLock(tmp_path / "a" / "k.lock")
-    assert mine.take() and not other.take(longest_s=0.1)
-    threading.Timer(0.2, mine.give).start()
-    assert other.take(longest_s=30.0)
-    other.give()
-    other.give()
-    assert mine.take(longest_s=0.0)
-    mine.give()
-
-
-def test_without_a_place_for_it_nobody_waits(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no folder")
-    assert not CompileLock(tmp_path / "file" / "k.lock").take()
+def root(x: float) -> float:
+    return math.sqrt(x)
 
 
 def test_processes_that_begin_together_compile_a_kernel_once(tmp_path: Path) -> None:
-    shutil.copytree(ROOT, tmp_path / "wcsim", ignore=shutil.ignore_patterns("__pycache__"))
+    place = Path(wcsim.__file__).parent
+    shutil.copytree(place, tmp_path / "wcsim", ignore=shutil.ignore_patterns("__pycache__"))
     words = [sys.executable, "-c", CODE]
-    runs = [
-        subprocess.Popen(words, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        for _ in range(3)
-    ]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    runs = [subprocess.Popen(words, cwd=tmp_path, text=True, env={"PYTHONPATH": ""}, **pipes) for _ in range(3)]
     for run in runs:  # they have loaded what they need, and are let go together
         assert run.stdin is not None
         run.stdin.write("\n")
         run.stdin.flush()
-    stats = [json.loads(run.communicate(timeout=120)[0]) for run in runs]
+    stats = [json.loads(run.communicate(timeout=240)[0]) for run in runs]
     assert sorted(stats) == [[0, 1], [1, 0], [1, 0]]
+
+
+def test_a_process_that_was_stopped_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jit, "LONGEST_WAIT_S", 0.05)
+    copy = exact_kernel(root)
+    copy._cache._lock = FileLock(tmp_path / "k.lock")  # type: ignore[attr-defined]
+    copy._cache._cache_path = str(tmp_path)  # type: ignore[attr-defined]
+    with FileLock(tmp_path / "k.lock"):
+        assert copy(4.0) == 2.0
+
+
+def test_without_a_place_for_a_lock_it_is_compiled(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    copy = exact_kernel(root)
+    copy._cache._lock = FileLock(tmp_path / "file" / "k.lock")  # type: ignore[attr-defined]
+    copy._cache._cache_path = str(tmp_path)  # type: ignore[attr-defined]
+    assert copy(9.0) == 3.0

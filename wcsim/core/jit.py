@@ -6,7 +6,7 @@ the kernel and of all that is frozen into it, taken at the first call, when ever
 
 The copies lie in `__pycache__` beside the source, or in the user's cache folder when the package is read-only; where
 neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept. Of
-processes that want the same copy at the same time one makes it, and the others wait (`compile_lock`).
+processes that want the same copy at the same time one makes it, and the others wait (a lock beside it).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
+from filelock import FileLock, Timeout
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import is_jitted
-
-from wcsim.core.compile_lock import CompileLock
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+LONGEST_WAIT_S = 60.0  # a kernel takes seconds; who has the lock longer was stopped, and is not waited for
 KEPT = 3  # copies of a kernel: who goes to and fro between two states of the code compiles once
 
 # Rounding must not depend on how a loop is vectorised more than it has to: products may be fused, and that is all.
@@ -78,16 +78,17 @@ class _FrozenCache(FunctionCache):
         self._compiled = compiled
         self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
         self._aimed = False
-        self._lock = CompileLock(Path(self._cache_path) / f"{self._stem}.lock")
+        # A caller's lock is taken before those of its callees, never the other way: so no two wait for each other.
+        self._lock = FileLock(Path(self._cache_path) / f"{self._stem}.lock")
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
         self._aim()
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        if found is None and self._lock.take():
+        if found is None and self._locked():
             found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if found is not None:
-                self._lock.give()
+                self._lock.release(force=True)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -97,7 +98,16 @@ class _FrozenCache(FunctionCache):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
             _keep_newest(Path(self._cache_path), self._stem)
         finally:
-            self._lock.give()
+            self._lock.release(force=True)
+
+    def _locked(self) -> bool:
+        """Wait for the lock; False where none can be had: then each process compiles for itself."""
+        self._lock.release(force=True)  # of a compilation that failed
+        try:
+            self._lock.acquire(timeout=LONGEST_WAIT_S)
+        except (Timeout, OSError, NotImplementedError):
+            return False
+        return True
 
     def _aim(self) -> None:
         if not self._aimed:
