@@ -18,7 +18,7 @@ _KEY = "[0-9a-f]{32}"
 _STREET = re.compile(rf"street-{_KEY}\.npz")
 _VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
 _KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc)")  # machine code, with the list of it for each kernel
-_BEGUN = re.compile(r"tmp[a-z0-9_]{8}\.(npz|ok)")
+_BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
