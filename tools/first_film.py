@@ -17,7 +17,8 @@ from wcsim.view.driven_film import DrivenFilm
 TOWN, SEED, POLICY, PROFILE = "helsinki", 1, "shipped", "inattentive"
 FIRST_TICK, TICKS = 578, 72  # somebody stops in front of the chair, and the user pushes on
 WIDTH_PX, MAP_PX, STRIP_PX, EDGE_PX = 640, 168, 20, 6
-QUALITY, MOST_BYTES = 55, 2_500_000
+MAP_SHARE = 0.55  # of the film's map, from edge to edge
+QUALITY, MOST_BYTES = 75, 2_500_000
 NOTICE = "wcsim: the shipped policy beside an inattentive user, Helsinki. Map: (c) OpenStreetMap contributors, ODbL 1.0"
 _INK, _STRIP, _RIM = (230, 232, 235), (28, 32, 38), (250, 250, 250)
 
@@ -45,7 +46,9 @@ def with_map_inset(frame: U8, notice: str) -> U8:
     picture, chart = frame[:, : frame.shape[1] - height], frame[:, frame.shape[1] - height :]
     out = np.full((height + STRIP_PX, picture.shape[1], 3), _STRIP, np.uint8)
     out[:height] = picture
-    small = cv2.resize(chart, (MAP_PX, MAP_PX), interpolation=cv2.INTER_AREA)
+    edge = round(height * (1.0 - MAP_SHARE) / 2.0)  # the middle alone: people are dots there that can be seen
+    middle = np.ascontiguousarray(chart[edge : height - edge, edge : height - edge])
+    small = cv2.resize(middle, (MAP_PX, MAP_PX), interpolation=cv2.INTER_AREA)
     left = picture.shape[1] - MAP_PX - EDGE_PX
     out[EDGE_PX : EDGE_PX + MAP_PX, left : left + MAP_PX] = small
     cv2.rectangle(out, (left, EDGE_PX), (left + MAP_PX - 1, EDGE_PX + MAP_PX - 1), _RIM, 1)

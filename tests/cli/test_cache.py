@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.runs.own_code import KEY_FILE
-from wcsim.core.user_cache import KERNELS
+from wcsim.core.files import KERNELS
 from wcsim.towns.cache.files import WRITTEN_S
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street

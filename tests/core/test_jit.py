@@ -21,8 +21,8 @@ from numba.extending import is_jitted
 import wcsim
 from wcsim.bridge.reaction import overlap
 from wcsim.core import boxes, jit, joystick
+from wcsim.core.files import KERNELS
 from wcsim.core.jit import exact_kernel, frozen_digest
-from wcsim.core.user_cache import KERNELS
 from wcsim.physics.wheelchair import drive_controller
 
 ROOT = Path(wcsim.__file__).parent

@@ -1,4 +1,4 @@
-"""Where a user's cache lies, and where it lies when there is no home for it."""
+"""Where a user's cache lies, and where it lies when there is no home for it: `wcsim.core.files.user_cache`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.user_cache import home, user_cache
+from wcsim.core.files import home, user_cache
 
 OTHERS = os.getuid() + 1
 

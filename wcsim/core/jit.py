@@ -24,7 +24,7 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserWideCacheLocator
 from numba.extending import is_jitted
 
-from wcsim.core.user_cache import KERNELS, user_cache
+from wcsim.core.files import KERNELS, user_cache
 
 P = ParamSpec("P")
 R = TypeVar("R")

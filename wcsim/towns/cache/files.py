@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.core.user_cache import KERNELS
+from wcsim.core.files import KERNELS
 from wcsim.towns.cache.folder import cache_folder
 
 WRITTEN_S = 3600.0  # a file that is being written is not older

@@ -7,8 +7,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from wcsim.core.files import home, user_cache
 from wcsim.core.reading import shown
-from wcsim.core.user_cache import home, user_cache
 
 
 def cache_folder() -> Path:

@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.timeout(1500),
     pytest.mark.skipif(os.geteuid() != 0, reason="only root can run something as another user"),
 ]
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 LIBRARIES = Path(cv2.__file__).parents[1]
 UID = next(number for number in range(61234, 65000) if number not in {user.pw_uid for user in pwd.getpwall()})
 
@@ -98,6 +98,14 @@ def kept(place: Place) -> set[Path]:
     return {path for path in place.temporary.rglob("*") if path.suffix in (".npz", ".nbc")}
 
 
+def test_a_look_leaves_a_picture_and_a_film(place):
+    done = place.run(place.own, "look", "manhattan", "--seconds", "1")
+    assert done.returncode == 0, done.stderr
+    assert cv2.imread(str(place.own / "look" / "manhattan.png")).std() > 5.0
+    assert cv2.VideoCapture(str(place.own / "look" / "manhattan.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 10
+    assert {path.name for path in place.own.iterdir()} == {"look"}, "no folder that is called ~"
+
+
 def test_a_scene_runs_in_a_folder_that_cannot_be_written(place):
     before = sorted(place.site.rglob("*"))
     first = place.run(place.site, "scene", "run", "car-at-zebra")
@@ -105,19 +113,11 @@ def test_a_scene_runs_in_a_folder_that_cannot_be_written(place):
     assert sorted(place.site.rglob("*")) == before, "root's folder is as it was"
     cache = place.temporary / f"wcsim-cache-{UID}"
     assert cache.stat().st_mode & 0o777 == 0o700
-    assert len(list(cache.glob("street-*.npz"))) == 1 and len(list(cache.rglob("*.nbc"))) > 20
+    assert list(cache.glob("street-*.npz")) and len(list(cache.rglob("*.nbc"))) > 20
     code = kept(place)
     again = place.run(place.site, "scene", "run", "car-at-zebra")
     assert (again.returncode, "building" in again.stderr) == (0, False)
     assert kept(place) == code, "nothing was built or compiled a second time"
-
-
-def test_a_look_leaves_a_picture_and_a_film(place):
-    done = place.run(place.own, "look", "manhattan", "--seconds", "1")
-    assert done.returncode == 0, done.stderr
-    assert cv2.imread(str(place.own / "look" / "manhattan.png")).std() > 5.0
-    assert cv2.VideoCapture(str(place.own / "look" / "manhattan.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 10
-    assert {path.name for path in place.own.iterdir()} == {"look"}, "no folder that is called ~"
 
 
 @pytest.mark.parametrize("words", [("look",), ("demo",), ("train",), ("snapshot",), ("video",)])
