@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.runs.own_code import KEY_FILE
+from wcsim.core.files import KERNELS
 from wcsim.towns.cache.files import WRITTEN_S
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -27,6 +28,10 @@ def cache(tmp_path, monkeypatch) -> Path:
     (place / f"net-{KEY}.ok").write_text("ok\n")
     for name in ("tmpabcdefgh.npz", "tmphgfedcba.npz", KEY_FILE, "thesis.tex", "street-mine.npz", f"net-{KEY}.ok.bak"):
         (place / name).write_text("12345")
+    code = place / KERNELS / "core_0123"
+    code.mkdir(parents=True)
+    for name in ("boxes.f-0123.py311.nbi", "boxes.f-0123.py311.1.nbc", "notes.txt"):
+        (code / name).write_text("12345")
     past_s = time.time() - 2 * WRITTEN_S
     os.utime(place / "tmpabcdefgh.npz", (past_s, past_s))
     (tmp_path / "elsewhere").write_text("irreplaceable")
@@ -38,20 +43,21 @@ def cache(tmp_path, monkeypatch) -> Path:
 def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
     told = wcsim("cache", "--json", "c.json")
     assert (told.code, told.err) == (0, "")
-    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 unfinished, 3.0 MB" in told.out
+    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 kernels, 1 unfinished, 3.0 MB" in told.out
     assert "wcsim cache --clear" in told.out
     assert json.loads(Path("c.json").read_text()) == {
-        **{"folder": str(cache), "streets": 1, "verdicts": 1, "unfinished": 1},
-        **{"size_bytes": 3_000_008, "left_bytes": 3_000_008},
+        **{"folder": str(cache), "streets": 1, "verdicts": 1, "kernels": 1, "unfinished": 1},
+        **{"size_bytes": 3_000_018, "left_bytes": 3_000_018},
     }
 
 
 def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
-    before = {path.name for path in cache.iterdir()}
+    before = {path.name for path in cache.rglob("*")}
     told = wcsim("cache", "--clear", "--json", "c.json")
     assert (told.code, told.err, "removed 3.0 MB" in told.out) == (0, "", True)
-    gone = before - {path.name for path in cache.iterdir()}
-    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz"}
+    gone = before - {path.name for path in cache.rglob("*")}
+    code = {"boxes.f-0123.py311.nbi", "boxes.f-0123.py311.1.nbc"}
+    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz", *code}
     assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
     assert json.loads(Path("c.json").read_text())["left_bytes"] == 0
     assert "removed 0.0 MB" in wcsim("cache", "--clear").out

@@ -291,7 +291,7 @@ def test_doctor_says_what_fails(wcsim, folder):
     assert "unknown town 'atlantis'" in told.out
 
 
-def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
+def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
     small = ("collect.segments=1", "collect.ticks=20", "collect.chairs=2", "collect.scene_share=0", "danger.updates=4")
     words = [word for text in (*small, "world.warmup_s=5", "cameras.0.width_px=40") for word in ("--set", text)]
     told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
@@ -299,9 +299,16 @@ def test_demo_trains_tests_and_takes_a_picture(wcsim, folder, corner, tiny):
     assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
         *("runs/demo", *BASELINES)
     ]
-    for said in ("rounds of 1 x 20 ticks with 2 chairs", "4 updates", "testing in tiny", "a picture"):
+    for said in ("rounds of 1 x 20 ticks with 2 chairs", "4 updates", "testing in tiny", "filming 10 s", "--policy"):
         assert said in " ".join(told.out.split())
-    assert cv2.imread("runs/demo/tiny.png").shape == (480, 3 * 640, 3)
+    assert fits("\n".join(line for line in told.out.splitlines() if "/" not in line))
+    assert not re.search(r"[^\n\x20-\x7e\u2500-\u257f]", told.out + told.err), "piped, so nothing that a terminal obeys"
+    assert "SUMO's options" not in told.out and "minutes" not in told.out, "it takes what its settings make it take"
+    assert len(re.findall(r"^tested .*left$", told.err, re.MULTILINE)) == len(BASELINES), "all but the last"
+    assert cv2.imread("runs/demo/tiny.png").shape == (360, 480 + 360, 3)
+    assert cv2.VideoCapture("runs/demo/tiny.webm").get(cv2.CAP_PROP_FRAME_COUNT) == 100
+    page = Path("runs/demo/demo.html").read_text(encoding="utf-8")
+    assert "runs/demo/demo.html" in told.out and 'href="tiny.webm"' in page and page.count("<tr>") == 2 + len(BASELINES)
     refused = wcsim("demo", "--train-town", corner, "--test-town", corner)
     assert refused.code == 2
     assert "itself" in refused.err

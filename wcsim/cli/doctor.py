@@ -25,6 +25,7 @@ PACKAGES = (
     *("numpy", "numba", "opencv-python-headless", "shapely"),
 )
 TICK_SECONDS = 5.0
+_FIRST_TICKS = 10  # in a new installation these compile kernels, which says nothing of those that follow
 _REAL_TIME_TICKS_PER_S = 10.0
 _MIN_SHM_BYTES = 32 << 20
 
@@ -143,6 +144,8 @@ def _ticks(town: str, seed: int) -> Finding:
     try:
         started = time.perf_counter()
         with World(find_town(town), load_run_config("quick"), (SeatSpec(),), seed) as world:
+            for _ in range(_FIRST_TICKS):
+                world.tick(as_users_wish(world.snapshot))
             ready = time.perf_counter()
             ticks = 0
             while time.perf_counter() < ready + TICK_SECONDS:

@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever meets a half-written one."""
+"""Writing files so that nobody ever meets a half-written one, and where those lie that can be made again."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import hashlib
 import json
 import os
 import shutil
+import stat
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,7 @@ from typing import Any
 from wcsim.core.reading import require_no_links
 from wcsim.errors import DiskFullError, PolicyError
 
+KERNELS = "kernels"  # the folder in the user's cache for machine code
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 
 
@@ -128,3 +131,49 @@ def sha256(path: Path) -> str:
 def sha256_text(text: str) -> str:
     """SHA-256 of a text in UTF-8, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def user_cache() -> Path:
+    """$XDG_CACHE_HOME/wcsim or ~/.cache/wcsim; where that cannot be written, this user's own temporary folder.
+
+    So a user without a home, as services and containers have them, builds a street once, and not in each process.
+    """
+    wanted = _wanted()
+    if wanted is not None and _can_be_written(wanted):
+        return wanted
+    return _temporary() or wanted or Path(os.devnull) / "wcsim"  # the last two only say that nothing can be kept
+
+
+def home() -> Path | None:
+    """The user's home, None for a user who has none, as for a number that the machine has no name for."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return None
+
+
+def _wanted() -> Path | None:
+    base, own = os.environ.get("XDG_CACHE_HOME", ""), home()
+    if base:
+        return Path(base) / "wcsim"
+    return None if own is None else own / ".cache" / "wcsim"
+
+
+def _can_be_written(folder: Path) -> bool:
+    """Whether it can, or can be made."""
+    place = folder.absolute()
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
+
+
+def _temporary() -> Path | None:
+    """A folder for this user alone; None where somebody else was there first, for machine code is read from it."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"wcsim-cache-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return None
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return folder if own else None

@@ -4,7 +4,7 @@ numba freezes into a kernel whatever it takes from outside: the kernels that it 
 that it names. Its own copies on disk notice a change of the kernel's file alone; so here a copy is named by a digest of
 the kernel and of all that is frozen into it, taken at the first call, when everything has its value.
 
-The copies lie in `__pycache__` beside the source, or in the user's cache folder when the package is read-only; where
+The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is read-only; where
 neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept. Of
 processes that want the same copy at the same time one makes it, and the others wait (a lock beside it).
 """
@@ -23,8 +23,10 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 import numpy as np
 from filelock import FileLock, Timeout
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserWideCacheLocator
 from numba.extending import is_jitted
+
+from wcsim.core.files import KERNELS, user_cache
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -69,8 +71,28 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     return cast("Callable[P, R]", compiled)
 
 
+class UserLocator(UserWideCacheLocator):
+    """The place for a package that cannot be written: in wcsim's cache, which is found without a home, too."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        """As numba makes it."""
+        super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
+        name: str = self.get_suitable_cache_subpath(py_file)  # type: ignore[no-untyped-call]
+        self._cache_path = str(user_cache() / KERNELS / name)
+
+
+class _Copies(CompileResultCacheImpl):
+    """Where copies may lie, the best place first."""
+
+    _locator_classes = [  # noqa: RUF012 - numba's own form
+        UserLocator if kind is UserWideCacheLocator else kind for kind in CompileResultCacheImpl._locator_classes
+    ]
+
+
 class _FrozenCache(FunctionCache):
     """The copies on disk of one kernel, found by `frozen_digest`."""
+
+    _impl_class = _Copies
 
     def __init__(self, compiled: Any) -> None:
         """Find a folder; raises RuntimeError when there is none that can be written."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -57,6 +58,7 @@ class DrivenFilm:
         spec = SeatSpec(profile=profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
         self._world = World(town, config, (spec,), seed)
         self._chair, self._link = Chair(config), HeldLink()
+        self.taken_over = 0.0  # how far the stick that was driven last was from the user's, 0 to 2 and more
         try:
             self._map = MapView(self._world.street.mesh, film.height_px, MAP_SPAN_M)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +91,9 @@ class DrivenFilm:
         said = f"{policy.name}   {snapshot.time_s:.1f} s   {step.info['speed_mps']:.2f} m/s"
         picture = captioned(rgb, said + ("   CRASH" if client.events.crashed else ""))
         given = Joystick(*self.actions.points[action].tolist())
-        with_sticks(picture, Joystick(float(asked[0]), float(asked[1])), given, warning=warning)
+        wanted = Joystick(float(asked[0]), float(asked[1]))
+        self.taken_over = math.hypot(given.x - wanted.x, given.y - wanted.y)
+        with_sticks(picture, wanted, given, warning=warning)
         frame = side_by_side(picture, map_view(self._map, self._world))
         self._writer.write(frame)
         if ended:

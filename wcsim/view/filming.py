@@ -54,15 +54,11 @@ class FilmedDrive:
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""
-        best, best_score = self._shot(self._world.snapshot, 0.0), -1.0
+        kept = BusiestMoment(self)
         for tick in range(max(1, round(seconds / self.tick_s))):
-            snapshot = self.go_on()
-            frame = snapshot.clients[0].sensors.cameras[0]
-            pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
-            score = self._in_view(snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
-            if pixels > _IN_VIEW_PX and score > best_score:
-                best, best_score = self._shot(snapshot, (tick + 1) * self.tick_s), score
-        return best
+            self.go_on()
+            kept.look((tick + 1) * self.tick_s)
+        return kept.shot
 
     def film(self, path: Path) -> Film:
         """Begin a video of what comes."""
@@ -85,7 +81,9 @@ class FilmedDrive:
         """The chair's camera."""
         return self._camera
 
-    def _shot(self, snapshot: Snapshot, after_s: float) -> Shot:
+    def shot(self, after_s: float) -> Shot:
+        """What the camera sees now, so long after the beginning."""
+        snapshot = self._world.snapshot
         frame = snapshot.clients[0].sensors.cameras[0]
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
@@ -96,6 +94,14 @@ class FilmedDrive:
             after_s=after_s,
             in_view=self._in_view(snapshot),
         )
+
+    def business(self) -> float:
+        """How much of interest is in the picture now: actors, and how large they are; below 0 for hardly any."""
+        frame = self._world.snapshot.clients[0].sensors.cameras[0]
+        pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
+        if pixels <= _IN_VIEW_PX:
+            return -1.0
+        return self._in_view(self._world.snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
 
     def _in_view(self, snapshot: Snapshot) -> int:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
@@ -115,6 +121,21 @@ class FilmedDrive:
             seen = np.isin(frame.class_id[:, stripe], _ACTOR_CLASSES) & (frame.depth_m[:, stripe] > along - 4.0)
             count += bool(seen.any())
         return count
+
+
+class BusiestMoment:
+    """Keeps, while a stage goes on, the moment when most actors, and most of them, were in the picture."""
+
+    def __init__(self, stage: FilmedDrive) -> None:
+        """Begins with now, which stays if nothing is ever in view."""
+        self._stage, self._most = stage, -1.0
+        self.shot = stage.shot(0.0)
+
+    def look(self, after_s: float) -> None:
+        """Take this moment instead, if there is more in it."""
+        now = self._stage.business()
+        if now > self._most:
+            self.shot, self._most = self._stage.shot(after_s), now
 
 
 class Film:

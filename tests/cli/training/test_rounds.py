@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.training import rounds
 from wcsim.cli.training.demo import how_it_learns
+from wcsim.cli.training.rounds import share_done
 from wcsim.config import load_run_config
 from wcsim.errors import InterruptedRunError
 from wcsim.server.specs import RunInfo
@@ -56,15 +59,30 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
     def train(run: ResolvedRun, town: object, worlds: int, show: Show, stage: object) -> Path:
         for back in (1, 2):
             show(RoundProgress(round=0, rounds=3, segments=back, of=2))
+        show(RoundProgress(round=0, rounds=3, segments=2, of=2, learned=1))
         show(RoundProgress(round=0, rounds=3, segments=2, of=2, updates=7, loss=0.5))
         return run.out
 
     monkeypatch.setattr(rounds, "train_danger", train)
     rounds.train_rounds_in(run, find_town(str(corner)), 1)
-    assert capsys.readouterr().err.splitlines() == [
-        "round 1 of 3, 2 of 2 segments: learning",
-        "round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000",
-    ]
+    driven, learned = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
+    assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
+
+
+def test_the_work_of_rounds_adds_up():
+    config = load_run_config("quick", ("collect.rounds=3",))
+    of = config.collect.segments
+    shares = [share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
+    for number in range(3):
+        for learned in (1, config.danger.updates):
+            now = RoundProgress(round=number, rounds=3, segments=of, of=of, learned=learned)
+            shares.append(share_done(now, config))
+        shares.append(share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
+    assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
+    assert shares == sorted(shares)
+    without = load_run_config("quick", ("collect.segments=0",))
+    assert share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():

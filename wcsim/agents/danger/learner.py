@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -47,10 +48,10 @@ class DangerLearner:
         self._total, self._rate = max(total, 1), danger.learning_rate
         self.updates, self.loss = 0, float("nan")
 
-    def learn(self, lectures: Lectures, updates: int) -> float:
-        """So many updates; the smoothed loss. Raises PolicyError when it leaves the finite numbers."""
+    def learn(self, lectures: Lectures, updates: int, told: Callable[[int], object] = lambda done: None) -> float:
+        """So many updates, each told when done; the smoothed loss. Raises PolicyError when it is not finite."""
         self.net.train()
-        for _ in range(updates):
+        for done in range(1, updates + 1):
             for group in self._optimizer.param_groups:
                 group["lr"] = self._rate * rate_share(self.updates / self._total)
             batch = lectures.draw()
@@ -68,6 +69,7 @@ class DangerLearner:
             self._optimizer.step()
             self.updates += 1
             self.loss = now if np.isnan(self.loss) else _SMOOTH * self.loss + (1.0 - _SMOOTH) * now
+            told(done)
         self.net.train(False)
         return self.loss
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -16,6 +17,7 @@ from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
 
+Watch = Callable[[float], object]
 _AS_IN_SUITES = (
     *("crashes_own", "crashes_other", "crashes_per_km", "crashes_per_km_ci"),
     *("kpi2_median", "alive_at_end", "alive_at_end_ci"),
@@ -73,6 +75,7 @@ def evaluate(
     seed: int,
     tick_s: float = 0.1,
     reward: RewardConfig | None = None,
+    watch: Watch = lambda share: None,
 ) -> EvalRow:
     """Let a policy drive whole episodes, greedily.
 
@@ -84,6 +87,7 @@ def evaluate(
         seed: Of the environment.
         tick_s: Duration of a step.
         reward: What counts as a collision; by default as everywhere.
+        watch: Told after each step which share of the episodes is done.
 
     Raises:
         ConfigError: `episodes` or `max_steps` is below 1.
@@ -98,9 +102,14 @@ def evaluate(
         observation, info = env.reset(seed=seed) if episode == 0 else env.reset()
         policy.reset()
         meter = EpisodeMeter(tick_s, reward or RewardConfig())
-        records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter))
+        seen = partial(_tell, watch, episode, episodes)
+        records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen))
         logs.append(meter.log())
     return _row(policy.name, summarise(joined(logs)), row_of(policy.name, "", records, ()))
+
+
+def _tell(watch: Watch, episode: int, of: int, share: float) -> None:
+    watch((episode + share) / of)
 
 
 def _row(name: str, row: KpiRow, judged: Row) -> EvalRow:
@@ -138,6 +147,7 @@ def _drive(
     max_steps: int,
     tick_s: float,
     meter: EpisodeMeter,
+    watch: Watch,
 ) -> EpisodeRecord:
     """One episode into the meter."""
     observation, info = begun
@@ -150,6 +160,7 @@ def _drive(
         meter.add(info, None if truth is None else not truth.danger)
         if info["events"].crash_reason:
             ended = meter.crash(info)
+        watch(step / max_steps)
         if terminated or truncated or step == max_steps:
             break
     sums = meter.sums(ended.get("reason", ""))

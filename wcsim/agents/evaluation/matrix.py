@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -31,6 +32,7 @@ from wcsim.supervisor.observation import imu_size
 
 MakeEnv = Callable[[str, str, tuple[str, ...]], gymnasium.Env[Any, Any]]  # (town, profile, senses) -> environment
 Progress = Callable[[str], None]
+Watch = Callable[[float, str], object]  # (share of the whole test, who drives)
 
 _SHORTEST_NAME, _NUMBERS_WIDTH = 14, 66  # characters that a policy's name has at least, and of the longest numbers
 _LEGEND_WIDTH = 70  # less than any of the tables has
@@ -127,22 +129,32 @@ class TestResult:
 
 
 def run_test(
-    policies: Sequence[Policy], make_env: MakeEnv, plan: TestPlan, progress: Progress | None = None
+    policies: Sequence[Policy],
+    make_env: MakeEnv,
+    plan: TestPlan,
+    progress: Progress | None = None,
+    watch: Watch = lambda share, who: None,
 ) -> list[TestResult]:
     """Every policy in every town with every profile, each from the same seed.
 
-    Policies with the same senses share the environment of a town and profile.
+    Policies with the same senses share the environment of a town and profile. `progress` is told who is through,
+    `watch` after each step how far all of it is.
     """
     results: list[TestResult] = []
     alike = {senses_of(policy): [p for p in policies if senses_of(p) == senses_of(policy)] for policy in policies}
+    many, through = len(policies) * len(plan.towns) * len(plan.profiles), 0
     for town, profile in product(plan.towns, plan.profiles):
         rows: dict[int, EvalRow] = {}
         for senses, group in alike.items():
             env = make_env(town, profile, senses)
             try:
                 for policy in group:
-                    row = evaluate(policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward)
+                    seen = partial(_tell, watch, policy.name, through, many)
+                    row = evaluate(
+                        policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward, seen
+                    )
                     rows[id(policy)] = row
+                    through += 1
                     if progress is not None:
                         progress(f"{town}, {profile}: {policy.name}")
             finally:
@@ -150,6 +162,10 @@ def run_test(
         in_order = tuple(rows[id(policy)] for policy in policies)
         results.append(TestResult(town=town, seed=plan.seed, profile=profile, rows=in_order))
     return results
+
+
+def _tell(watch: Watch, who: str, through: int, of: int, share: float) -> None:
+    watch((through + share) / of, who)
 
 
 def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None = None) -> Policy:

@@ -50,7 +50,8 @@ class RoundProgress:
     rounds: int
     segments: int  # that have come back
     of: int
-    updates: int = 0
+    learned: int = 0  # updates of this round
+    updates: int = 0  # of all rounds, when this one is done
     loss: float = float("nan")
     workers: tuple[WorkerNow, ...] = ()  # who drives what
 
@@ -112,7 +113,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
                 lectures.add(lessons_of(segment, config))
                 crashes += int(segment.crashed.sum())
             lectures.begin(seeding.generator(seed, "agent", "lectures", number))
-            loss = learner.learn(lectures, config.danger.updates)
+            loss = learner.learn(lectures, config.danger.updates, told.learned)
             segments |= came
             save_round(folder.checkpoints, number, learner, segments)
             _save(rounds, learner, f"round-{number:03d}")
@@ -164,6 +165,10 @@ class _Told:
         """A segment is there."""
         self._now = replace(self._now, segments=self._now.segments + 1)
         self._progress(self._now)
+
+    def learned(self, updates: int) -> None:
+        """So many updates of this round are done, and all of its segments came back."""
+        self._progress(replace(self._now, segments=self._now.of, learned=updates, workers=()))
 
     def watch(self, workers: tuple[WorkerNow, ...]) -> None:
         """Who is at what."""

@@ -19,6 +19,7 @@ from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
@@ -102,8 +103,8 @@ def as_json(results: Sequence[TestResult]) -> dict[str, Any]:
     }
 
 
-def test_policies(options: Options) -> Sequence[TestResult]:
-    """The results, one for each town and profile."""
+def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestResult]:
+    """The results, one for each town and profile; it may be left out what is overridden of a town's SUMO options."""
     towns, profiles = check(options)
     _require_policies(options)
     config = _config(options)
@@ -117,7 +118,6 @@ def test_policies(options: Options) -> Sequence[TestResult]:
     names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
-    console = Console(stderr=True)
 
     def make_env(town: str, profile: str, senses: tuple[str, ...]) -> WheelchairEnv:
         asked = {"profile": profile, "max_steps": options.max_steps, "truth": True, "truth_visible": True}
@@ -125,7 +125,7 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         env = sensing.env.model_copy(update=asked)
         return WheelchairEnv(towns[town].address, config=sensing.model_copy(update={"env": env}), hook=options.hook)
 
-    for town in towns.values():
+    for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)
         print_overrides(Console(highlight=False), town.name, told, verbose=options.verbose)
 
@@ -138,9 +138,10 @@ def test_policies(options: Options) -> Sequence[TestResult]:
         tick_s=config.world.tick_s,
         reward=config.reward,
     )
-    return run_test(
-        policies, make_env, plan, lambda text: console.print(f"tested {text}", style="dim", highlight=False)
-    )
+    with StageBar("testing") as bar:
+        return run_test(
+            policies, make_env, plan, lambda text: bar.say(f"tested {text}"), lambda share, who: bar.show(share, who)
+        )
 
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:

@@ -8,9 +8,13 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.pictures import snapshot, video
-from wcsim.cli.shared.common import parse
+from wcsim.cli.pictures.snapshot import keep_shot
+from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
+from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
+
+_WIDTH_PX = 640
 
 
 @dataclass
@@ -28,9 +32,28 @@ class Options:
 
 
 def run(words: list[str]) -> int:
-    """The picture first, then the video."""
+    """One drive: it is filmed, and its busiest moment is the picture."""
     options = parse(Options, words, "look")
-    place = options.out / find_town(options.town).name
-    same = [options.town, "--seed", str(options.seed), "--seconds", str(options.seconds)]
-    snapshot.run([*same, "--out", f"{place}.png"])
-    return video.run([*same, "--out", f"{place}.webm"])
+    town = find_town(options.town)
+    picture, video = (options.out / f"{town.name}.{kind}" for kind in ("png", "webm"))
+    check_output("--out", video)
+    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
+    missing = missing_folder(video)
+
+    from wcsim.view.filming import BusiestMoment, open_stage  # loads the simulators, which --help must not
+
+    with (
+        StageBar("filming") as bar,
+        open_stage(town, options.seed, _WIDTH_PX) as stage,
+        stage.film(video) as film,
+    ):
+        busiest, frames = BusiestMoment(stage), round(options.seconds / film.tick_s)
+        for done in range(1, frames + 1):
+            film.add()
+            busiest.look(done * film.tick_s)
+            bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+    tell_made(missing)
+    place = f"{options.town}, seed {options.seed}"
+    keep_shot(picture, busiest.shot, place)
+    print(f"{video}: {place}, {options.seconds:g} s")
+    return 0

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from wcsim.cli.shared.common import check_output, in_bounds, parse, write_whole
 from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.view.filming import Shot
 
 MAX_SECONDS = 3600.0
 
@@ -38,12 +41,17 @@ def run(words: list[str]) -> int:
     town = find_town(options.town)
 
     from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
-    from wcsim.view.pictures import triptych, write_png
 
     with open_stage(town, options.seed, options.width) as stage:
         shot = stage.busiest_moment(options.seconds)
-    picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
-    write_whole(options.out, lambda part: write_png(part, picture))
-    place = f"{options.town}, seed {options.seed}, after {shot.after_s:.1f} s"
-    print(f"{options.out}: {place}, {shot.in_view} actors in view")
+    keep_shot(options.out, shot, f"{options.town}, seed {options.seed}")
     return 0
+
+
+def keep_shot(out: Path, shot: Shot, place: str) -> None:
+    """Write a moment as a picture, and say what it shows."""
+    from wcsim.view.pictures import triptych, write_png
+
+    picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
+    write_whole(out, lambda part: write_png(part, picture))
+    print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actors in view")

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Annotated, Protocol
 
 import tyro
-from rich.console import Console
-from rich.progress import track
 
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import is_onnx_folder
@@ -18,9 +16,10 @@ from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
 from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import Town, find_town
 
-_MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
+MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
 
 @dataclass
@@ -50,19 +49,18 @@ def run(words: list[str]) -> int:
     """Film it."""
     options = parse(Options, words, "video")
     check_output("--out", options.out, ".webm")
-    in_bounds("--seconds", options.seconds, _MIN_SECONDS, MAX_SECONDS)
+    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     town = find_town(options.town)
 
     if options.policy:
         require_policy(options.policy)
         require_user(options.profile)
-    console = Console(stderr=True)
     missing = missing_folder(options.out)
-    with _opened(options, town) as film:
-        frames = range(round(options.seconds / film.tick_s))
-        quiet = not console.is_terminal
-        for _ in track(frames, description="filming", console=console, transient=True, disable=quiet):
+    with StageBar("filming") as bar, _opened(options, town) as film:
+        frames = round(options.seconds / film.tick_s)
+        for done in range(1, frames + 1):
             film.add()
+            bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
     tell_made(missing)
     who = f", {options.policy} for a user {options.profile}" if options.policy else ""
     print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{who}")

@@ -1,27 +1,40 @@
-"""`wcsim demo`: train in Helsinki, test in Monaco, take a picture; what `make demo` runs."""
+"""`wcsim demo`: train in Helsinki, test in Monaco, film it there; what `make demo` runs."""
 
 from __future__ import annotations
 
+import shlex
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from wcsim.cli.evaluation import test
-from wcsim.cli.shared.common import OutFolder, Repeated, parse, write_json
+from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.run_config import QUICK, learning, learns_in_rounds, resolve_run
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
 
+if TYPE_CHECKING:  # loads torch, which --help must not
+    from wcsim.agents.evaluation.matrix import TestResult
+
+_FILM_WIDTH_PX, _FILM_S = 480, 10.0
+_USUAL = "On two free cores this takes some 8 minutes: 3 to train, 4 to test, half a minute to film."
+
 
 @dataclass
 class Options:
-    """Train preset quick in Helsinki, test it in Monaco beside the baselines, and take a picture there."""
+    """Train preset quick in Helsinki, test it in Monaco beside the baselines, and film it there.
+
+    Some 8 minutes on two free cores; every stage says how long it still takes.
+    """
 
     train_town: str = "helsinki"
     """Town to train in."""
@@ -39,43 +52,124 @@ class Options:
     """Seed of everything."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Demo:
+    """What is done, and where to say so."""
+
+    options: Options
+    trial: test.Options
+    town: Town  # the first to test in
+    out: Path
+    console: Console
+
+    def say(self, text: str, style: str | None = None) -> None:
+        self.console.print(text, style=style, markup=False)
+
+
 def run(words: list[str]) -> int:
     """Do it all, and say where everything is."""
     options = parse(Options, words, "demo")
-    console = Console()
     started = time.monotonic()
     trial = test.Options(
         town=options.test_town, episodes=options.episodes, max_steps=options.max_steps, seed=options.seed
     )
     school, tested = _towns(options.train_town, trial)
-    stage_town = next(iter(tested.values()))
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
+    check_folder("--out", out)
+    town = next(iter(tested.values()))
+    demo = _Demo(options=options, trial=trial, town=town, out=out, console=Console(highlight=False))
     config = learning(load_run_config(QUICK, options.set))
-    console.print(f"[bold]1/3[/] training in {school.name} (Ctrl-C ends it early and keeps what was learned)")
-    console.print(how_it_learns(config), style="dim", highlight=False)
-    info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
-    try:
-        folder = train_in(resolve_run(config, info, school, out), school)
-    except InterruptedRunError as stop:
-        console.print(f"{stop}", highlight=False)
-        folder = out
-    console.print(f"[bold]2/3[/] testing in {', '.join(tested)}, which the network has never seen")
-    results = test.test_policies(replace(trial, policies=(str(folder),)))
-    for result in results:
-        console.print(*result.tables(console.width))
-    write_json(folder / "test.json", test.as_json(results))
-    console.print(f"[bold]3/3[/] a picture from {stage_town.name}")
-    picture = folder / f"{stage_town.name}.png"
-
-    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
-    from wcsim.view.pictures import triptych, write_png
-
-    with open_stage(stage_town, options.seed, 640) as stage:
-        shot = stage.busiest_moment(15.0)
-    write_png(picture, triptych(shot.rgb, shot.class_id, shot.depth_m))
-    print(f"run folder: {folder}    table: {folder / 'test.json'}    picture: {picture}")
-    console.print(f"done in {time.monotonic() - started:.0f} s; SIMULATION ONLY, no statement about a real street")
+    demo.say(f"wcsim demo: a network learns in {school.name}, and shows in {', '.join(tested)} what it has learned.")
+    if parse(Options, [], "demo") == replace(options, seed=1, out=None):
+        demo.say(_USUAL)
+    _train(demo, config, school, words)
+    results = _test(demo, ", ".join(tested))
+    still = _film(demo)
+    page = _page(demo, config, results, still)
+    demo.say(f"\ndone in {_minutes(time.monotonic() - started)}; the page to open: {page}", "bold")
+    demo.say("next:")
+    for command, does in _commands(demo):
+        demo.say(f"  {command}\n      {does}")
+    demo.say("SIMULATION ONLY: these figures say nothing about a real street.", "dim")
     return 0
+
+
+def _train(demo: _Demo, config: RunConfig, school: Town, words: list[str]) -> None:
+    """The first stage; what was learned until Ctrl-C is enough for the others."""
+    demo.say(f"\n1/3 training in {school.name}; Ctrl-C ends it early and keeps what was learned", "bold")
+    demo.say(how_it_learns(config), "dim")
+    info = RunInfo(seed=demo.options.seed, command=("wcsim", "demo", *words))
+    try:
+        train_in(resolve_run(config, info, school, demo.out), school)
+    except InterruptedRunError as stop:
+        demo.say(f"{stop}")
+
+
+def _test(demo: _Demo, towns: str) -> Sequence[TestResult]:
+    """The second: the network beside the baselines, who meet the same world."""
+    demo.say(f"\n2/3 testing in {towns}, where it has never been, beside seven baselines", "bold")
+    results = test.test_policies(replace(demo.trial, policies=(str(demo.out),)), overrides=False)
+    for result in results:
+        demo.console.print(*result.tables(demo.console.width))
+    write_json(demo.out / "test.json", test.as_json(results))
+    return results
+
+
+def _film(demo: _Demo) -> Path:
+    """The third: ten seconds of it, and the picture in which it differs most from its user."""
+    import numpy as np
+
+    from wcsim.view.driven_film import DrivenFilm  # loads the simulators, which --help must not
+    from wcsim.view.pictures import write_png
+
+    demo.say(f"\n3/3 filming {_FILM_S:g} s of it in {demo.town.name}", "bold")
+    path, user = demo.out / f"{demo.town.name}.webm", demo.trial.profile
+    best, best_m = None, -1.0
+    with (
+        StageBar("filming") as bar,
+        DrivenFilm(demo.town, demo.options.seed, _FILM_WIDTH_PX, str(demo.out), user, path) as film,
+    ):
+        frames = round(_FILM_S / film.tick_s)
+        for done in range(frames):
+            frame = film.add()
+            bar.show((done + 1) / frames, f"second {done * film.tick_s:.0f} of {_FILM_S:g}")
+            if film.taken_over > best_m:
+                best, best_m = np.array(frame), film.taken_over
+    still = path.with_suffix(".png")
+    if best is not None:
+        write_png(still, best)
+    demo.say(f"{path}, {still.name}")
+    return still
+
+
+def _page(demo: _Demo, config: RunConfig, results: Sequence[TestResult], still: Path) -> Path:
+    from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+
+    shown = DemoShown(
+        learned=how_it_learns(config),
+        results=results,
+        film=still.with_suffix(".webm").name,
+        film_says=f"The network beside a user {demo.trial.profile} in {demo.town.name}: the chair's camera, the map, "
+        "the user's stick (blue) and the one that was driven (orange). A click on the picture plays the film.",
+        still_png=still.read_bytes(),
+        commands=_commands(demo),
+    )
+    return write_demo_page(demo.out, shown)
+
+
+def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
+    """What to do next, each with what it does."""
+    run, town = shlex.quote(str(demo.out)), shlex.quote(str(demo.options.test_town.split(",")[0].strip()))
+    return (
+        (f"wcsim drive {town} --policy {run}", "you are the user, on a page in your browser, and it helps you"),
+        (f"wcsim look {town}", "a picture and ten seconds of film without any network"),
+        (f"wcsim test --suite dev {run} --jobs 2", "judges it on a fixed list of episodes, in an hour or so"),
+        ("wcsim train --preset laptop --out runs/laptop", "a better one, in half an hour"),
+    )
+
+
+def _minutes(spent_s: float) -> str:
+    return f"{spent_s:.0f} s" if spent_s < 90.0 else f"{spent_s / 60.0:.0f} min"
 
 
 def how_it_learns(config: RunConfig) -> str:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from wcsim.agents.rounds.run_of_rounds import train_danger
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.machine_options import machines_of
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
+from wcsim.config import RunConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.workers.crew import WorkerNow
+from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import Town
+
+Show = Callable[[RoundProgress], object]
+_DOES = {False: "driving", True: "learning"}
 
 
 def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: str = "") -> Path:
@@ -28,49 +30,51 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
         NothingKept: ... before the first round was done.
         WcsimError: Something that was asked for cannot be used.
     """
-    console = Console(stderr=True, highlight=False)
-    bar = Progress(
-        *(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"), TimeElapsedColumn()),
-        console=console,
-        disable=not console.is_terminal,
-    )
-    machines = replace(machines_of(cluster, worlds, "--worlds"), say=lambda told: console.print(told, markup=False))
-    collect = run.config.collect
-    rows = _Rows(bar)
-    task = bar.add_task("driving", total=collect.rounds * collect.segments, says="")
+    with StageBar("driving") as bar:
+        machines = replace(
+            machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False)
+        )
 
-    def show(now: RoundProgress) -> None:
-        at = now.round * now.of + now.segments
-        learned = "" if math.isnan(now.loss) else f", {now.updates} updates, loss {now.loss:.4f}"
-        says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments{learned}"
-        driven = now.segments == now.of
-        rows.show(now.workers)
-        bar.update(task, completed=at, description="learning" if driven and not learned else "driving", says=says)
-        if not console.is_terminal and driven:
-            console.print(says if learned else f"{says}: learning")
+        def show(now: RoundProgress) -> None:
+            bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
+            learns = now.learned > 0 or now.segments == now.of
+            at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
+            bar.show(share_done(now, run.config), f"round {now.round + 1} of {now.rounds}, {at}", _DOES[learns])
+            if not bar.console.is_terminal:
+                _log(bar, now)
 
+        return _trained(run, town, machines, show, lambda told: bar.say(told, left=False))
+
+
+def _trained(run: ResolvedRun, town: Town, machines: Machines, show: Show, say: Callable[[str], object]) -> Path:
     try:
-        with bar, gone_if_nothing_came_of_it(run.out):
-            return train_danger(run, town, machines, show, lambda told: console.print(told))
+        with gone_if_nothing_came_of_it(run.out):
+            return train_danger(run, town, machines, show, say)
     except InterruptedRunError:
         if run.out.exists():
             raise
         raise NothingKept("stopped before the first round was done; nothing is kept") from None
 
 
-class _Rows:
-    """A line for each worker below the bar, while there is one."""
+def share_done(now: RoundProgress, config: RunConfig) -> float:
+    """Which share of a run's work is done, 0 to 1.
 
-    def __init__(self, bar: Progress) -> None:
-        self._bar = bar
-        self._rows: dict[str, TaskID] = {}
+    A step that is driven and one in a batch that is learned from cost about the same on two cores. From the second
+    round on worlds drive while the network learns, so that a round takes as long as the longer of both.
+    """
+    collect, danger = config.collect, config.danger
+    drive, learn = collect.segments * collect.ticks * collect.chairs, danger.updates * danger.batch
+    both, last = max(drive, learn), now.rounds - 1
+    before = 0 if now.round == 0 else drive + now.round * both
+    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
+    learned = 1.0 if now.updates else now.learned / danger.updates
+    return (before + driven + learned * (learn if now.round == last else both)) / (drive + last * both + learn)
 
-    def show(self, workers: tuple[WorkerNow, ...]) -> None:
-        """Who is at what now."""
-        for gone in self._rows.keys() - {worker.name for worker in workers}:
-            self._bar.remove_task(self._rows.pop(gone))
-        for worker in workers:
-            says = f"segment {worker.key}, {worker.for_s:.0f} s" if worker.key else "free"
-            if worker.name not in self._rows:
-                self._rows[worker.name] = self._bar.add_task(f"  {worker.name}", total=None, says=says)
-            self._bar.update(self._rows[worker.name], says=says)
+
+def _log(bar: StageBar, now: RoundProgress) -> None:
+    """A line where a round is driven, and one where it is learned from."""
+    says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
+    if now.updates:
+        bar.say(f"{says}, {now.updates} updates, loss {now.loss:.4f}")
+    elif now.segments == now.of and not now.learned:
+        bar.say(f"{says}: learning")

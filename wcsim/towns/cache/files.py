@@ -5,17 +5,20 @@ from __future__ import annotations
 import re
 import stat
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from wcsim.core.files import KERNELS
 from wcsim.towns.cache.folder import cache_folder
 
 WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"
 _STREET = re.compile(rf"street-{_KEY}\.npz")
 _VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
-_BEGUN = re.compile(r"tmp[a-z0-9_]{8}\.(npz|ok)")
+_KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc)")  # machine code, with the list of it for each kernel
+_BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +28,7 @@ class CacheFacts:
     folder: Path
     streets: int
     verdicts: int  # on nets and scenarios that were tried
+    kernels: int  # whose machine code is kept here: those of a package that cannot be written
     unfinished: int  # begun by somebody and left
     size_bytes: int
 
@@ -36,6 +40,7 @@ def cache_facts() -> CacheFacts:
         folder=cache_folder(),
         streets=sum(_STREET.fullmatch(path.name) is not None for path in found),
         verdicts=sum(_VERDICT.fullmatch(path.name) is not None for path in found),
+        kernels=sum(path.suffix == ".nbi" for path in found),
         unfinished=sum(_BEGUN.fullmatch(path.name) is not None for path in found),
         size_bytes=sum(found.values()),
     )
@@ -56,12 +61,19 @@ def clear_cache() -> CacheFacts:
 def _files() -> dict[Path, int]:
     """The regular files that wcsim made, with their sizes."""
     found: dict[Path, int] = {}
-    with suppress(OSError):
-        for path in sorted(cache_folder().iterdir()):
-            known = any(kind.fullmatch(path.name) for kind in (_STREET, _VERDICT, _BEGUN))
-            with suppress(OSError):
-                status = path.lstat()
-                being_written = _BEGUN.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
-                if known and stat.S_ISREG(status.st_mode) and not being_written:
-                    found[path] = status.st_size
+    for path, kinds in _places():
+        known = any(kind.fullmatch(path.name) for kind in kinds)
+        with suppress(OSError):
+            status = path.lstat()
+            being_written = _BEGUN.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
+            if known and stat.S_ISREG(status.st_mode) and not being_written:
+                found[path] = status.st_size
     return found
+
+
+def _places() -> Iterator[tuple[Path, tuple[re.Pattern[str], ...]]]:
+    """All that lies where files of wcsim may, with the forms that their names have there."""
+    folder = cache_folder()
+    with suppress(OSError):
+        yield from ((path, (_STREET, _VERDICT, _BEGUN)) for path in sorted(folder.iterdir()))
+    yield from ((path, (_KERNEL,)) for path in sorted(folder.glob(f"{KERNELS}/*/*")))

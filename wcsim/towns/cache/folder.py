@@ -7,19 +7,19 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from wcsim.core.files import home, user_cache
 from wcsim.core.reading import shown
 
 
 def cache_folder() -> Path:
-    """Where wcsim keeps what it can make again: $XDG_CACHE_HOME/wcsim or ~/.cache/wcsim."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "wcsim"
+    """Where wcsim keeps what it can make again: see `user_cache`."""
+    return user_cache()
 
 
 def shown_cache() -> str:
     """The cache's folder for a message, with ~ for the home."""
-    folder, home = str(cache_folder()), str(Path.home())
-    return shown(f"~{folder[len(home) :]}" if folder.startswith(f"{home}/") else folder)
+    folder, own = cache_folder(), home()
+    return shown(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

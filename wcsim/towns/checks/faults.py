@@ -46,7 +46,7 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     if found.mesh_faults > found.rays // 1000:
         lines.append(
             f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: "
-            'rm -r "${XDG_CACHE_HOME:-$HOME/.cache}/wcsim"'
+            "wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
     grade = steepest_grade(net)

@@ -14,7 +14,7 @@ from wcsim.agents.runs.shipped import FILES, HELD
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,44 @@
+"""What a stage says of itself, and how long it still takes."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from wcsim.cli.shared.stage_bar import StageBar, told_left
+
+
+def test_the_time_that_is_left_is_what_the_share_says():
+    assert told_left(60.0, 0.5) == "about 60 s left"
+    assert told_left(61.0, 0.5) == "about 65 s left"
+    assert told_left(60.0, 0.25) == "about 3 min left"
+    assert told_left(60.0, 0.0) == told_left(60.0, 1.0) == ""
+
+
+def test_what_was_done_before_takes_no_time_now(capsys):
+    now_s = [0.0]
+    with StageBar("testing", clock=lambda: now_s[0]) as bar:
+        bar.show(0.5, "half of it was done by another run")
+        now_s[0] = 30.0
+        bar.show(0.75, "as much is left as was done here")
+        assert bar.left == "about 30 s left"
+        bar.say("a line")
+        bar.say("a word of others", left=False)
+        bar.show(1.0, "")
+        bar.say("the last")
+    assert capsys.readouterr().err.splitlines() == ["a line, about 30 s left", "a word of others", "the last"]
+
+
+def test_a_row_fits_into_80_characters(monkeypatch, capsys):
+    made = Console
+    monkeypatch.setattr(
+        "wcsim.cli.shared.stage_bar.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
+    )
+    now_s = [0.0]
+    with StageBar("learning", clock=lambda: now_s[0]) as bar:
+        bar.show(0.0, "round 1 of 2, segment 3 of 3")
+        now_s[0] = 100.0
+        bar.show(0.1, "round 2 of 2, update 350")
+        bar.rows({"one": "segment 0-1-2, 100 s", "two": "free"})
+    told = capsys.readouterr().err
+    assert "about 15 min left" in told and "update 350" in told and "segment 0-1-2, 100 s" in told
+    assert "…" not in told
