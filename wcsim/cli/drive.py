@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.pictures.video import require_policy
-from wcsim.cli.shared.common import in_bounds, parse
+from wcsim.cli.shared.common import OutFile, in_bounds, parse
 from wcsim.cli.shared.run_config import require_user
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -35,6 +35,8 @@ class Options:
     """Which block of it."""
     seat: int = 0
     """Which seat of the block."""
+    record: OutFile = None
+    """Keep the drive in this file, a new one; another town or world goes on in FILE-2, FILE-3."""
     port: int = 8080
     """Where the page is served; 0 takes a free one."""
     host: str = "127.0.0.1"
@@ -54,8 +56,9 @@ def run(words: list[str]) -> int:
         raise ConfigError("--block and --seat name an episode of a suite; expected --suite beside them")
     else:
         find_town(options.town)
+    from wcsim.drive.keeping.kept_files import require_new
     from wcsim.drive.serving.server import ServeOrder, serve_drive
-    from wcsim.drive.starting import DriveStart, checked  # loads the simulators, which --help must not
+    from wcsim.drive.starting import DriveStart, checked, require_kept  # loads the simulators, which --help must not
 
     start = DriveStart(
         town=options.town,
@@ -66,10 +69,14 @@ def run(words: list[str]) -> int:
         block=options.block,
         seat=options.seat,
     )
+    if options.record is not None:
+        require_new(options.record, "--record")
+        require_kept(start)
     try:
         serve_drive(
             ServeOrder(
                 start=checked(start),
+                record=options.record,
                 host=options.host,
                 port=options.port,
                 say=lambda told: print(told, flush=True),

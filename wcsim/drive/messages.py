@@ -176,6 +176,14 @@ class PageRole(_Said, frozen=True, tag="role"):
     told: str = ""
 
 
+class Keeping(_Said, frozen=True):
+    """Whether the drive is kept in a file."""
+
+    on: bool
+    file: str
+    told: str
+
+
 class Busy(_Said, frozen=True):
     """The street is not there yet."""
 

@@ -6,12 +6,15 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, EventKind
+from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
+from wcsim.drive.keeping.kept_files import file_names
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.drive.stating import about_of, state_of
@@ -37,6 +40,7 @@ class DriveRunner:
     Args:
         pipe: To the server.
         start: The first drive.
+        record: The file of the first world that is kept, None to keep nothing.
         observers: Made anew for each drive.
         clock: Monotonic seconds.
     """
@@ -45,10 +49,12 @@ class DriveRunner:
         self,
         pipe: Connection,
         start: DriveStart,
+        record: Path | None = None,
         observers: Callable[[], Sequence[DriveObserver]] = tuple,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
+        self._names = None if record is None else file_names(record)
         self.session: DriveSession | None = None
         self._pictures: DrivePictures | None = None
         self._watch, self._looks = StickWatch(), PageLooks()
@@ -176,6 +182,11 @@ class DriveRunner:
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
 
+    def _tell_kept(self, news: KeptNews) -> None:
+        self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
+        if news.log:
+            self._pipe.send_bytes(LINE + news.log.encode())
+
     def _state(self) -> None:
         if self.session is not None:
             self._say(state_of(self, self.session, self._last))
@@ -262,6 +273,8 @@ class DriveRunner:
         self._watch.require_rest()
         try:
             self.session = session = DriveSession(start, (_Teller(self._say), *self._observers()))
+            if self._names is not None:
+                session.look_on(DriveKeeper(session, self._names, self._tell_kept))
             self._pictures = DrivePictures(session)
         except WcsimError as error:
             self.close()
@@ -293,6 +306,6 @@ class _Teller:
         """Nothing is held."""
 
 
-def run_drive(pipe: Connection, start: DriveStart) -> None:
+def run_drive(pipe: Connection, start: DriveStart, record: Path | None = None) -> None:
     """What the drive's process does."""
-    DriveRunner(pipe, start).run()
+    DriveRunner(pipe, start, record).run()

@@ -1,6 +1,7 @@
 // The page: what is heard goes to the panel, what the person does goes to the server, 30 times a second.
 
 import { Grid } from "./grid.js";
+import { tellKeeping } from "./keeping.js";
 import { Link } from "./link.js";
 import { Panel } from "./panel.js";
 import { Scan } from "./scan.js";
@@ -65,6 +66,7 @@ const link = new Link({
   busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
   notice(message) { note(message.kind, message.told); if (message.kind === "bad" && busy) big(message.told); },
   role: setRole,
+  keeping(message) { const told = tellKeeping(message); if (told) say(told); },
   state(state) {
     panel.tellState(state);
     grid.show(state.unsafe);
