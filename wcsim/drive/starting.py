@@ -83,13 +83,13 @@ def require_kept(start: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
     if start.profile.startswith(RECORDED):
         raise ConfigError(
-            f"--record cannot keep a drive beside {shown(start.profile, 80)}, whose file may be gone; expected a "
-            "profile: choose one with --profile"
+            f"a drive beside {shown(start.profile, 80)} cannot be kept, as that file may be gone; expected a profile: "
+            "choose another user"
         )
     if start.suite and _block(open_suite(start.suite), start).part == TIGHT:
         raise ConfigError(
-            f"--record cannot keep block {start.block} of {start.suite}: its street is made for that drive alone; "
-            "expected a block in a town: choose another --block"
+            f"a drive in block {start.block} of {start.suite} cannot be kept, as its street is made for it "
+            "alone; expected a block in a town: choose another one"
         )
     return start
 

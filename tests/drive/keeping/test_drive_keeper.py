@@ -220,8 +220,8 @@ def test_files_are_new_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("start", "told"),
     [
-        (DriveStart(profile="recorded:a.csv"), "cannot keep a drive beside"),
-        (DriveStart(suite="dev", block=25, profile=""), "made for that drive alone"),
+        (DriveStart(profile="recorded:a.csv"), "a drive beside recorded:a.csv cannot be kept"),
+        (DriveStart(suite="dev", block=25, profile=""), "made for it alone"),
     ],
 )
 def test_what_cannot_be_made_again_is_refused(start: DriveStart, told: str) -> None:

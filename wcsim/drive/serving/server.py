@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
 from wcsim.drive import messages as m
+from wcsim.drive.keeping.open_study import OpenStudy
 from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
@@ -47,7 +48,7 @@ class ServeOrder:
     start: DriveStart
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
-    record: Path | None = None  # the file of the first world that is kept, a new one
+    keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
 
 
@@ -61,7 +62,7 @@ class _Process(Closing):
     def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (theirs, order.start, order.record)
+        args = (theirs, order.start, order.keep)
         self._process = context.Process(target=run_drive, args=args, daemon=True, name="wcsim-drive")
         with _no_interrupts():  # Ctrl-C is for this process, which ends that one
             self._process.start()
