@@ -28,6 +28,8 @@ GOOD = (
     m.Again(),
     m.SetUser(profile="slow"),
     m.Open(town="monaco", seed=3),
+    m.GoOn(step=3),
+    m.Answer(step=4, answers=[0, -1, 10]),
     m.TakeOver(),
 )
 
@@ -58,6 +60,9 @@ def test_what_a_page_says_is_read_as_it_was_said(message: m.PageMessage) -> None
         b'{"say":"setuser","profile":"' + b"a" * 401 + b'"}',
         b'{"say":"open","seed":1.5}',
         b'{"say":"driveby","who":"me"}',
+        b'{"say":"goon","step":-1}',
+        b'{"say":"answer","step":1,"answers":[11]}',
+        b'{"say":"answer","step":1,"answers":[' + b",".join([b"0"] * 21) + b"]}",
         b'{"say":"setview","turn_rad":0}',
         b'{"say":"gone"}',
         b'{"say":"ready"}',

@@ -55,10 +55,10 @@ def test_the_simulated_user_drives_where_it_is_asked_to(session: DriveSession, n
 def test_a_person_may_wait_for_ever_and_a_simulated_user_may_not(session: DriveSession) -> None:
     session.tick(Wish())
     user = session.world.seats[0].user
-    assert isinstance(user, SimulatedUser) and math.isinf(user.profile.give_up_s)
+    assert isinstance(user, SimulatedUser) and user.patient
     session.drive_by(DriverKind.SIMULATED)
     session.tick(Wish())
-    assert math.isfinite(user.profile.give_up_s)
+    assert not user.patient
 
 
 def test_help_and_overruling_are_counted_and_written_down(session: DriveSession, noted: Noted) -> None:

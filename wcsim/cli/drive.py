@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from wcsim.cli.pictures.video import require_policy
-from wcsim.cli.shared.common import in_bounds, parse
+from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse
 from wcsim.cli.shared.run_config import require_user
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads what --help must not
+    from wcsim.drive.keeping.open_study import OpenStudy
+    from wcsim.drive.starting import DriveStart
+
+_SET_BY_STUDY = ("--policy", "--profile", "--seed", "--suite", "--block", "--seat", "--record")
 
 
 @dataclass
@@ -35,6 +42,14 @@ class Options:
     """Which block of it."""
     seat: int = 0
     """Which seat of the block."""
+    record: OutFile = None
+    """Keep the drive in this file, a new one; another town or world goes on in FILE-2, FILE-3."""
+    study: Annotated[str, tyro.conf.arg(metavar="FILE.toml")] = ""
+    """Lead a participant through a study instead: assistance (shipped), or a file of your own. docs/studies.md"""
+    participant: int | None = None
+    """In a study: the number of who takes part, which gives the order; again, it goes on where it was left."""
+    out: OutFolder = None
+    """In a study: where its table and recordings go; studies/NAME where it is not said."""
     port: int = 8080
     """Where the page is served; 0 takes a free one."""
     host: str = "127.0.0.1"
@@ -45,6 +60,32 @@ def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse(Options, words, "drive")
     in_bounds("--port", options.port, 0, 65535)
+    if options.study:
+        _require_alone(options, words)
+    else:
+        _require_place(options, words)
+    from wcsim.drive.serving.server import ServeOrder, serve_drive  # loads the simulators, which --help must not
+
+    start, keep = _studied(options) if options.study else _started(options, words)
+    try:
+        serve_drive(
+            ServeOrder(
+                start=start,
+                keep=keep,
+                host=options.host,
+                port=options.port,
+                say=lambda told: print(told, flush=True),
+            )
+        )
+    except KeyboardInterrupt:
+        print("the page is closed")
+    return 0
+
+
+def _require_place(options: Options, words: list[str]) -> None:
+    """Refuse what is not there before the simulators are loaded."""
+    if options.out is not None or options.participant is not None:
+        raise ConfigError("--participant and --out are for a study; expected --study beside them")
     require_policy(options.policy)
     require_user(options.profile)
     if options.suite:
@@ -54,8 +95,18 @@ def run(words: list[str]) -> int:
         raise ConfigError("--block and --seat name an episode of a suite; expected --suite beside them")
     else:
         find_town(options.town)
-    from wcsim.drive.serving.server import ServeOrder, serve_drive
-    from wcsim.drive.starting import DriveStart, checked  # loads the simulators, which --help must not
+
+
+def _require_alone(options: Options, words: list[str]) -> None:
+    given = [word for word in _SET_BY_STUDY if word in words or any(each.startswith(f"{word}=") for each in words)]
+    given += ["TOWN"] if options.town != Options.town else []
+    if given:
+        raise ConfigError(f"--study with {', '.join(given)}; expected it alone: its file says who drives where")
+
+
+def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | None]:
+    from wcsim.drive.keeping.kept_files import require_new
+    from wcsim.drive.starting import DriveStart, checked, require_kept
 
     start = DriveStart(
         town=options.town,
@@ -66,15 +117,16 @@ def run(words: list[str]) -> int:
         block=options.block,
         seat=options.seat,
     )
-    try:
-        serve_drive(
-            ServeOrder(
-                start=checked(start),
-                host=options.host,
-                port=options.port,
-                say=lambda told: print(told, flush=True),
-            )
-        )
-    except KeyboardInterrupt:
-        print("the page is closed")
-    return 0
+    if options.record is not None:
+        require_new(options.record, "--record")
+        require_kept(start)
+    return checked(start), options.record
+
+
+def _studied(options: Options) -> tuple[DriveStart, OpenStudy]:
+    from wcsim.drive.keeping.open_study import open_study, start_of
+
+    if options.participant is None:
+        raise ConfigError("--study without --participant; expected a number from 1 on, another one for each person")
+    study = open_study(options.study, options.participant, options.out)
+    return start_of(study.file, study.file.places[0]), study

@@ -30,6 +30,7 @@ from wcsim.config.load import with_overrides as with_overrides
 from wcsim.config.randomization import VaryConfig as VaryConfig
 from wcsim.config.run import MAX_SEEN_PX as MAX_SEEN_PX
 from wcsim.config.run import RunConfig as RunConfig
+from wcsim.config.scene import TownFile as TownFile
 from wcsim.config.sensors import CameraConfig as CameraConfig
 from wcsim.config.sensors import CameraNoiseConfig as CameraNoiseConfig
 from wcsim.config.sensors import ClassNoiseConfig as ClassNoiseConfig
@@ -38,6 +39,5 @@ from wcsim.config.sensors import ImuConfig as ImuConfig
 from wcsim.config.sensors import OdometryConfig as OdometryConfig
 from wcsim.config.sensors import SensorConfig as SensorConfig
 from wcsim.config.sensors import SensorsConfig as SensorsConfig
-from wcsim.config.town import TownFile as TownFile
 from wcsim.config.world import STREETS as STREETS
 from wcsim.config.world import WorldConfig as WorldConfig

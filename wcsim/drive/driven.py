@@ -22,6 +22,9 @@ class EventKind(StrEnum):
 
     BEGUN = "begun"
     EPISODE = "episode"
+    RESPAWN = "respawn"  # the episode is cut without a crash, before `EPISODE`
+    USER = "user"  # another simulated user sits there, in another chair, before `EPISODE`
+    REBUILT = "rebuilt"  # the world is another one, at its beginning, before `EPISODE`
     DRIVER = "driver"
     ASSISTANCE = "assistance"
     LEVEL = "level"
@@ -52,6 +55,8 @@ class DrivenTick(ComparesArrays):
     driver: DriverKind
     stick: Joystick  # what the person, or the simulated user, asked for
     intent: Joystick | None  # what the simulated user wants, before its hand; None of a person, where it is not known
+    sticks: F64  # (S, 2) the simulated user's within the tick, the last at its end; (0, 2) of a person
+    action: int  # the number of `chosen`
     chosen: Joystick  # the policy's answer; the nearest position to the stick where it is off
     commanded: Joystick  # what the chair was told
     unsafe: tuple[int, ...]  # actions that the policy holds for unsafe, empty where it does not say
@@ -63,6 +68,8 @@ class DrivenTick(ComparesArrays):
     help_asked: bool  # the person asked for help in this tick
     p_WB_m: F64  # (3,) of the drive axle's middle, after the tick
     yaw_rad: float
+    roll_rad: float
+    pitch_rad: float
     speed_mps: float  # forwards
     joystick_distance: float  # between stick and command, KPI 1's
     progress_m: float  # along the route during this tick
@@ -70,6 +77,7 @@ class DrivenTick(ComparesArrays):
     gave_up: bool
     crashed: bool
     crash_reason: str  # "", "collision", "drop", "acceleration", "tilt"
+    truncated: bool  # at the step limit
     seed: int  # of the world
     town: str
     profile: str

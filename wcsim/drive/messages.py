@@ -6,9 +6,11 @@ from typing import Annotated, Final
 
 import msgspec
 
+from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import shown
 from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.driven import DriverKind
+from wcsim.drive.keeping.study_view import StudyView
 from wcsim.errors import ProtocolError
 
 MOST_BYTES: Final = 2048  # of a page's message
@@ -19,6 +21,7 @@ Turn = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
 Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Pixels = Annotated[int, msgspec.Meta(ge=SMALLEST_PX, le=LARGEST_PX)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=8.0)]
+AnswerNumber = Annotated[int, msgspec.Meta(ge=-1, lt=MOST_STEPS)]
 Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 
 
@@ -110,6 +113,19 @@ class Open(PageMessage, frozen=True):
     seat: Count = 0
 
 
+class GoOn(PageMessage, frozen=True):
+    """In a study: the button of this step is pressed; of a drive, that it is to end here."""
+
+    step: Count
+
+
+class Answer(PageMessage, frozen=True):
+    """In a study: the answers to this step's questions, in their order, -1 for one that is left out."""
+
+    step: Count
+    answers: Annotated[list[AnswerNumber], msgspec.Meta(max_length=MOST_QUESTIONS)]
+
+
 class TakeOver(PageMessage, frozen=True):
     """This page wants to drive; the one that did looks on from now on."""
 
@@ -127,7 +143,8 @@ class End(PageMessage, frozen=True):
 
 
 _Settings = Assist | SetLevel | DriveBy | Pace | Pause | SetUser
-FromPage = _Settings | Stick | Help | Shown | SetView | NewPlace | Again | Open | TakeOver
+_OfStudy = GoOn | Answer
+FromPage = _Settings | _OfStudy | Stick | Help | Shown | SetView | NewPlace | Again | Open | TakeOver
 _PAGE: Final = msgspec.json.Decoder(FromPage)
 _RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)
 
@@ -174,6 +191,20 @@ class PageRole(_Said, frozen=True, tag="role"):
     drives: bool
     taken: bool  # another page drives
     told: str = ""
+
+
+class Keeping(_Said, frozen=True):
+    """Whether the drive is kept in a file."""
+
+    on: bool
+    file: str
+    told: str
+
+
+class Study(_Said, frozen=True):
+    """A step of a study, and how it stands."""
+
+    view: StudyView
 
 
 class Busy(_Said, frozen=True):

@@ -6,12 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, EventKind
+from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
+from wcsim.drive.keeping.kept_files import file_names
+from wcsim.drive.keeping.open_study import OpenStudy
+from wcsim.drive.keeping.study_lead import StudyHands, StudyLead
+from wcsim.drive.keeping.study_plan import StepKind
+from wcsim.drive.keeping.study_view import StudyView
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.drive.stating import about_of, state_of
@@ -23,6 +30,7 @@ JSON, PICTURES, LINE = b"J", b"P", b"L"  # what a message to the server is
 CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
+_SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
 _TOLD: Final = {
     EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
     EventKind.GAVE_UP: ("note", "The simulated user gave up this way. A new destination is set."),
@@ -37,6 +45,7 @@ class DriveRunner:
     Args:
         pipe: To the server.
         start: The first drive.
+        keep: The file of the first world that is kept, or a study that leads through several; None to keep nothing.
         observers: Made anew for each drive.
         clock: Monotonic seconds.
     """
@@ -45,15 +54,19 @@ class DriveRunner:
         self,
         pipe: Connection,
         start: DriveStart,
+        keep: Path | OpenStudy | None = None,
         observers: Callable[[], Sequence[DriveObserver]] = tuple,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
+        self._names = file_names(keep) if isinstance(keep, Path) else None
+        self._study = keep if isinstance(keep, OpenStudy) else None
+        self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
         self._pictures: DrivePictures | None = None
         self._watch, self._looks = StickWatch(), PageLooks()
         self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
-        self._over = False
+        self._over = self._told_failure = False
         self._due_s = self._held_s = self._drawn_s = 0.0
         self._last: DrivenTick | None = None
         self.tick_s = self.picture_s = 0.0  # of processor time, means
@@ -72,6 +85,8 @@ class DriveRunner:
             m.Again: lambda _: self._begin_anew(self._open_session().again, "The street begins again ..."),
             m.SetUser: self._set_user,
             m.Open: self._open_other,
+            m.GoOn: lambda said: self._leads().go_on(said.step),
+            m.Answer: lambda said: self._leads().answer(said.step, said.answers),
             m.Gone: lambda _: self._watch.let_go(),
             m.Ready: self._take_ready,
             m.End: self._end,
@@ -81,7 +96,7 @@ class DriveRunner:
         """Drive until the server ends. Raises what opens the first place no more than a line to the server."""
         with suppress(EOFError, BrokenPipeError, ConnectionResetError):
             try:
-                self._open(self._start)
+                self._begin()
                 while not self._over:
                     self._turn()
             finally:
@@ -138,10 +153,11 @@ class DriveRunner:
             self._show(now_s)
 
     def _goes(self) -> bool:
-        return self.session is not None and not self._paused and not self.waiting
+        led = self._lead is None or self._lead.drives
+        return self.session is not None and led and not self._paused and not self.waiting
 
     def _wait_s(self) -> float:
-        if self._ready and self._stale:
+        if self._ready and self._stale and self.session is not None:
             return 0.0
         if not self._goes():
             return _IDLE_S
@@ -158,10 +174,12 @@ class DriveRunner:
         if session.crash:
             self._held_s = now_s + CRASH_S
             self._watch.require_rest()
-        if session.assistance.failed and not session.assistance.on:
-            self._paused = True
+        if session.assistance.failed and not session.assistance.on and not self._told_failure:
+            self._paused, self._told_failure = True, self._lead is not None  # a study goes on, and its table says so
         self._stale = True
         self._say(state_of(self, session, self._last))
+        if self._lead is not None:
+            self._lead.driven()
 
     def _show(self, now_s: float) -> None:
         session, pictures = self.session, self._pictures
@@ -176,6 +194,11 @@ class DriveRunner:
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
 
+    def _tell_kept(self, news: KeptNews) -> None:
+        self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
+        if news.log:
+            self._log(news.log)
+
     def _state(self) -> None:
         if self.session is not None:
             self._say(state_of(self, self.session, self._last))
@@ -185,6 +208,7 @@ class DriveRunner:
     def _hear(self, data: bytes) -> None:
         message = m.of_server(data)
         try:
+            self._refuse_in_study(message)
             self._does[type(message)](message)
         except WcsimError as error:
             self._say(m.Notice(kind="refused", told=str(error)))
@@ -256,20 +280,70 @@ class DriveRunner:
 
     def _open(self, start: DriveStart) -> None:
         """Open a place in the stead of the one that is open; one that cannot be opened is told of."""
+        try:
+            self._open_place(start)
+        except WcsimError as error:
+            self.close()
+            self._say(m.Notice(kind="bad", told=str(error)))
+
+    def _open_place(self, start: DriveStart) -> DriveSession:
+        """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
         self._say(m.Busy(told="Opening the street. The first time in a town this takes up to a minute ..."))
         self.close()
         self._pictures, self._last = None, None
         self._watch.require_rest()
-        try:
-            self.session = session = DriveSession(start, (_Teller(self._say), *self._observers()))
-            self._pictures = DrivePictures(session)
-        except WcsimError as error:
-            self.close()
-            self._say(m.Notice(kind="bad", told=str(error)))
-            return
+        self.session = session = DriveSession(start, (_Teller(self._say), *self._observers()))
+        if self._names is not None:
+            session.look_on(DriveKeeper(session, self._names, self._tell_kept))
+        self._pictures = DrivePictures(session)
         self._due_s, self._held_s, self._paused, self._stale = self._clock(), 0.0, False, True
         self._say(about_of(session))
         self._state()
+        return session
+
+    # --- a study ---
+
+    def _begin(self) -> None:
+        if self._study is None:
+            self._open(self._start)
+            return
+        hands = StudyHands(
+            open=self._open_part, close=self.close, show=self._show_study, say=self._log, clock=self._clock
+        )
+        try:
+            self._lead = StudyLead(self._study, hands)
+        except WcsimError as error:
+            self._log(str(error))
+            self._say(m.Notice(kind="bad", told=str(error)))
+            self._over = True
+            return
+        self._lead.begin()
+
+    def _open_part(self, start: DriveStart, path: Path) -> DriveSession:
+        self._names, self._told_failure = file_names(path), False
+        try:
+            return self._open_place(start)
+        except WcsimError:
+            self.close()
+            raise
+
+    def _show_study(self, view: StudyView) -> None:
+        if view.kind is not StepKind.DRIVE:
+            self._watch.require_rest()
+        self._say(m.Study(view=view))
+
+    def _leads(self) -> StudyLead:
+        if self._lead is None:
+            raise WcsimError("this drive is no study; expected one: start it with --study")
+        return self._lead
+
+    def _refuse_in_study(self, message: m.PageMessage) -> None:
+        """What a study sets, nobody changes."""
+        if self._lead is not None and isinstance(message, _SET_BY_STUDY):
+            raise WcsimError("the study sets this; expected nobody to change it while it goes")
+
+    def _log(self, told: str) -> None:
+        self._pipe.send_bytes(LINE + told.encode())
 
 
 class _Teller:
@@ -293,6 +367,6 @@ class _Teller:
         """Nothing is held."""
 
 
-def run_drive(pipe: Connection, start: DriveStart) -> None:
+def run_drive(pipe: Connection, start: DriveStart, keep: Path | OpenStudy | None = None) -> None:
     """What the drive's process does."""
-    DriveRunner(pipe, start).run()
+    DriveRunner(pipe, start, keep).run()

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair, HeldLink
+from wcsim.bridge.drives.beside import let_wait
 from wcsim.bridge.world import World
 from wcsim.config import RewardConfig
 from wcsim.core.closing import Closing
@@ -21,11 +22,11 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import hardest
-from wcsim.types import ClientSnapshot, Command, Joystick, Route
+from wcsim.types import F64, ClientSnapshot, Command, Joystick, Route
 from wcsim.users.hand import on_disc
-from wcsim.users.user import SimulatedUser
 
 AT_REST = Joystick(0.0, 0.0)
+NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
 _LOOK_AHEAD_M = 3.0
 
 
@@ -50,7 +51,7 @@ class DriveSession(Closing):
         """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `starting.open_place`."""
         self.tally, self.driver = DriveTally(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
-        self._ticks, self._episode, self._give_up_s = 0, 0, math.inf
+        self._ticks, self._episode = 0, 0
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -121,6 +122,10 @@ class DriveSession(Closing):
         """Whether the person has the chair by now: in some episodes of suites the user drives alone at first."""
         return self._step >= self.place.handover_step
 
+    def look_on(self, observer: DriveObserver) -> None:
+        """Tell somebody else from now on; closed with the session, as the others are."""
+        self._observers = (*self._observers, observer)
+
     def drive_by(self, driver: DriverKind) -> None:
         """Whose stick counts from now on."""
         if driver is not self.driver:
@@ -142,6 +147,7 @@ class DriveSession(Closing):
         """Begin another episode in the same street; where the start is fixed, at that."""
         if not self._ended:
             self.world.respawn(0)
+            self.say(EventKind.RESPAWN)
         self._next("asked for")
 
     def change_user(self, profile: str) -> None:
@@ -152,14 +158,17 @@ class DriveSession(Closing):
             self.world.admit(0, spec)
         except BaseException:
             self.world.admit(0, replace(self.place.spec, profile=self.profile))
+            self.say(EventKind.USER, self.profile)
             self._next("as before")
             raise
         self.profile = profile
+        self.say(EventKind.USER, profile)
         self._next(f"user {profile}")
 
     def again(self) -> None:
         """Begin the whole street again from its seed."""
         self.world.rebuild(self.place.seed)
+        self.say(EventKind.REBUILT)
         self._next("from the beginning")
 
     def tick(self, wish: Wish) -> DrivenTick:
@@ -177,10 +186,11 @@ class DriveSession(Closing):
         answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
         if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
             self._say_failure()
-        intent = self._intent() if by_user else None
-        self._let_wait(patient=not by_user)
+        user, intent = self.world.seats[0].user, self._intent() if by_user else None
+        let_wait(user, patient=not by_user)
         self._move(answer)
-        driven = self._driven(stick, intent, answer, replace(wish, overrule=overrule), by_user)
+        sticks = user.sticks.copy() if by_user else NO_STICKS
+        driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule))
         self._tell(driven)
         return driven
 
@@ -223,7 +233,7 @@ class DriveSession(Closing):
         self._step += 1
 
     def _driven(
-        self, stick: Joystick, intent: Joystick | None, answer: Answer, wish: Wish, by_user: bool
+        self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish
     ) -> DrivenTick:
         client, points = self._client, self.actions.points
         events, plant = client.events, client.plant
@@ -232,9 +242,11 @@ class DriveSession(Closing):
             time_s=self.time_s,
             episode=self._episode,
             step=self._step,
-            driver=DriverKind.SIMULATED if by_user else DriverKind.PERSON,
+            driver=DriverKind.PERSON if intent is None else DriverKind.SIMULATED,
             stick=stick,
             intent=intent,
+            sticks=sticks,
+            action=answer.chosen,
             chosen=Joystick(*points[answer.chosen].tolist()),
             commanded=Joystick(*points[answer.sent].tolist()),
             unsafe=answer.unsafe,
@@ -246,6 +258,8 @@ class DriveSession(Closing):
             help_asked=wish.help,
             p_WB_m=plant.p_WB_m.copy(),
             yaw_rad=plant.yaw_rad,
+            roll_rad=plant.roll_rad,
+            pitch_rad=plant.pitch_rad,
             speed_mps=float(plant.v_B_mps[0]),
             joystick_distance=self.actions.distance(answer.sent, (stick.x, stick.y)),
             progress_m=events.progress_m,
@@ -253,6 +267,7 @@ class DriveSession(Closing):
             gave_up=events.gave_up,
             crashed=events.crashed,
             crash_reason=events.crash_reason,
+            truncated=events.truncated,
             seed=self.place.seed,
             town=self.place.town.name,
             profile=self.profile,
@@ -310,17 +325,6 @@ class DriveSession(Closing):
 
     def _intent(self) -> Joystick | None:
         return self.world.seats[0].user.intent
-
-    def _let_wait(self, *, patient: bool) -> None:
-        """A person has all the time in the world; a simulated user gives up as its profile says."""
-        user = self.world.seats[0].user
-        if not isinstance(user, SimulatedUser):
-            return
-        if patient and not math.isinf(user.profile.give_up_s):
-            self._give_up_s = user.profile.give_up_s
-            user.profile = replace(user.profile, give_up_s=math.inf)
-        elif not patient and math.isinf(user.profile.give_up_s):
-            user.profile = replace(user.profile, give_up_s=self._give_up_s)
 
 
 def in_gate(stick: Joystick) -> Joystick:

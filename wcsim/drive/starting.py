@@ -16,6 +16,8 @@ from wcsim.agents.policy_api import Policy, SeesTruth
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
+from wcsim.core.constants import RECORDED
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.town import Town, content_hash, find_town
@@ -51,6 +53,8 @@ class OpenPlace:
     seed: int  # of the world
     handover_step: int = 0  # until here the simulated user drives alone, as in the suite
     told: str = ""  # what the place is, in words
+    episode: str = ""  # of a suite: its set, block and seat
+    passing: bool = False  # the town is made for this drive alone, and gone after it
 
 
 def open_place(start: DriveStart, held: ExitStack) -> OpenPlace:
@@ -72,6 +76,21 @@ def checked(start: DriveStart) -> DriveStart:
         _block(open_suite(start.suite), start)
     else:
         find_town(start.town)
+    return start
+
+
+def require_kept(start: DriveStart) -> DriveStart:
+    """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
+    if start.profile.startswith(RECORDED):
+        raise ConfigError(
+            f"a drive beside {shown(start.profile, 80)} cannot be kept, as that file may be gone; expected a profile: "
+            "choose another user"
+        )
+    if start.suite and _block(open_suite(start.suite), start).part == TIGHT:
+        raise ConfigError(
+            f"a drive in block {start.block} of {start.suite} cannot be kept, as its street is made for it "
+            "alone; expected a block in a town: choose another one"
+        )
     return start
 
 
@@ -125,6 +144,8 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
         seed=block.seed if order.world_seed is None else order.world_seed,
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
+        episode=f"{suite.file.set} {start.block}.{start.seat}",
+        passing=tight,
     )
 
 

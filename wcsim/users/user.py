@@ -87,6 +87,7 @@ class SimulatedUser:
         self.profile = profile
         self.arrived = False
         self.gave_up = False
+        self.patient = False  # gives up nothing: somebody else drives, and this one says where to
         attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
         self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
@@ -343,7 +344,8 @@ class SimulatedUser:
             self._furthest_m, self._blocked_s = self._arc_m, 0.0
         else:
             self._blocked_s += patience_s
-        self.gave_up = self.gave_up or (self._blocked_s > self.profile.give_up_s and not self.arrived)
+        tired = not self.patient and self._blocked_s > self.profile.give_up_s
+        self.gave_up = self.gave_up or (tired and not self.arrived)
 
 
 def _apart(a: Body, b: Body) -> bool:

@@ -19,9 +19,10 @@ PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it take
 
 
 @contextmanager
-def served(town: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Host and port of a served drive, and its process."""
-    command = [sys.executable, "-m", "wcsim", "drive", str(town), "--port", "0", "--seed", "4", *words]
+def served(town: Path | None, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Host and port of a served drive, and its process; without a town the words say what is driven."""
+    place = [] if town is None else [str(town), "--seed", "4"]
+    command = [sys.executable, "-m", "wcsim", "drive", *place, "--port", "0", *words]
     # Ctrl-C is ignored in a shell's background, and a child inherits that.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

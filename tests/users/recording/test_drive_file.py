@@ -43,14 +43,14 @@ def payloads_of(path):
 
 def test_what_is_recorded_is_read(tmp_path):
     ticks = [tick(1), tick(2, intent=None, helped=True), tick(3, crashed=True), tick(4, episode=1)]
-    events = (RecordedEvent(tick=0, time_s=0.0, kind="help", detail="a" * 900),)
+    events = (RecordedEvent(tick=0, time_s=0.0, kind="help", detail="a" * 1900),)
     start = StartSpec(p_W_m=(1.0, 2.0), yaw_rad=0.5, goal_W_m=(9.0, 2.0))
     path = write_drive(tmp_path / "deep" / "a.drive", ticks, events, start=start)
     drive = read_drive(path)
     assert drive.header == drive_header(start=start) == read_drive_header(path)
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
     assert drive.ticks[0] == replace(ticks[0], sticks=ticks[0].sticks.astype(np.float32).astype(float))
-    assert drive.events == (replace(events[0], detail="a" * 400),)
+    assert drive.events == (replace(events[0], detail="a" * 1000),)
     assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.torn) == (None, True, False, False)
     assert [len(part) for part in drive.episodes] == [3, 1]
     assert [item.ends for item in drive.ticks] == [False, False, True, False]

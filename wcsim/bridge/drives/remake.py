@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wcsim.bridge.drives.beside import by_person, let_wait
 from wcsim.bridge.drives.record_user import write_user
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
@@ -20,7 +22,14 @@ from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import ClientSnapshot, Command, SeatSpec
 from wcsim.users.profile_file import profile_of_json
-from wcsim.users.recording.drive_types import RESPAWN, DriveHeader, DriveRecording, RecordedTick
+from wcsim.users.recording.drive_types import (
+    RESPAWN,
+    USER,
+    DriveHeader,
+    DriveRecording,
+    RecordedEvent,
+    RecordedTick,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,14 +79,16 @@ def remade(drive: DriveRecording, before_tick: Callable[[World], object] = lambd
     """
     header = drive.header
     town, config = town_of_drive(header), config_of_drive(header)
-    cut = [event.tick for event in drive.events if event.kind == RESPAWN]
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
         spec = SeatSpec(profile=_user_of(drive, Path(work)), max_steps=header.max_steps, start=header.start)
         with World(town, config, (spec,), header.seed) as world:
             world.go_blind()
+            asked = deque(event for event in drive.events if event.kind in (RESPAWN, USER))
             for tick in drive.ticks:
-                for _ in range(cut.count(world.snapshot.tick)):
-                    world.respawn(0)
+                while asked and asked[0].tick <= world.snapshot.tick:
+                    _do_again(world, asked.popleft(), spec, Path(work))
+                if header.beside:
+                    let_wait(world.seats[0].user, patient=by_person(tick))
                 before_tick(world)
                 client = world.snapshot.clients[0]
                 command = Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded)
@@ -85,23 +96,47 @@ def remade(drive: DriveRecording, before_tick: Callable[[World], object] = lambd
 
 
 def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lambda ticks: None) -> DriveCheck:
-    """Compare every tick's place, heading, speed and, of a simulated user, stick. Raises what `remade` raises."""
+    """Compare every tick's place, heading, speed and ends, and the stick of who was simulated.
+
+    Raises what `remade` raises.
+    """
     result = DriveCheck()
     with closing(remade(drive)) as steps:
         for tick, before, after in steps:
-            result = _compared(result, tick, before.user == tick.stick, after)
+            persons = bool(drive.header.beside) and by_person(tick)
+            same = persons or before.user == tick.stick
+            if drive.header.user or drive.header.beside:
+                same = same and _ended_so(tick, after)
+            result = _compared(result, tick, same, after)
             progress(result.ticks)
     return result
 
 
 def _user_of(drive: DriveRecording, work: Path) -> str:
-    if not drive.header.user:
+    there = drive.header.user or drive.header.beside
+    if not there:
         return f"{RECORDED}{drive.name}"
-    return write_user(work, profile_of_json(drive.header.user, "the user in the drive"))
+    return write_user(work, profile_of_json(there, "the user in the drive"))
+
+
+def _do_again(world: World, event: RecordedEvent, spec: SeatSpec, work: Path) -> None:
+    """What the person asked for between two ticks."""
+    if event.kind == RESPAWN:
+        world.respawn(0)
+        return
+    user = write_user(work, profile_of_json(event.detail, "a change of user in the drive"))
+    world.dismiss(0)
+    world.admit(0, replace(spec, profile=user))
+
+
+def _ended_so(tick: RecordedTick, client: ClientSnapshot) -> bool:
+    events = client.events
+    now = (events.arrived, events.gave_up, events.crashed, events.truncated)
+    return now == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
 
 
 def _compared(so_far: DriveCheck, tick: RecordedTick, same: bool, client: ClientSnapshot) -> DriveCheck:
-    """One tick more, in which the stick was the `same`, with the seat at its end."""
+    """One tick more, in which stick and ends were the `same`, with the seat at its end."""
     plant = client.plant
     same = same and np.array_equal(plant.p_WB_m, tick.p_WB_m) and client.tick == tick.tick
     same = same and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)

@@ -9,12 +9,13 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+from wcsim.bridge.drives.beside import by_person
 from wcsim.bridge.drives.remake import config_of_drive, remade
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.types import Joystick, Outline, Street, UserView
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recording.drive_types import DriveRecording
+from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 from wcsim.users.user import SimulatedUser
 
 
@@ -46,7 +47,7 @@ def seen_drive(drive: DriveRecording) -> SeenDrive:
 
 
 def with_shadow(seen: SeenDrive, user: UserProfile) -> DriveRecording:
-    """The drive with the intents of an attentive driver of these delays, who misses nothing and always corrects."""
+    """What the person drove, with the intents of an attentive driver of these delays, who always corrects."""
     careful = replace(user, see_share=1.0, away_share=0.0, correct_every_s=0.0, give_up_s=3600.0)
     chair, shadow, before = config_of_drive(seen.drive.header).chair, None, None
     wishes: list[Joystick] = []
@@ -61,4 +62,18 @@ def with_shadow(seen: SeenDrive, user: UserProfile) -> DriveRecording:
         wishes.append(shadow.intent)
         before = (tick.episode, view.route)
     ticks = tuple(replace(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
-    return replace(seen.drive, ticks=ticks)
+    return replace(seen.drive, ticks=_persons(seen.drive, ticks))
+
+
+def _persons(drive: DriveRecording, ticks: tuple[RecordedTick, ...]) -> tuple[RecordedTick, ...]:
+    """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
+    if not drive.header.beside:
+        return ticks
+    kept, episode, before = list[RecordedTick](), -1, (-1, False)
+    for was, tick in zip(drive.ticks, ticks, strict=True):
+        now = (was.episode, by_person(was))
+        if now[1]:
+            episode += now != before
+            kept.append(replace(tick, episode=episode))
+        before = now
+    return tuple(kept)

@@ -52,7 +52,7 @@ from wcsim.types import (
     UserView,
     chair_actor_id,
 )
-from wcsim.users.profiles import sample
+from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
 
@@ -115,6 +115,11 @@ class Ego:
     def recording(self) -> JoystickRecording | None:
         """The recording that its user replays, if any."""
         return self._person if isinstance(self._person, JoystickRecording) else None
+
+    @property
+    def profile(self) -> UserProfile | None:
+        """What its users are drawn of; None where a recording is replayed."""
+        return self._person if isinstance(self._person, UserProfile) else None
 
     @property
     def spawned(self) -> bool:

@@ -1,11 +1,13 @@
 // The page: what is heard goes to the panel, what the person does goes to the server, 30 times a second.
 
 import { Grid } from "./grid.js";
+import { tellKeeping } from "./keeping.js";
 import { Link } from "./link.js";
 import { Panel } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
 import { Stick } from "./stick.js";
+import { Study } from "./study.js";
 
 const SEND_MS = 33;
 const NOTICE_MS = 6000;
@@ -63,8 +65,10 @@ const link = new Link({
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); big(""); },
   busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
-  notice(message) { note(message.kind, message.told); if (message.kind === "bad" && busy) big(message.told); },
+  study(message) { study.tell(message.view); },
+  notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) big(message.told); },
   role: setRole,
+  keeping(message) { const told = tellKeeping(message); if (told) say(told); },
   state(state) {
     panel.tellState(state);
     grid.show(state.unsafe);
@@ -83,6 +87,8 @@ const grid = new Grid(by("stick"), stick);
 const panel = new Panel(link, say);
 const scan = new Scan(by("board"), stick, { help: askForHelp, overrule: () => overrule(!overrules), say });
 
+const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds });
+
 function setRole(role) {
   drives = role.drives;
   by("banner").hidden = role.drives || !role.told;
@@ -90,6 +96,7 @@ function setRole(role) {
   document.body.dataset.drives = String(role.drives);
   if (role.told) say(role.told);
   if (!drives) { stick.stop(); overrule(false); } else scene.tell();
+  study.setRole(drives);
 }
 
 function askForHelp() {

@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
 from wcsim.drive import messages as m
+from wcsim.drive.keeping.open_study import OpenStudy
 from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
@@ -47,6 +48,7 @@ class ServeOrder:
     start: DriveStart
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
+    keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
 
 
@@ -57,10 +59,11 @@ class _Process(Closing):
     calls for pictures that were not heard yet the newest alone is kept.
     """
 
-    def __init__(self, start: DriveStart, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
+    def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=run_drive, args=(theirs, start), daemon=True, name="wcsim-drive")
+        args = (theirs, order.start, order.keep)
+        self._process = context.Process(target=run_drive, args=args, daemon=True, name="wcsim-drive")
         with _no_interrupts():  # Ctrl-C is for this process, which ends that one
             self._process.start()
         theirs.close()
@@ -158,7 +161,7 @@ class DriveServer:
         try:
             self._order.say(f"drive at {self._address(server)}  (Ctrl-C ends it)")
             self._process = _Process(
-                self._order.start,
+                self._order,
                 lambda data: loop.call_soon_threadsafe(self._told, data),
                 lambda: loop.call_soon_threadsafe(self._ended),
             )

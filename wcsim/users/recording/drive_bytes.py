@@ -32,10 +32,10 @@ _FLAGS = ("warning", "intervening", "overruled", "helped", "arrived", "gave_up",
 _KNOWS_INTENT = 1 << len(_FLAGS)
 _LARGEST, _LARGEST_INTEGER, _MOST_ACTIONS = 1e9, 1 << 62, 1 << 16
 _ON_STICK = 1.0 + 1e-6  # of an axis, with what rounding adds
-_KIND_LETTERS, _DETAIL_LETTERS, _HEADER_LETTERS = 40, 400, 1 << 20
+_KIND_LETTERS, _DETAIL_LETTERS, _HEADER_LETTERS = 40, 1000, 1 << 20
 _TEXTS = (
     *("wcsim", "fingerprint", "town", "town_address", "town_sha256", "config"),
-    *("profile", "user", "policy", "level", "episode"),
+    *("profile", "user", "beside", "policy", "level", "episode"),
 )
 
 

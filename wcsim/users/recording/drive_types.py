@@ -15,6 +15,8 @@ PERSON = "person"
 """The profile of a recording in which somebody drove who is not simulated."""
 RESPAWN = "respawn"
 """The event of an episode that was cut and begun anew without a crash: the replay does the same at that tick."""
+USER = "user"
+"""The event of another simulated user beside the person, in a chair made anew; its detail is that profile as JSON."""
 MOST_SAMPLES = 240  # of the stick in a tick
 
 NO_ACTION = -1
@@ -39,6 +41,7 @@ class DriveHeader:
     config: str  # JSON of the whole configuration
     profile: str  # of the simulated user, or `PERSON`
     user: str = ""  # JSON of the simulated user's parameters as they were drawn; "" for a person
+    beside: str = ""  # JSON of the profile of who sat beside a person, and said where the way goes; "" for nobody
     policy: str = ""  # who assisted; "" for nobody
     level: str = ""  # of the assistance
     episode: str = ""  # of a suite: its name, block and seat

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from wcsim.drive.keeping.study_table import append_row, read_rows
+from wcsim.errors import ConfigError, DiskFullError
+
+COLUMNS = ("participant", "block", "answer")
+
+
+def test_rows_are_appended_and_read_as_they_were(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "a.csv"
+    assert read_rows(path, COLUMNS) == ()
+    rows = [{"participant": "1", "block": 'a "b", c', "answer": "ü"}, {"participant": "2", "block": "", "answer": "x"}]
+    for row in rows:
+        append_row(path, COLUMNS, row)
+    append_row(path, COLUMNS, {"participant": "3"})
+    assert list(read_rows(path, COLUMNS)) == [*rows, {"participant": "3", "block": "", "answer": ""}]
+    assert path.read_text().count("participant,block,answer") == 1
+
+
+def test_a_spreadsheet_may_have_saved_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"participant,block,answer\r\n1,a,7\r\n\r\n")
+    append_row(path, COLUMNS, {"participant": "2"})
+    assert [row["participant"] for row in read_rows(path, COLUMNS)] == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"", "has other columns"),
+        (b"participant;block;answer\n", "has other columns"),
+        (b"participant,block,answer\n1,a\n", "is no table of 3 columns"),
+        (b"participant,block,answer\n1,a,7", "its last line has no end"),
+        (b"\xff\xfe", "not in UTF-8"),
+    ],
+)
+def test_what_is_no_such_table_is_refused(tmp_path: Path, data: bytes, told: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match=told):
+        read_rows(path, COLUMNS)
+
+
+def test_a_full_disk_leaves_the_table_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    append_row(path, COLUMNS, {"participant": "1"})
+    before, write = path.read_bytes(), os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda handle, data, end: write(handle, data[:2], end))
+    with pytest.raises(DiskFullError, match="make room"):
+        append_row(path, COLUMNS, {"participant": "2"})
+    assert path.read_bytes() == before
+    with pytest.raises(ConfigError, match="cannot be written on"):
+        append_row(tmp_path, COLUMNS, {})

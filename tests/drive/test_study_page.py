@@ -1,0 +1,100 @@
+"""The pages of a study in Chromium: by keyboard, by one switch, and as axe sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.drive.keeping.studies import write_study
+from tests.drive.serving.served import PATIENCE_S, served
+from tests.drive.serving.test_served_study import SHORT
+from tests.drive.test_page import CHROMIUM, FLAGS, wait
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.proof,
+    pytest.mark.timeout(1800),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+]
+GO = "document.getElementById('study-go')"
+
+
+@pytest.fixture
+def page(corner: Path, tmp_path: Path) -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    words = ("--study", str(write_study(tmp_path, corner, SHORT)), "--participant", "1", "--out", str(tmp_path / "out"))
+    with served(None, *words) as (address, _), sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        context = chromium.new_context(viewport={"width": 1280, "height": 800})
+        context.set_default_timeout(1000 * PATIENCE_S)
+        new = context.new_page()
+        new.errors = []
+        new.on("pageerror", lambda error: new.errors.append(str(error)))
+        new.goto(f"http://{address}/")
+        yield new
+        chromium.close()
+
+
+def until_button(page: Any, text: str) -> None:
+    wait(page, f"document.getElementById('study').open && {GO}.textContent === '{text}'")
+    wait(page, f"{GO}.getAttribute('aria-disabled') === 'false'")
+
+
+def is_clean(page: Any) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page).response["violations"]
+    assert [each["id"] for each in found] == []
+
+
+def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
+    until_button(page, "Go on")
+    is_clean(page)
+    page.focus("#study-go")
+    page.keyboard.press("Enter")
+    until_button(page, "Begin to drive")
+    page.focus("#study-go")
+    page.keyboard.press("Enter")
+    wait(page, "!document.getElementById('study').open")
+    assert page.inner_text("#study-part") == "Part 1 of 1: Alone"
+    assert page.locator("#assist").is_hidden() and page.locator("#pause").is_visible()
+    page.keyboard.down("ArrowUp")
+    until_button(page, "Save and go on")
+    page.keyboard.up("ArrowUp")
+    is_clean(page)
+    page.focus("#study-go")
+    page.keyboard.press("Enter")
+    wait(page, "document.getElementById('study-trouble').textContent.includes('2 questions have no answer')")
+    page.locator("input[name='question-0']").nth(0).focus()
+    page.keyboard.press("ArrowRight")
+    page.locator("input[name='question-1']").nth(1).focus()
+    page.keyboard.press("Space")
+    page.focus("#study-go")
+    page.keyboard.press("Enter")
+    wait(page, "document.getElementById('study-title').textContent === 'To end with'")
+
+    for name, value in (("scan-s", "0.4"), ("study-steer", "1")):  # the last question by one switch
+        page.evaluate(
+            "([name, value]) => { const field = document.getElementById(name); field.value = value; "
+            "field.dispatchEvent(new Event('change')); }",
+            [name, value],
+        )
+    _pick(page, "fieldset")
+    _pick(page, "label:nth-child(2)")
+    assert page.is_checked("input[name='question-0'][value='1']")
+    _pick(page, "button")
+    wait(page, "document.getElementById('study-title').textContent === 'This is the end'")
+    is_clean(page)
+    assert page.errors == []
+    table = (tmp_path / "out" / "tiny.csv").read_text().splitlines()
+    assert table[1].endswith(",2,no,") and table[2].endswith(",with more")
+
+
+def _pick(page: Any, what: str) -> None:
+    """Press a key while this is highlighted."""
+    wait(page, f"document.querySelector('#study [data-at]')?.matches('{what}')")
+    page.keyboard.press("b")

@@ -1,0 +1,127 @@
+"""A study with people on the drive's page, as it lies in a file: what is compared, where, and what is asked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from wcsim.config.base import Model
+
+MOST_BLOCKS = 12
+MOST_QUESTIONS = 20
+MOST_STEPS = 11  # of a scale
+_STEPS = 7
+_Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+_Line = Annotated[str, Field(min_length=1, max_length=200)]
+_Paragraph = Annotated[str, Field(min_length=1, max_length=1000)]
+_Told = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
+_Minutes = Annotated[float, Field(ge=0.05, le=120.0)]
+_Level = Annotated[float, Field(ge=0.0, le=100.0)]
+_Reference = Annotated[str, Field(min_length=1, max_length=400)]
+_Number = Annotated[int, Field(ge=0, lt=1 << 31)]
+_Arrivals = Annotated[int, Field(ge=1, le=100)]
+_ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
+
+
+class StudyPlace(Model):
+    """Where a block is driven: a town with a seed, or an episode of a suite."""
+
+    town: Annotated[str, Field(max_length=400)] = ""
+    seed: _Number = 0  # of the town
+    suite: Annotated[str, Field(max_length=400)] = ""
+    block: _Number = 0  # of the suite
+    seat: _Number = 0
+
+    @model_validator(mode="after")
+    def _is_one(self) -> StudyPlace:
+        if bool(self.town) == bool(self.suite):
+            raise ValueError("a place has either a town (with a seed) or a suite (with block and seat)")
+        wrong = {"seed": self.seed} if self.suite else {"block": self.block, "seat": self.seat}
+        given = ", ".join(name for name, value in wrong.items() if value)
+        if given:
+            raise ValueError(f"{given} does not go with this kind of place")
+        return self
+
+
+class StudyBlock(Model):
+    """Some minutes of driving in one way of being assisted."""
+
+    name: _Name
+    title: _Line  # as the participant reads it: it need not say what is compared
+    told: _Told = ()  # before it begins
+    assistance: bool
+    level: _Level | None = None  # of assistance; None leaves the policy's own
+    minutes: _Minutes = 5.0  # of driving, pauses do not count
+    arrivals: _Arrivals | None = None  # over after so many already
+
+    @model_validator(mode="after")
+    def _has_a_level_that_counts(self) -> StudyBlock:
+        if self.level is not None and not self.assistance:
+            raise ValueError("a block without assistance has no level: remove one of the two")
+        return self
+
+
+class StudyQuestion(Model):
+    """What is asked: a scale whose two ends are named, yes or no, or one of some answers."""
+
+    name: _Name
+    asks: _Line
+    kind: Literal["scale", "yes_no", "choice"] = "scale"
+    low: Annotated[str, Field(max_length=60)] = ""  # what 1 means
+    high: Annotated[str, Field(max_length=60)] = ""  # what the last step means
+    steps: Annotated[int, Field(ge=3, le=MOST_STEPS)] = _STEPS
+    choices: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], Field(max_length=8)] = ()
+    after: Literal["block", "end"] = "block"  # each block but the practice, or all of them
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> StudyQuestion:
+        wanted = _ANSWERS[self.kind]
+        given = [key for key in ("low", "high", "choices") if getattr(self, key)]
+        if sorted(given) != sorted(wanted) or (self.steps != _STEPS and self.kind != "scale"):
+            raise ValueError(f"a question of kind {self.kind} has {' and '.join(wanted) or 'no answers of its own'}")
+        if self.kind == "choice" and (len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)):
+            raise ValueError("a choice has 2 to 8 answers, no two alike")
+        return self
+
+
+class StudyFile(Model):
+    """The whole file."""
+
+    name: _Name
+    title: _Line
+    told: _Told  # on the first page
+    policy: _Reference = "dwa"  # who assists, in every block
+    profile: _Reference = "competent"  # of the simulated user beside, who says where the way goes
+    balanced: bool = True  # the blocks' order by participant number; else as they stand
+    pause_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 30.0  # at least so long between two blocks
+    places: Annotated[tuple[StudyPlace, ...], Field(min_length=1, max_length=MOST_BLOCKS)]
+    practice: StudyBlock | None = None
+    practice_place: StudyPlace | None = None  # None for the first of `places`
+    blocks: Annotated[tuple[StudyBlock, ...], Field(min_length=1, max_length=MOST_BLOCKS)]
+    questions: Annotated[tuple[StudyQuestion, ...], Field(max_length=MOST_QUESTIONS)] = ()
+    thanks: _Told = ()  # on the last page
+
+    @model_validator(mode="after")
+    def _has_no_name_twice(self) -> StudyFile:
+        blocks = [*self.blocks, *([self.practice] if self.practice else [])]
+        for what, names in (
+            ("blocks", [block.name for block in blocks]),
+            ("questions", [question.name for question in self.questions]),
+        ):
+            if twice := _twice(names):
+                raise ValueError(f"two {what} are called {twice}; expected names that differ")
+        if self.practice_place is not None and self.practice is None:
+            raise ValueError("practice_place goes with a practice")
+        if len(self.blocks) % len(self.places) and len(self.places) > 1:
+            raise ValueError(
+                f"{len(self.places)} places for {len(self.blocks)} blocks; expected as many places as blocks, one, or "
+                "a number that divides that of the blocks, so that each is driven in equally often"
+            )
+        return self
+
+
+def _twice(names: Iterable[str]) -> str:
+    return next((name for name, count in Counter(names).items() if count > 1), "")

@@ -1,0 +1,1 @@
+"""What is kept of driving: recordings of single drives, and studies that lead a person through several; no sockets."""

@@ -1,0 +1,120 @@
+"""A study that can begin: its file is read, its places, policy and levels are there, its table is its own."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.evaluation.suite.named_policy import open_named, settings_of
+from wcsim.agents.policy_api import Levelled
+from wcsim.config import CONFIG_FILE, parse
+from wcsim.config.study import StudyFile, StudyPlace
+from wcsim.core.reading import parse_toml, read_text, shown
+from wcsim.drive.keeping.study_plan import order_words
+from wcsim.drive.keeping.study_table import columns_of, read_rows
+from wcsim.drive.starting import PRESET, DriveStart, checked, require_kept
+from wcsim.errors import ConfigError
+
+MOST_PARTICIPANTS: Final = 9999
+_SHIPPED: Final = Path(__file__).parents[2] / "config" / "presets" / "studies"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenStudy:
+    """A study and who takes part in it now."""
+
+    file: StudyFile
+    sha256: str  # hex, of the file's bytes
+    participant: int  # 1 or more
+    out: Path  # the folder of all results
+
+    @property
+    def table(self) -> Path:
+        """The only table, of all participants."""
+        return self.out / f"{self.file.name}.csv"
+
+    @property
+    def folder(self) -> Path:
+        """Of this participant's recordings."""
+        return self.out / f"participant-{self.participant:03d}"
+
+    @property
+    def order(self) -> str:
+        """The order of this participant's blocks."""
+        return order_words(self.file, self.participant)
+
+
+def shipped_studies() -> tuple[str, ...]:
+    """The studies that come with wcsim."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
+def open_study(name_or_path: str, participant: int, out: Path | None = None) -> OpenStudy:
+    """Read a study's file and check all that can be checked before anybody drives.
+
+    Args:
+        name_or_path: One that comes with wcsim, or a file.
+        participant: From 1 on.
+        out: Where results go; studies/NAME where it is not said.
+
+    Raises:
+        ConfigError: The file is none, something in it is not there, or the table is another study's.
+        TownError: There is no such town.
+        PolicyError: There is no such policy, or it has no such level.
+    """
+    if not 1 <= participant <= MOST_PARTICIPANTS:
+        raise ConfigError(f"--participant {participant}: expected 1 to {MOST_PARTICIPANTS}")
+    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else Path(name_or_path).expanduser()
+    if not path.is_file():
+        known = ", ".join(shipped_studies())
+        raise ConfigError(f"--study {shown(name_or_path)}: there is no such study; expected {known}, or a TOML file")
+    text = read_text(path, CONFIG_FILE)
+    file = parse(StudyFile, parse_toml(text, shown(path), CONFIG_FILE), shown(path))
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    study = OpenStudy(file=file, sha256=digest, participant=participant, out=out or Path("studies") / file.name)
+    for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
+        require_kept(checked(start_of(file, place)))
+    _require_levels(file, shown(path))
+    rows_of(study)
+    return study
+
+
+def rows_of(study: OpenStudy) -> tuple[dict[str, str], ...]:
+    """The participant's rows. Raises ConfigError for a table of another study."""
+    rows = read_rows(study.table, columns_of(study.file))
+    other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
+    if other is not None:
+        raise ConfigError(
+            f"{shown(study.table)}: was begun with another study file ({shown(other['study_sha256'], 12)}, this is "
+            f"{study.sha256[:12]}); expected the same: restore it, or name another folder with --out"
+        )
+    return tuple(row for row in rows if row["participant"] == str(study.participant))
+
+
+def start_of(file: StudyFile, place: StudyPlace) -> DriveStart:
+    """What is opened for a place; an episode of a suite has its own user."""
+    if place.suite:
+        return DriveStart(policy=file.policy, profile="", suite=place.suite, block=place.block, seat=place.seat)
+    return DriveStart(town=place.town, policy=file.policy, profile=file.profile, seed=place.seed)
+
+
+def _require_levels(file: StudyFile, where: str) -> None:
+    """Set every level once. Raises PolicyError or ConfigError for one that the policy does not have."""
+    blocks = [*file.blocks, *([file.practice] if file.practice else [])]
+    wanted = {block.level: block.name for block in blocks if block.level is not None}
+    policy = open_named(file.policy, settings_of(file.policy, PRESET, ()), 0)
+    try:
+        for level, name in wanted.items():
+            levels = policy.levels if isinstance(policy, Levelled) else None
+            if levels is None or not min(levels) <= level <= max(levels):
+                told = "no levels" if levels is None else f"levels of {min(levels):g} to {max(levels):g}"
+                raise ConfigError(
+                    f"{where}: block {name} has level {level:g}, but policy {policy.name} has {told}; expected one of "
+                    "these: change the level, or the policy"
+                )
+    finally:
+        close = getattr(policy, "close", None)
+        if close is not None:
+            close()

@@ -1,0 +1,210 @@
+"""Leads a participant through a study: what comes next, when a drive is over, what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from wcsim.core.reading import shown
+from wcsim.drive.keeping.kept_files import file_names
+from wcsim.drive.keeping.open_study import OpenStudy, rows_of, start_of
+from wcsim.drive.keeping.study_plan import StepKind, StudyPart, StudyStep, questions_of, steps_of
+from wcsim.drive.keeping.study_row import block_row, end_row
+from wcsim.drive.keeping.study_table import Row, answer_column, answers_of, append_row, columns_of, read_rows
+from wcsim.drive.keeping.study_view import StudyView, view_of
+from wcsim.drive.session import DriveSession
+from wcsim.drive.starting import DriveStart
+from wcsim.errors import WcsimError
+
+NO_ANSWER = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyHands:
+    """What a study needs of whoever runs the drives."""
+
+    open: Callable[[DriveStart, Path], DriveSession]  # in the stead of the one before, kept in that file; WcsimError
+    close: Callable[[], None]  # the drive that is open, if any
+    show: Callable[[StudyView], object]
+    say: Callable[[str], object]  # a line for whoever started the study
+    clock: Callable[[], float]  # monotonic seconds
+
+
+class StudyLead:
+    """One participant's way through a study, from what is in its table on.
+
+    Args:
+        study: The study.
+        hands: Who opens drives and shows pages.
+    """
+
+    def __init__(self, study: OpenStudy, hands: StudyHands) -> None:
+        """Raises ConfigError for a table that cannot be read."""
+        self._study, self._hands = study, hands
+        done = {row["block"] for row in rows_of(study)}
+        parts = [step.part for step in steps_of(study.file, study.participant, done) if step.part is not None]
+        self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
+        self._steps = steps_of(study.file, study.participant, done, self._rows)
+        self._at, self._view = 0, StudyView(step=0, kind=StepKind.END, participant=study.participant, title="")
+        self._session: DriveSession | None = None
+        self._file, self._failed, self._rested_s, self._shown_s = "", False, 0.0, -1
+        left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
+        hands.say(
+            f"study {study.file.name}, participant {study.participant}: order {study.order}; "
+            f"to do: {', '.join(left) or 'nothing'}; table {shown(study.table)}"
+        )
+
+    @property
+    def step(self) -> StudyStep:
+        """The step of now."""
+        return self._steps[self._at]
+
+    @property
+    def drives(self) -> bool:
+        """Whether time goes."""
+        return self.step.kind is StepKind.DRIVE and self._session is not None
+
+    def begin(self) -> None:
+        """Show the first step."""
+        self._enter()
+
+    def go_on(self, step: int) -> None:
+        """The participant presses the button of this step, or ends a drive early; an older step's does nothing.
+
+        Raises:
+            WcsimError: It may not be pressed yet, or a question's answers are due.
+        """
+        if step != self._at or self.step.kind is StepKind.END:
+            return
+        if self.step.kind is StepKind.ASK:
+            raise WcsimError("the questions come first; expected answers")
+        if self.step.kind is StepKind.REST and self._hands.clock() < self._rested_s:
+            raise WcsimError("the rest is not over; expected to wait for it")
+        if self.step.kind is StepKind.READ and self._session is None:
+            self._prepare()
+            return
+        if self.step.kind is StepKind.DRIVE:
+            self._finish("stopped")
+            return
+        self._next()
+
+    def answer(self, step: int, answers: Sequence[int]) -> None:
+        """Write the answers to this step's questions, numbers from 0 on, `NO_ANSWER` for one that is left out.
+
+        Raises:
+            WcsimError: They are not this step's, or could not be written.
+        """
+        if step != self._at or self.step.kind is not StepKind.ASK:
+            return
+        asked = questions_of(self._study.file, self.step)
+        told: dict[str, str] = {}
+        if len(answers) != len(asked):
+            raise WcsimError(f"{len(answers)} answers to {len(asked)} questions; expected one each: reload the page")
+        for question, number in zip(asked, answers, strict=True):
+            words = answers_of(question)
+            if not NO_ANSWER <= number < len(words):
+                raise WcsimError(f"answer {number} to {question.name}; expected 0 to {len(words) - 1}: reload the page")
+            told[answer_column(question)] = "" if number == NO_ANSWER else words[number]
+        part = self.step.part
+        self._write(end_row(self._study) if part is None else self._rows[part.block.name], told)
+        self._next()
+
+    def driven(self) -> None:
+        """A tick has been driven: the part is over after its time, or its arrivals."""
+        session, part = self._session, self.step.part
+        if session is None or part is None or self.step.kind is not StepKind.DRIVE:
+            return
+        block, self._failed = part.block, self._failed or bool(session.assistance.failed)
+        left_s = 60.0 * block.minutes - session.time_s
+        over = block.arrivals is not None and session.tally.arrivals >= block.arrivals
+        if over or left_s <= 1e-6:
+            self._finish("arrivals" if over else "minutes")
+        elif int(left_s) != self._shown_s:
+            self._tell_left()
+
+    # --- steps ---
+
+    def _next(self) -> None:
+        self._at += 1
+        self._enter()
+
+    def _enter(self) -> None:
+        step = self.step
+        self._view = view_of(self._study.file, step, self._at, self._study.participant)
+        if step.kind is StepKind.READ:
+            self._prepare()
+        elif step.kind is StepKind.DRIVE:
+            self._tell_left()
+        elif step.kind is StepKind.REST:
+            self._rested_s = self._hands.clock() + self._study.file.pause_s
+            self._show(wait_s=self._study.file.pause_s)
+        else:
+            self._show()
+
+    def _prepare(self) -> None:
+        """Open the part's street, while the participant reads what it is."""
+        part = self.step.part
+        if part is None:
+            return
+        self._show(ready=False, trouble="")
+        self._file, self._failed = "", False
+        name = f"{part.number}-{part.block.name}.drive"
+        path = next(file_names(self._study.folder / name), None)
+        try:
+            if path is None:
+                raise WcsimError(f"{shown(self._study.folder / name)}: no name is left; expected fewer attempts")
+            session = self._hands.open(start_of(self._study.file, part.place), path)
+            if part.block.level is not None:
+                session.set_level(part.block.level)
+            session.assist(part.block.assistance)
+        except WcsimError as error:
+            self._show(ready=True, button="Try again", trouble=str(error))
+            return
+        self._session, self._file = session, str(path)
+        self._view = view_of(self._study.file, self.step, self._at, self._study.participant)
+        self._show()
+
+    def _finish(self, ended: str) -> None:
+        """A part has been driven: keep its figures, until the answers to it are there."""
+        session, part = self._session, self.step.part
+        if session is None or part is None:
+            return
+        failed = "yes" if self._failed else "no"
+        row = {**block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
+        self._session, self._rows[part.block.name] = None, row
+        self._hands.close()
+        try:
+            if self._steps[self._at + 1].kind is StepKind.ASK and part.number:
+                append_row(self._result(part), columns_of(self._study.file), row)
+            else:
+                self._write(row, {})
+        except WcsimError as error:
+            self._hands.say(f"{error}; the figures: {', '.join(map(str, row.values()))}")
+        self._next()
+
+    def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
+        """The figures of a part that was driven in a sitting before, whose questions were not answered."""
+        rows = read_rows(self._result(part), columns_of(self._study.file))
+        return tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
+
+    def _result(self, part: StudyPart) -> Path:
+        return self._study.folder / f"{part.number}-{part.block.name}.csv"
+
+    def _write(self, row: Row, answers: Row) -> None:
+        append_row(self._study.table, columns_of(self._study.file), {**row, **answers})
+        self._hands.say(f"participant {self._study.participant}: {row['block']} is in {shown(self._study.table)}")
+
+    # --- what is shown ---
+
+    def _tell_left(self) -> None:
+        session, part = self._session, self.step.part
+        if session is None or part is None:
+            return
+        left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.time_s), part.block.arrivals
+        self._shown_s = int(left_s)
+        self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.tally.arrivals)
+
+    def _show(self, **changes: object) -> None:
+        self._view = replace(self._view, **changes)  # type: ignore[arg-type]
+        self._hands.show(self._view)
