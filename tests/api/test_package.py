@@ -264,7 +264,6 @@ SAME_FILE_NAME = {
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
     "tour": "the bench, and its command",
-    "town": "its file, and the folder",
     "train": "the loop, and the command",
     "video": "how it is written, and the command",
     "world": "its section of a run file, and the world",

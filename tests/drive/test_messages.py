@@ -29,7 +29,7 @@ GOOD = (
     m.SetUser(profile="slow"),
     m.Open(town="monaco", seed=3),
     m.GoOn(step=3),
-    m.Answer(step=4, answers=[0, -1, 10]),
+    m.AnswerAll(step=4, answers=[0, -1, 10]),
     m.TakeOver(),
 )
 
@@ -61,8 +61,8 @@ def test_what_a_page_says_is_read_as_it_was_said(message: m.PageMessage) -> None
         b'{"say":"open","seed":1.5}',
         b'{"say":"driveby","who":"me"}',
         b'{"say":"goon","step":-1}',
-        b'{"say":"answer","step":1,"answers":[11]}',
-        b'{"say":"answer","step":1,"answers":[' + b",".join([b"0"] * 21) + b"]}",
+        b'{"say":"answerall","step":1,"answers":[11]}',
+        b'{"say":"answerall","step":1,"answers":[' + b",".join([b"0"] * 21) + b"]}",
         b'{"say":"setview","turn_rad":0}',
         b'{"say":"gone"}',
         b'{"say":"ready"}',

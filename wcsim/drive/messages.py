@@ -119,7 +119,7 @@ class GoOn(PageMessage, frozen=True):
     step: Count
 
 
-class Answer(PageMessage, frozen=True):
+class AnswerAll(PageMessage, frozen=True):
     """In a study: the answers to this step's questions, in their order, -1 for one that is left out."""
 
     step: Count
@@ -143,7 +143,7 @@ class End(PageMessage, frozen=True):
 
 
 _Settings = Assist | SetLevel | DriveBy | Pace | Pause | SetUser
-_OfStudy = GoOn | Answer
+_OfStudy = GoOn | AnswerAll
 FromPage = _Settings | _OfStudy | Stick | Help | Shown | SetView | NewPlace | Again | Open | TakeOver
 _PAGE: Final = msgspec.json.Decoder(FromPage)
 _RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)

@@ -86,7 +86,7 @@ class DriveRunner:
             m.SetUser: self._set_user,
             m.Open: self._open_other,
             m.GoOn: lambda said: self._leads().go_on(said.step),
-            m.Answer: lambda said: self._leads().answer(said.step, said.answers),
+            m.AnswerAll: lambda said: self._leads().answer(said.step, said.answers),
             m.Gone: lambda _: self._watch.let_go(),
             m.Ready: self._take_ready,
             m.End: self._end,

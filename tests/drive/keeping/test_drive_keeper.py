@@ -150,6 +150,7 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     assert verify_drive(made).mismatches > 10
 
 
+@pytest.mark.proof
 def test_a_crash_is_made_again(corner: Path, tmp_path: Path) -> None:
     drive = Kept(DriveStart(town=str(corner), seed=1), tmp_path / "a.drive")
     drive.session.assist(False)

@@ -41,10 +41,10 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
             assert "the study sets this" in told["told"]
             page.stick = (0.0, 0.8)
             asked = step(page, "ask")
-            page.say("answer", step=asked["step"], answers=[9, 0])
+            page.say("answerall", step=asked["step"], answers=[9, 0])
             page.until(lambda message: message["say"] == "notice" and "expected 0 to 6" in message["told"])
-            page.say("answer", step=asked["step"], answers=[2, 0])
-            page.say("answer", step=step(page, "ask")["step"], answers=[1])
+            page.say("answerall", step=asked["step"], answers=[2, 0])
+            page.say("answerall", step=step(page, "ask")["step"], answers=[1])
             with FakePage(address) as late:
                 assert step(late, "end")["participant"] == 3, "who comes later is told too"
         process.send_signal(signal.SIGINT)

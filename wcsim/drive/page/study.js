@@ -120,7 +120,7 @@ export class Study {
       if (!this.scan.on) fields[answers.indexOf(-1)].querySelector("input").focus({ preventScroll: true });
       return;
     }
-    this.link.say("answer", { step: view.step, answers });
+    this.link.say("answerall", { step: view.step, answers });
   }
 
   stop() {
