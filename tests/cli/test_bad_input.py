@@ -145,6 +145,8 @@ REPLAYS = {
     "replay a b --first-difference --epoch 1": ("--epoch",),
     "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
     "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
+    "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
+    "watch . --port -1": ("--port -1", "0 to 65535"),
     "replay a --page": ("a: is not there", "journal"),
     "replay a --verify --block 3": ("--block", "of --page"),
     "replay a --page --port 99999": ("--port 99999", "0 to 65535"),

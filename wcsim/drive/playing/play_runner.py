@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -42,6 +43,7 @@ class PlayStart:
     seat: int = -1  # whom to follow, -1 for the first
     most_bytes: int = MOST_BYTES
     failed: tuple[pm.FailedLine, ...] = ()
+    nice: int = 0  # of the player's process
 
 
 class PlayRunner:
@@ -278,4 +280,5 @@ class PlayRunner:
 
 def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
+    os.nice(start.nice)
     PlayRunner(pipe, start).run()

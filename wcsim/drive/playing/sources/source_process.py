@@ -14,7 +14,7 @@ from typing import Literal
 from wcsim.drive.playing.states import FilmLine, Said, said_bytes
 from wcsim.errors import WcsimError
 
-SourceKind = Literal["journal", "trace", "drive", "episode"]
+SourceKind = Literal["journal", "trace", "drive", "episode", "run"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,14 +42,19 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
 
     with suppress(BrokenPipeError, ConnectionResetError):
         try:
-            _film(source, say)
+            _film(source, say, pipe)
         except WcsimError as error:
             say(FilmLine(kind="bad", told=str(error)))
             say(FilmLine(kind="end", told="There is no more of it."))
 
 
-def _film(source: FilmSource, say: Callable[[Said], object]) -> None:
+def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
     """Loads the simulators of this kind of source alone."""
+    if source.kind == "run":
+        from wcsim.drive.playing.sources.follow_source import follow_film
+
+        follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
+        return
     if source.kind == "episode":
         from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film
 
