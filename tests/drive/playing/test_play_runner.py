@@ -70,6 +70,7 @@ def desk(journal: Path) -> Iterator[Desk]:
     found.close()
 
 
+@pytest.mark.proof  # in `make test` the page itself does all this, where there is a browser
 def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     about = desk.said("about")
     assert (about["ticks"], about["live"], len(about["points"])) == (150, False, 81)

@@ -87,6 +87,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
     assert not world_in_this_process()
 
 
+@pytest.mark.proof
 def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path) -> None:
     records = read_journal(run / "journal").records
     at = next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (1, 40))
