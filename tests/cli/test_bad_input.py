@@ -119,7 +119,7 @@ OPTIONS = {
     "video --policy follow --profile saint": ("unknown user profile 'saint'",),
     "export nobody --onnx x": ("nobody is not a run",),
     "scene run nowhere": ("unknown scene 'nowhere'", "pedestrian-crossing"),
-    "replay": ("got none", "exactly one of --fcd FILE.xml, --mcap FILE.mcap, --verify"),
+    "replay": ("got none", "exactly one of --page, --fcd FILE.xml, --mcap FILE.mcap, --verify"),
     "replay --verify": ("--verify got 0 runs", "expected 1"),
     "replay a --verify": ("a: is not there", "journal"),
     "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace or a journal"),
@@ -145,6 +145,11 @@ REPLAYS = {
     "replay a b --first-difference --epoch 1": ("--epoch",),
     "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
     "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
+    "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
+    "watch . --port -1": ("--port -1", "0 to 65535"),
+    "replay a --page": ("a: is not there", "journal"),
+    "replay a --verify --block 3": ("--block", "of --page"),
+    "replay a --page --port 99999": ("--port 99999", "0 to 65535"),
     "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),
 }
 

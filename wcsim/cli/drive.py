@@ -64,14 +64,14 @@ def run(words: list[str]) -> int:
         _require_alone(options, words)
     else:
         _require_place(options, words)
+    from wcsim.drive.runner import DriveOrder
     from wcsim.drive.serving.server import ServeOrder, serve_drive  # loads the simulators, which --help must not
 
     start, keep = _studied(options) if options.study else _started(options, words)
     try:
         serve_drive(
             ServeOrder(
-                start=start,
-                keep=keep,
+                start=DriveOrder(start=start, keep=keep),
                 host=options.host,
                 port=options.port,
                 say=lambda told: print(told, flush=True),

@@ -43,6 +43,7 @@ SUBCOMMANDS = (
     Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
     Subcommand("users", "wcsim.cli.recordings.command", "record a simulated user, fit the user model to recordings"),
     Subcommand("replay", "wcsim.cli.recordings.replay", "a recorded run for other tools, made again, or compared"),
+    Subcommand("watch", "wcsim.cli.recordings.watch", "watch a training run with several clients live, on a page"),
     Subcommand("look", "wcsim.cli.pictures.look", "a picture and a video of a town, without any training"),
     Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
     Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),

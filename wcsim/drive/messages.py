@@ -151,12 +151,12 @@ _RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)
 
 def of_page(data: str | bytes) -> PageMessage:
     """What a page says. Raises ProtocolError for what is no message, in a line."""
-    return _decoded(_PAGE, data)
+    return decoded(_PAGE, data)
 
 
 def of_server(data: bytes) -> PageMessage:
     """What the server says to the runner. Raises ProtocolError."""
-    return _decoded(_RUNNER, data)
+    return decoded(_RUNNER, data)
 
 
 def written(message: PageMessage) -> bytes:
@@ -164,7 +164,8 @@ def written(message: PageMessage) -> bytes:
     return msgspec.json.encode(message)
 
 
-def _decoded(decoder: msgspec.json.Decoder, data: str | bytes) -> PageMessage:  # type: ignore[type-arg]
+def decoded(decoder: msgspec.json.Decoder, data: str | bytes) -> PageMessage:  # type: ignore[type-arg]
+    """A page's message as a decoder reads it. Raises ProtocolError for what is none, in a line."""
     if len(data) > MOST_BYTES:
         raise ProtocolError(f"a message of {len(data)} bytes; expected at most {MOST_BYTES}")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
@@ -37,6 +38,14 @@ _TOLD: Final = {
     EventKind.STEP_LIMIT: ("note", "The time of this episode is over. It begins again."),
     EventKind.HELP: ("note", "You asked for help. It is written down."),
 }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveOrder:
+    """What is driven, and whether it is kept."""
+
+    start: DriveStart
+    keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
 
 
 class DriveRunner:
@@ -367,6 +376,6 @@ class _Teller:
         """Nothing is held."""
 
 
-def run_drive(pipe: Connection, start: DriveStart, keep: Path | OpenStudy | None = None) -> None:
+def run_drive(pipe: Connection, order: DriveOrder) -> None:
     """What the drive's process does."""
-    DriveRunner(pipe, start, keep).run()
+    DriveRunner(pipe, order.start, order.keep).run()

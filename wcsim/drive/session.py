@@ -232,9 +232,7 @@ class DriveSession(Closing):
         self._ticks += 1
         self._step += 1
 
-    def _driven(
-        self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish
-    ) -> DrivenTick:
+    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DrivenTick:
         client, points = self._client, self.actions.points
         events, plant = client.events, client.plant
         return DrivenTick(

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,15 @@ from websockets.sync.client import ClientConnection, connect
 PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it takes
 
 
-@contextmanager
-def served(town: Path | None, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def served(town: Path | None, *words: str) -> AbstractContextManager[tuple[str, subprocess.Popen[str]]]:
     """Host and port of a served drive, and its process; without a town the words say what is driven."""
-    place = [] if town is None else [str(town), "--seed", "4"]
-    command = [sys.executable, "-m", "wcsim", "drive", *place, "--port", "0", *words]
+    return serving("drive", *([] if town is None else [str(town), "--seed", "4"]), *words)
+
+
+@contextmanager
+def serving(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Host and port of a page that a command serves, and its process."""
+    command = [sys.executable, "-m", "wcsim", *words, "--port", "0"]
     # Ctrl-C is ignored in a shell's background, and a child inherits that.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

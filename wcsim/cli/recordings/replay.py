@@ -1,4 +1,4 @@
-"""`wcsim replay`: what a run recorded, for other programs; made again and compared; two runs side by side."""
+"""`wcsim replay`: what a run recorded, on a page, for other programs, made again and compared, or two side by side."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal
 
 import tyro
 
+from wcsim.cli.recordings.film_page import FilmOrder, play_start, result_folder, serve_film
 from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, WcsimError
@@ -25,10 +26,16 @@ _SHOW_EVERY = 1000  # ticks
 
 @dataclass
 class Options:
-    """Work with recorded runs: write one for other programs, make it again and compare, or compare two."""
+    """Work with recorded runs: play one on a page, write it for other programs, make it again and compare, compare two.
+
+    docs/watching.md is about the page.
+    """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN]")] = ()
-    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), one of these files, or a drive."""
+    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), one of these files, a drive, or, for
+    --page, the folder of a test on a suite."""
+    page: Flag = False
+    """Play it on a page in your browser: pause, speed, step, jump to crashes and interventions."""
     fcd: Annotated[Path | None, tyro.conf.arg(metavar="FILE.xml")] = None
     """Write traffic and wheelchairs as SUMO's floating car data, which SUMO's tools and sumo-gui read."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap")] = None
@@ -38,13 +45,25 @@ class Options:
     first_difference: Flag = False
     """Say where two traces, or two journals, begin to differ."""
     epoch: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Which epoch of the world; default 0 for --fcd and --mcap, all of them for --verify."""
+    """Which epoch of the world; default 0 for --fcd and --mcap, all of them for --verify and --page."""
     first: Annotated[int | None, tyro.conf.arg(name="from", metavar="TICK")] = None
     """The first tick of each epoch that --verify compares."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
     """The last one."""
     hook: str = ""
     """Your own step hook, module:Class, that a journal was made with: code, which the journal alone does not load."""
+    policy: str = ""
+    """Of --page: whose episode of a test; without it that of the worst failure. Code of your own runs when named."""
+    block: int | None = None
+    """Of --page: which block of the test."""
+    seat: int | None = None
+    """Of --page: which chair to follow."""
+    town: str = ""
+    """Of --page: where a trace was recorded, if no town of its name is found."""
+    port: int = 8080
+    """Where --page is served; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -61,6 +80,8 @@ def run(words: list[str]) -> int:
     """Do what was asked for; 1 when something differs."""
     options = parse(Options, words, "replay")
     _check(options)
+    if options.page:
+        return _page(options)
     if options.first_difference:
         return _first_difference(options)
     if options.mcap is not None:
@@ -77,19 +98,22 @@ def _check(options: Options) -> None:
     if len(options.runs) != runs:
         raise ConfigError(f"{task} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
     _check_ticks(options, task)
+    if not options.page and (options.policy, options.town, options.block, options.seat) != ("", "", None, None):
+        raise ConfigError(f"--policy, --block, --seat and --town are of --page; expected no such option with {task}")
     check_output("--fcd", options.fcd)
     check_output("--mcap", options.mcap, ".mcap")
 
 
 def _task(options: Options) -> str:
     """The one option that says what to do."""
-    given = (options.fcd is not None, options.mcap is not None, options.verify, options.first_difference)
-    known = ("--fcd", "--mcap", "--verify", "--first-difference")
+    given = (options.page, options.fcd is not None, options.mcap is not None, options.verify, options.first_difference)
+    known = ("--page", "--fcd", "--mcap", "--verify", "--first-difference")
     tasks = [name for name, is_so in zip(known, given, strict=True) if is_so]
     if len(tasks) != 1:
         got = " and ".join(tasks) or "none"
         raise ConfigError(
-            f"replay got {got}; expected exactly one of --fcd FILE.xml, --mcap FILE.mcap, --verify, --first-difference"
+            f"replay got {got}; expected exactly one of --page, --fcd FILE.xml, --mcap FILE.mcap, --verify, "
+            "--first-difference"
         )
     return tasks[0]
 
@@ -134,6 +158,26 @@ def _is_journal(path: Path) -> bool:
     except WcsimError:
         return False
     return True
+
+
+def _page(options: Options) -> int:
+    in_bounds("--port", options.port, 0, 65535)
+    in_bounds("--block", options.block or 0, 0, 1 << 30)
+    in_bounds("--seat", options.seat or 0, 0, 1 << 30)
+    folder = result_folder(options.runs[0])
+    what = "a run folder with a journal or a trace, one of these files, a drive, or the folder of a test"
+    found = None if folder is not None else _find(options.runs[0], JOURNAL, what)
+    order = FilmOrder(
+        path=folder if folder is not None else found.path if found is not None else options.runs[0],
+        kind="episode" if found is None else found.kind,
+        epoch=options.epoch,
+        hook=options.hook,
+        town=options.town,
+        policy=options.policy,
+        block=options.block,
+        seat=options.seat,
+    )
+    return serve_film(play_start(order), options.host, options.port)
 
 
 def _fcd(options: Options) -> int:

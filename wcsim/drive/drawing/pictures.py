@@ -13,8 +13,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from wcsim.config import CameraConfig
 from wcsim.core.frames import rad
 from wcsim.drive.drawing.guidance import ground_points, mark_chair, mark_goal, mark_way
+from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.orbit import Orbit, eased, eye
 from wcsim.drive.session import DriveSession
 from wcsim.errors import ConfigError
@@ -22,10 +24,10 @@ from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.cast import Cast
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import ChairPose, Instances, chair_pose
+from wcsim.physics.renderer.instances import Instances, chair_pose
 from wcsim.physics.renderer.raster import RasterRenderer
-from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pose_matrix
-from wcsim.types import F64, U8, Bool
+from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pinhole, pose_matrix
+from wcsim.types import F64, U8, Bool, Street
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
 from wcsim.view.pictures import class_colours, depth_colours
@@ -37,6 +39,7 @@ _MAP_PX, _MAP_SPAN_M = 320, 60.0
 _PART = struct.Struct("<cI")
 _HEAD = struct.Struct("<I")
 _NO_SEAT: Final = -1
+_TURNED_RAD: Final = 2.0  # by which a new episode's heading differs, for the camera to go there at once
 SMALLEST_PX, LARGEST_PX = 160, 1280
 
 
@@ -60,6 +63,84 @@ class PageLooks:
     chart: bool = True
 
 
+class StreetPictures:
+    """Draws moments of one street; another street needs another object.
+
+    Args:
+        street: Its mesh, ground and signal heads.
+        front: The camera of the chairs; None where it is not known, and nothing is drawn as they see it.
+    """
+
+    def __init__(self, street: Street, front: CameraConfig | None) -> None:
+        store = GeometryStore(street.mesh)
+        self._renderer, self._cast = RasterRenderer(store), Cast(street.signal_heads)
+        self._map, self._grid = MapView(store, _MAP_PX, _MAP_SPAN_M), street.grid
+        self._front, self._yaw_rad, self._number = front, 0.0, 0
+
+    def draw(self, moment: Moment, looks: PageLooks, dt_s: float) -> bytes:
+        """All pictures of a moment in one message: its number, then for each part a letter, its length, its JPEG.
+
+        Args:
+            moment: Of now.
+            looks: What is wanted.
+            dt_s: Since the last pictures, for the camera that comes after the chair.
+        """
+        self._yaw_rad = moment.yaw_rad if moment.jumped else eased(self._yaw_rad, moment.yaw_rad, dt_s)
+        parts = [(b"S", self._scene(moment, looks))]
+        if looks.camera is not CameraKind.NOTHING and self._front is not None:
+            parts.append((b"C", self._own(moment, looks.camera, self._front)))
+        if looks.chart:
+            parts.append((b"M", self._chart(moment)))
+        self._number += 1
+        return packed(self._number, parts)
+
+    def _scene(self, moment: Moment, looks: PageLooks) -> U8:
+        camera, T_CW = _pinhole(looks), eye(moment.chair.p_WB_m, self._yaw_rad, looks.orbit)
+        rows, shown = self._rows(moment)
+        images = self._look(camera, T_CW, rows, shown)
+        if moment.route is None:
+            return _colours(images)
+        points = ground_points(moment.route, moment.done_m, self._grid)
+        return mark_way(_colours(images), images.depth_m, camera, T_CW, points)
+
+    def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
+        """The front camera: colours as a person would see them, classes and depth as the policy gets them."""
+        colour = kind is CameraKind.COLOUR
+        frame = moment.frame
+        if colour or frame is None:
+            T_CW = camera_matrix(pose_matrix(moment.chair.p_WB_m, moment.chair.q_WB), mount(front))
+            rows, shown = self._rows(moment)
+            shown[len(moment.actors) + moment.column] = False  # the chair itself, which its camera does not see
+            images = self._look(_lens(front) if colour else pinhole(front), T_CW, rows, shown)
+            if colour:
+                return _colours(images)
+            class_id, depth_m = images.class_id, images.depth_m
+        else:
+            class_id, depth_m = frame.class_id, frame.depth_m
+        is_class = kind is CameraKind.CLASSES
+        picture = class_colours(class_id) if is_class else depth_colours(depth_m, front.range_m)
+        scale = max(1, _CAMERA_PX[0] // picture.shape[1])
+        return np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
+
+    def _chart(self, moment: Moment) -> U8:
+        picture = self._map.draw(moment.chair.p_WB_m, moment.actors, moment.chairs, moment.route)
+        mark_chair(picture, moment.yaw_rad)
+        if moment.route is None:
+            return picture
+        return mark_goal(picture, moment.route.points_W_m[-1] - moment.chair.p_WB_m[:2], _MAP_SPAN_M)
+
+    def _rows(self, moment: Moment) -> tuple[Instances, Bool]:
+        """What moves, and which of it a camera sees that sits on no chair."""
+        eyes_W_m = moment.chair.p_WB_m[None]
+        rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eyes_W_m, SIGHT_M)
+        return rows, shown[0]
+
+    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> Images:
+        images = new_images(camera.width_px, camera.height_px, rgb=True)
+        self._renderer.render(camera, T_CW, rows, images, shown)
+        return images
+
+
 class DrivePictures:
     """Draws one session's street; a session of another street needs another object.
 
@@ -68,79 +149,31 @@ class DrivePictures:
     """
 
     def __init__(self, session: DriveSession) -> None:
-        world = session.world
-        store = GeometryStore(world.street.mesh)
-        self._renderer, self._cast = RasterRenderer(store), Cast(world.street.signal_heads)
-        self._map = MapView(store, _MAP_PX, _MAP_SPAN_M)
-        self._front, (width, height) = world.config.cameras[0], _CAMERA_PX
-        focal = focal_px(width, rad(self._front.hfov_deg))
-        self._lens = Pinhole(
-            width_px=width, height_px=height, focal_px=focal, near_m=self._front.near_m, range_m=SIGHT_M
-        )
-        self._yaw_rad = session.client.plant.yaw_rad
-        self._number = 0
+        self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
+        self._yaw_rad, self._begun = session.client.plant.yaw_rad, False
         self.spent_s = 0.0
 
     def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
-        """All pictures of a moment in one message: its number, then for each part a letter, its length, its JPEG.
-
-        Args:
-            session: Of now.
-            looks: What is wanted.
-            dt_s: Since the last pictures, for the camera that comes after the chair.
-        """
+        """All pictures of now, see `StreetPictures.draw`."""
         began_s = time.perf_counter()
         plant = session.client.plant
-        jumped = abs(math.remainder(plant.yaw_rad - self._yaw_rad, 2.0 * math.pi)) > 2.0 and session.client.tick == 0
-        self._yaw_rad = plant.yaw_rad if jumped else eased(self._yaw_rad, plant.yaw_rad, dt_s)
-        chair = chair_pose(0, plant, session.world.seats[0].chair.outline)
-        parts = [(b"S", self._scene(session, looks, chair))]
-        if looks.camera is not CameraKind.NOTHING:
-            parts.append((b"C", self._own(session, looks.camera, chair)))
-        if looks.chart:
-            parts.append((b"M", self._chart(session, chair)))
-        self._number += 1
-        message = packed(self._number, parts)
+        turned_rad = abs(math.remainder(plant.yaw_rad - self._yaw_rad, 2.0 * math.pi))
+        jumped = not self._begun or (turned_rad > _TURNED_RAD and session.client.tick == 0)
+        self._yaw_rad, self._begun = plant.yaw_rad, True
+        snapshot = session.world.snapshot
+        moment = Moment(
+            actors=snapshot.actors,
+            signals=snapshot.signals,
+            chairs=(chair_pose(0, plant, session.world.seats[0].chair.outline),),
+            seat=0,
+            jumped=jumped,
+            route=session.route,
+            done_m=session.done_m,
+            frame=session.client.sensors.cameras[0],
+        )
+        message = self._pictures.draw(moment, looks, dt_s)
         self.spent_s += time.perf_counter() - began_s
         return message
-
-    def _scene(self, session: DriveSession, looks: PageLooks, chair: ChairPose) -> U8:
-        camera, T_CW = _pinhole(looks), eye(chair.p_WB_m, self._yaw_rad, looks.orbit)
-        rows, shown = self._rows(session, chair)
-        images = self._look(camera, T_CW, rows, shown)
-        points = ground_points(session.route, session.done_m, session.world.street.grid)
-        return mark_way(_colours(images), images.depth_m, camera, T_CW, points)
-
-    def _own(self, session: DriveSession, kind: CameraKind, chair: ChairPose) -> U8:
-        """The front camera: colours as a person would see them, classes and depth as the policy gets them."""
-        if kind is CameraKind.COLOUR:
-            T_CW = camera_matrix(pose_matrix(chair.p_WB_m, chair.q_WB), mount(self._front))
-            rows, shown = self._rows(session, chair)
-            shown[len(session.world.snapshot.actors)] = False  # the chair itself, which its camera does not see
-            return _colours(self._look(self._lens, T_CW, rows, shown))
-        frame = session.client.sensors.cameras[0]
-        is_class = kind is CameraKind.CLASSES
-        picture = class_colours(frame.class_id) if is_class else depth_colours(frame.depth_m, self._front.range_m)
-        scale = max(1, _CAMERA_PX[0] // picture.shape[1])
-        return np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
-
-    def _chart(self, session: DriveSession, chair: ChairPose) -> U8:
-        picture = self._map.draw(chair.p_WB_m, session.world.snapshot.actors, (chair,), session.route)
-        goal = session.route.points_W_m[-1] - chair.p_WB_m[:2]
-        return mark_goal(mark_chair(picture, session.client.plant.yaw_rad), goal, _MAP_SPAN_M)
-
-    def _rows(self, session: DriveSession, chair: ChairPose) -> tuple[Instances, Bool]:
-        """What moves, and which of it a camera sees that sits on no chair."""
-        snapshot = session.world.snapshot
-        rows, shown = self._cast.seen(
-            snapshot.actors, (chair,), snapshot.signals, (_NO_SEAT,), chair.p_WB_m[None], SIGHT_M
-        )
-        return rows, shown[0]
-
-    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> Images:
-        images = new_images(camera.width_px, camera.height_px, rgb=True)
-        self._renderer.render(camera, T_CW, rows, images, shown)
-        return images
 
 
 def packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
@@ -173,6 +206,13 @@ def _pinhole(looks: PageLooks) -> Pinhole:
         near_m=0.1,
         range_m=SIGHT_M,
     )
+
+
+def _lens(front: CameraConfig) -> Pinhole:
+    """A camera for people where the chair's own is: it sees as far as they do."""
+    width, height = _CAMERA_PX
+    focal = focal_px(width, rad(front.hfov_deg))
+    return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=front.near_m, range_m=SIGHT_M)
 
 
 def _colours(images: Images) -> U8:

@@ -14,11 +14,10 @@ function make(name, more, parent) {
 }
 
 export class Grid {
-  constructor(home, stick) {
-    this.stick = stick;
+  constructor(home, stick, told = "Joystick. Push the disc with pointer or finger; the stick’s position is told in words below.") {
+    this.stick = stick; // null where there is nothing to push
     const svg = make("svg", { viewBox: "-118 -132 236 264", role: "img", "aria-labelledby": "stick-title" }, home);
-    make("title", { id: "stick-title" }, svg).textContent =
-      "Joystick. Push the disc with pointer or finger; the stick’s position is told in words below.";
+    make("title", { id: "stick-title" }, svg).textContent = told;
     make("circle", { class: "disc", r: 114 }, svg);
     make("circle", { class: "gate", r: SIZE }, svg);
     make("path", { class: "axis", d: "M0-114V114M-114 0H114" }, svg);
@@ -31,7 +30,7 @@ export class Grid {
     this.you = make("circle", { class: "you", r: 8 }, svg);
     this.points = [];
     this.marks = [];
-    this.grip(svg);
+    if (stick) this.grip(svg);
     this.place(this.you, [0, 0]);
     this.place(this.choice, [0, 0]);
   }
@@ -78,8 +77,11 @@ export class Grid {
   }
 
   move(stick, commanded) {
-    this.place(this.you, stick);
-    this.place(this.choice, commanded);
+    for (const [node, at] of [[this.you, stick], [this.choice, commanded]]) {
+      node.style.display = at ? "" : "none";
+      if (at) this.place(node, at);
+    }
+    if (!stick || !commanded) { this.reach.setAttribute("d", ""); return; }
     const [a, b, c, d] = [...stick, ...commanded].map((part) => (part * SIZE).toFixed(1));
     this.reach.setAttribute("d", `M${a} ${-b}L${c} ${-d}`);
   }

@@ -108,7 +108,7 @@ class Audience:
 
     def tell(self, line: bytes) -> None:
         """A line for all."""
-        for name in ("about", "state", "busy", "keeping", "study"):
+        for name in ("about", "state", "busy", "keeping", "study", "marks"):
             if line.startswith(b'{"say":"%s"' % name.encode()):
                 self._kept[name] = line
                 if name == "about":

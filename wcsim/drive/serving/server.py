@@ -23,12 +23,12 @@ from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
 from wcsim.drive import messages as m
-from wcsim.drive.keeping.open_study import OpenStudy
-from wcsim.drive.runner import JSON, LINE, PICTURES, run_drive
+from wcsim.drive.playing.play_runner import PlayStart
+from wcsim.drive.runner import JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
+from wcsim.drive.serving.page_kind import DRIVE, PageKind
 from wcsim.drive.serving.words import Words
-from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, ProtocolError
 
 log = logging.getLogger("wcsim.drive")
@@ -43,12 +43,12 @@ _END_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServeOrder:
-    """Where the page is served, and what is driven."""
+    """Where the page is served, and what is behind it."""
 
-    start: DriveStart
+    start: DriveOrder | PlayStart  # as its kind takes it
+    kind: PageKind = DRIVE
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
-    keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
 
 
@@ -62,8 +62,8 @@ class _Process(Closing):
     def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (theirs, order.start, order.keep)
-        self._process = context.Process(target=run_drive, args=args, daemon=True, name="wcsim-drive")
+        name = f"wcsim-{order.kind.word}"  # no daemon: a player starts the process that makes its film
+        self._process = context.Process(target=order.kind.run, args=(theirs, order.start), name=name)
         with _no_interrupts():  # Ctrl-C is for this process, which ends that one
             self._process.start()
         theirs.close()
@@ -159,7 +159,7 @@ class DriveServer:
             where = f"{self._order.host}:{self._order.port}"
             raise ConfigError(f"{where}: cannot be served ({error.strerror}); choose another --port") from None
         try:
-            self._order.say(f"drive at {self._address(server)}  (Ctrl-C ends it)")
+            self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C ends it)")
             self._process = _Process(
                 self._order,
                 lambda data: loop.call_soon_threadsafe(self._told, data),
@@ -170,7 +170,8 @@ class DriveServer:
             server.close()
             await asyncio.to_thread(self._close)
         if self._died:
-            raise ConfigError("the drive's process has ended; its messages above say why, start it again")
+            what = f"the {self._order.kind.word}'s process"
+            raise ConfigError(f"{what} has ended; its messages above say why, start it again")
 
     def _close(self) -> None:
         if self._process is not None:
@@ -197,7 +198,7 @@ class DriveServer:
             return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
         if wants_socket:
             return None
-        name = "index.html" if path == "/" else path.removeprefix("/")
+        name = self._order.kind.page if path == "/" else path.removeprefix("/")
         file = next((each for each in PAGE.iterdir() if each.name == name and each.suffix in _KINDS), None)
         if file is None:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
@@ -227,7 +228,7 @@ class DriveServer:
         refused = 0
         async for data in connection:
             try:
-                message = m.of_page(data)
+                message = self._order.kind.of_page(data)
             except ProtocolError as error:
                 refused += 1
                 line.put(m.spoken(m.Notice(kind="refused", told=str(error))))
@@ -262,7 +263,7 @@ class DriveServer:
     def _ended(self) -> None:
         if not self._over.is_set():
             self._died = True
-            told = m.spoken(m.Notice(kind="bad", told="The drive's process has ended. Start wcsim drive again."))
+            told = m.spoken(m.Notice(kind="bad", told=self._order.kind.ended))
             self._audience.tell(told)
             asyncio.get_running_loop().call_later(0.5, self._over.set)
 

@@ -81,7 +81,7 @@ def recompute(
         TownError: The town is not there, or has other streets than it had.
         WcsimError: It is no journal, has no such epoch, or its records do not follow from each other.
     """
-    with closing(_replayed(journal, epoch, until_tick, hook)) as steps:
+    with closing(replayed(journal, epoch, until_tick, hook)) as steps:
         for world, record in steps:
             yield Recomputed(record=record, state_hash=world.snapshot.state_hash)
 
@@ -117,7 +117,7 @@ def rebuild_world(journal: Path, make: MakesEpoch[W]) -> tuple[W, tuple[Kept, ..
         ReplayMismatchError: A tick gave another state than the journal says.
         WcsimError: What `make` raises; or it is no journal, or its records do not follow from each other.
     """
-    player = _Player(make, read_header(journal).capacity)
+    player = JournalPlayer(make, read_header(journal).capacity)
     records: list[JournalRecord] = []
     for record in iter_part(journal):  # those before it are over
         if isinstance(record, EpochBegun):
@@ -162,7 +162,7 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
         ReplayMismatchError: A tick gave another state than the journal says.
         WcsimError: As `recompute` does.
     """
-    with closing(_replayed(journal, epoch, None, hook)) as steps:
+    with closing(replayed(journal, epoch, None, hook)) as steps:
         world, _ = next(steps)
         written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
     if not written:
@@ -180,7 +180,7 @@ def recompute_bag(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> d
     """
     chairs: dict[int, RosChair] = {}
     alone = read_header(journal).capacity == 1
-    with closing(_replayed(journal, epoch, None, hook)) as steps, RosBag(out) as bag:
+    with closing(replayed(journal, epoch, None, hook)) as steps, RosBag(out) as bag:
         for world, record in steps:
             _require_equal(world, record)
             if not isinstance(record, Ticked):
@@ -198,6 +198,11 @@ def recompute_bag(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> d
     if not counts:
         raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
     return counts
+
+
+def count_ticks(journal: Path, epoch: int | None = None) -> int:
+    """How many ticks a journal has, in one epoch or in all. Raises JournalError when it is none."""
+    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_journal(journal))
 
 
 def _ticks(steps: Iterable[tuple[World, JournalRecord]]) -> Iterator[TickRecord]:
@@ -228,12 +233,24 @@ def _require_equal(world: SeatWorld, record: JournalRecord) -> None:
         )
 
 
-def _replayed(
-    journal: Path, epoch: int | None, until_tick: int | None, hook: str
+def replayed(
+    journal: Path,
+    epoch: int | None,
+    until_tick: int | None,
+    hook: str,
+    before: Callable[[World | None, JournalRecord], object] = lambda world, record: None,
 ) -> Iterations[tuple[World, JournalRecord]]:
-    """Each record of the wanted epochs, with the world after it; the world is closed with the iterator."""
+    """Each record of the wanted epochs, with the world after it; the world is closed with the iterator.
+
+    Args:
+        journal: The file.
+        epoch: Which one; all when None.
+        until_tick: The last tick of each epoch to do.
+        hook: As for `recompute`, which raises the same.
+        before: Is shown the world before each record, None where there is none yet.
+    """
     header = read_header(journal)
-    player = _Player(journal_worlds(header, hook), header.capacity)
+    player = JournalPlayer(journal_worlds(header, hook), header.capacity)
     known: set[int] = set()
     try:
         for record in iter_journal(journal):
@@ -246,6 +263,7 @@ def _replayed(
             if late or not wanted:
                 player.close()
             if player.plays or (begins and wanted):
+                before(player.world, record)
                 yield player.play(record), record
             else:
                 player.seats.note(record)
@@ -293,13 +311,18 @@ class Seats:
         )
 
 
-class _Player(Generic[W]):
+class JournalPlayer(Generic[W]):
     """Does to a world what a journal says was done, and keeps who sits where while there is no world."""
 
     def __init__(self, make: MakesEpoch[W], capacity: int) -> None:
         self.seats = Seats()
         self._make, self._capacity = make, capacity
         self._world: W | None = None
+
+    @property
+    def world(self) -> W | None:
+        """The world of now."""
+        return self._world
 
     @property
     def plays(self) -> bool:

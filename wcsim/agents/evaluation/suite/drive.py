@@ -62,8 +62,8 @@ class Watch(Protocol):
     def seats(self) -> frozenset[int]:
         """Those that are looked at."""
 
-    def see(self, seat: int, step: EpisodeStep, world: World) -> None:
-        """A step of one of them is done."""
+    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
+        """A step of one of them is done; `policy` is who drives it."""
 
     def ended(self, seat: int, world: World) -> None:
         """An episode has ended; its chair is about to leave the street."""
@@ -173,7 +173,7 @@ class _Seat:
             self._meter.add(step.info, self._free)
         self._seen, self._info = step.observation, step.info
         if self.watch is not None:
-            self.watch.see(self.number, step, self._world)
+            self.watch.see(self.number, step, self._world, self._policy)
         events = client.events
         if events.crashed:
             self._end(**self._meter.crash(step.info))

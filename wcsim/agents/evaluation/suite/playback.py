@@ -13,6 +13,7 @@ import numpy as np
 from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece
+from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
@@ -121,8 +122,9 @@ class _LastSteps:
         """Those that are looked at."""
         return self._seats
 
-    def see(self, seat: int, step: EpisodeStep, world: World) -> None:
+    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
         """Keep a step."""
+        del policy
         info, snapshot = step.info, world.snapshot
         plant = info["state"]
         p_W_m = np.array(plant.p_WB_m, np.float64)

@@ -1,0 +1,168 @@
+"""A run that is watched: its journal grows, tears, is put aside and begun anew while somebody follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from tests.support.journals import JournaledWorld
+from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.drive.playing.sources import follow_source
+from wcsim.drive.playing.sources.follow_source import follow_film
+from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
+from wcsim.errors import ConfigError, JournalError
+from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.journal.journal import Ended, JournalWriter, Ticked, iter_part, read_header
+from wcsim.server.journal.parts import put_aside
+from wcsim.server.journal.records import EpochBegun
+from wcsim.server.journal.tail import JournalTail
+
+
+@pytest.fixture(scope="module")
+def whole(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A journal of two epochs of 30 ticks, of two chairs."""
+    run = tmp_path_factory.mktemp("whole")
+    with JournaledWorld(corner, run, seats=2) as it:
+        for seat in (0, 1):
+            it.admit(seat)
+        it.tick(30)
+        it.rebuild(9)
+        it.tick(30)
+    return (run / "journal").read_bytes()
+
+
+class Watched:
+    """A run folder whose journal grows by what a script says, whenever the follower waits for more."""
+
+    def __init__(self, run: Path, script: Iterator[object]) -> None:
+        self.run, self._script = run, script
+        self.said: list[Said] = []
+        self._clock = count()
+
+    def follow(self) -> Watched:
+        follow_film(self.run, "", self.said.append, self.gone, lambda: 0.3 * next(self._clock))
+        return self
+
+    def gone(self, wait_s: float) -> bool:
+        """Nobody listens any more once the script is over."""
+        return wait_s > 0.0 and next(self._script, "over") == "over"
+
+    @property
+    def ticks(self) -> list[tuple[int, int]]:
+        return [(said.frame.epoch, said.frame.tick) for said in self.said if isinstance(said, FilmStep)]
+
+    def told(self, kind: str = "now") -> list[str]:
+        return [said.told for said in self.said if isinstance(said, FilmLine) and said.kind == kind]
+
+
+def pieces(run: Path, whole: bytes, cuts: list[int]) -> Iterator[None]:
+    """The journal comes in these pieces, wherever they tear a record; a writer begins with a whole header."""
+    yield from (None for _ in range(3))
+    for start, end in zip([0, *cuts], [*cuts, len(whole)], strict=True):
+        with (run / "journal").open("ab") as file:
+            file.write(whole[start:end])
+        yield from (None for _ in range(4))
+    yield from (None for _ in range(20))
+
+
+def test_it_shows_all_ticks_as_they_come_and_nothing_twice(whole: bytes, tmp_path: Path) -> None:
+    cuts = sorted((2500, len(whole) // 2, len(whole) // 2 + 11, len(whole) - 5))
+    watched = Watched(tmp_path, pieces(tmp_path, whole, cuts)).follow()
+    assert watched.ticks == [(epoch, tick) for epoch in (0, 1) for tick in range(1, 31)]
+    about = next(said for said in watched.said if isinstance(said, FilmAbout))
+    assert about.live
+    names = [said.names for said in watched.said if isinstance(said, FilmNames)]
+    assert names[-1] == {0: "c0", 1: "c1"}
+    told = watched.told()
+    assert told[0] == "The run has not begun yet."
+    assert "live" in told
+    assert told[-1].startswith("Nobody drives this world now")
+    assert watched.told("bad") == []
+    assert (tmp_path / "journal").read_bytes() == whole, "the run is not touched"
+    assert not world_in_this_process()
+
+
+def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
+    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(follow_source, "SKIPS_TICKS", 5)
+    (tmp_path / "journal").write_bytes(whole)
+    watched = Watched(tmp_path, iter([None])).follow()
+    assert watched.ticks == [(1, tick) for tick in range(1, 31)]
+    assert "30 ticks were passed over for the newest epoch." in watched.told("mark")
+    assert any(line.endswith("ticks behind the run") for line in watched.told())
+    (step, *_) = [said for said in watched.said if isinstance(said, FilmStep)]
+    assert [chair.seat for chair in step.frame.chairs] == [0, 1], "who sat there before sits there still"
+
+
+def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Path) -> None:
+    journal = tmp_path / "journal"
+    (tmp_path / "all").write_bytes(whole)
+    records = list(iter_part(tmp_path / "all"))
+    second = next(
+        number for number, record in enumerate(records) if isinstance(record, EpochBegun) and record.epoch == 1
+    )
+
+    def script() -> Iterator[None]:
+        with JournalWriter(journal, read_header(tmp_path / "all")) as writer:
+            for record in records[:second]:
+                writer.append(record)
+            writer.append(Ended(reason=f"{EPOCH_OVER}: tick 30"))
+        yield from (None for _ in range(8))
+        put_aside(journal)
+        yield
+        with JournalWriter(journal, read_header(tmp_path / "all")) as writer:
+            for record in records[second:]:
+                writer.append(record)
+            yield from (None for _ in range(40))
+            writer.append(Ended(reason="asked to end"))
+        yield from (None for _ in range(4))
+
+    watched = Watched(tmp_path, script()).follow()
+    assert len(watched.ticks) == 60
+    told = watched.told()
+    assert "The epoch is over; a fresh world is being started." in told
+    assert any(line.startswith("No tick for") and "waits for a client" in line for line in told)
+    assert told[-1] == "The run has ended (asked to end). It goes on here when it is resumed."
+
+
+def test_damage_and_garbage_end_it_in_a_line(whole: bytes, tmp_path: Path) -> None:
+    for name, data in (("garbage", b"x" * 300), ("damaged", bytes(damaged(whole)))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "journal").write_bytes(data)
+        with pytest.raises(JournalError, match=r"is not a journal|is damaged after"):
+            Watched(tmp_path / name, iter([None] * 4)).follow()
+    assert not world_in_this_process()
+
+
+def damaged(whole: bytes) -> bytearray:
+    data = bytearray(whole)
+    data[len(data) // 4] ^= 0xFF
+    return data
+
+
+def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path: Path) -> None:
+    (tmp_path / "all").write_bytes(whole)
+    with JournalWriter(tmp_path / "journal", replace(read_header(tmp_path / "all"), hook="own:Hook")):
+        pass
+    with pytest.raises(ConfigError, match="a hook is code"):
+        Watched(tmp_path, iter([None])).follow()
+
+
+def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
+    (tmp_path / "all").write_bytes(whole)
+    records = [record for record in iter_part(tmp_path / "all") if not isinstance(record, Ticked)]
+    with JournalTail(tmp_path / "journal") as tail:
+        assert tail.read() == []
+        assert tail.is_written() is None
+        with JournalWriter(tmp_path / "journal", read_header(tmp_path / "all")) as writer:
+            for record in records:
+                writer.append(record)
+            assert tail.read(2) == records[:2]
+            assert tail.read() == records[2:]
+            assert tail.is_written() in (True, None)  # None where /proc/locks cannot be read
+        assert not tail.is_written()

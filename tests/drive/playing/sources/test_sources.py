@@ -1,0 +1,208 @@
+"""Films of what was recorded, beside the worlds that they are of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.journals import eventful_run, nudged, rewritten
+from wcsim.agents.evaluation.suite.list_file import write_list
+from wcsim.agents.evaluation.suite.records import record_of
+from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
+from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
+from wcsim.bridge.recording.trace_file import read_trace
+from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.config import load_run_config
+from wcsim.drive.playing.film import Film
+from wcsim.drive.playing.sources.drive_source import drive_film
+from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
+from wcsim.drive.playing.sources.journal_source import journal_film
+from wcsim.drive.playing.sources.trace_source import trace_film
+from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
+from wcsim.errors import ConfigError, JournalError, TownError
+from wcsim.server.journal.journal import Ticked, read_journal
+from wcsim.towns.scenario.town import find_town
+from wcsim.users.profiles import profile
+from wcsim.users.recording.drive_reader import read_drive
+
+
+class Filmed:
+    """What a source said, as it comes through a pipe."""
+
+    def __init__(self, said: Iterable[Said] = ()) -> None:
+        self.names: dict[int, str] = {}
+        self.lines: list[FilmLine] = []
+        self.film = Film(FilmAbout(title="", town="", tick_s=0.1))
+        for one in said:
+            self.hear(one)
+
+    def hear(self, said: Said) -> None:
+        said = said_of(said_bytes(said))
+        if isinstance(said, FilmAbout):
+            self.film = Film(said)
+        elif isinstance(said, FilmStep):
+            self.film.add(said)
+        elif isinstance(said, FilmNames):
+            self.names = dict(said.names)
+        else:
+            self.lines.append(said)
+            self.film.mark(said.kind, said.told)
+
+    def frames(self) -> list:
+        return [self.film.shot(at).frame for at in range(self.film.count)]
+
+
+@pytest.fixture(scope="module")
+def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("filmed")
+    eventful_run(corner, folder)
+    return folder
+
+
+def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> None:
+    shown = Filmed(journal_film(run / "journal", None, ""))
+    ticked = [record for record in read_journal(run / "journal").records if isinstance(record, Ticked)]
+    frames = shown.frames()
+    assert [(frame.epoch, frame.tick) for frame in frames] == [(record.epoch, record.tick) for record in ticked]
+    for frame, record in zip(frames, ticked, strict=True):
+        given = [(round(c.joystick.x, 4), round(c.joystick.y, 4)) for c in record.commands]
+        assert [chair.commanded for chair in frame.chairs] == given
+    _, records = read_trace(run / "beside.trace")
+    for frame, record in zip(frames, records, strict=False):
+        places = np.array([chair.p_WB_m for chair in frame.chairs]).reshape(-1, 3)
+        assert np.allclose(places, record.plants[:, :3], atol=1e-4)
+    assert shown.names == {0: "c0", 1: "c1", 2: "c2"}
+    assert [line.told for line in shown.lines][-1] == "That is the whole journal."
+    assert shown.film.about.ticks == len(ticked)
+    moment = shown.film.moment(100, 0, jumped=False)
+    assert moment is not None and moment.route is not None and moment.actors
+    assert any(chair.flags & Flag.INTERVENING for frame in frames for chair in frame.chairs)
+    assert any(chair.flags & Flag.TRUNCATED for frame in frames for chair in frame.chairs)
+    assert not world_in_this_process()
+
+
+@pytest.mark.proof
+def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path) -> None:
+    records = read_journal(run / "journal").records
+    at = next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (1, 40))
+    other = rewritten(run / "journal", tmp_path / "journal", {at: nudged(records[at])})
+    shown = Filmed(journal_film(other, 1, ""))
+    assert {frame.epoch for frame in shown.frames()} == {1}
+    assert "ticks differ from the run" in shown.lines[-1].told
+
+
+def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
+    shown = Filmed(trace_film(run / "beside.trace", None, str(corner)))
+    _, records = read_trace(run / "beside.trace")
+    frames = shown.frames()
+    assert len(frames) == sum(len(record.plants) > 0 for record in records)
+    chair = frames[-1].chairs[0]
+    assert (chair.stick, chair.way, chair.flags) == (None, -1, 0)
+    assert chair.p_WB_m == tuple(records[-1].plants[0][:3].tolist())
+    assert shown.film.about.camera == ""
+    moment = shown.film.moment(len(frames) - 1, chair.seat, jumped=False)
+    assert moment is not None and moment.route is None
+    with pytest.raises(TownError, match="name it with --town"):
+        next(trace_film(run / "beside.trace", None, ""))
+    with pytest.raises(TownError, match="expected the town that it was recorded in"):
+        next(trace_film(run / "beside.trace", None, "helsinki"))
+    with pytest.raises(ConfigError, match="no wheelchair"):
+        next(trace_film(run / "beside.trace", 7, str(corner)))
+
+
+def test_garbage_is_refused_in_a_line(run: Path, tmp_path: Path) -> None:
+    garbage = tmp_path / "garbage"
+    garbage.write_bytes(b"x" * 5000)
+    for film in (journal_film(garbage, None, ""), trace_film(garbage, None, ""), drive_film(garbage)):
+        with pytest.raises(JournalError):
+            next(film)
+    with pytest.raises(ConfigError):
+        failed_episodes(tmp_path)
+    data = bytearray((run / "journal").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "journal").write_bytes(data)
+    with pytest.raises(JournalError, match="is damaged after"):
+        Filmed(journal_film(tmp_path / "journal", None, ""))
+    assert not world_in_this_process()
+
+
+def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "journal").write_bytes((run / "journal").read_bytes()[:-20])
+    assert Filmed(journal_film(tmp_path / "journal", 1, "")).film.count == 59
+
+
+def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
+    config = load_run_config("quick")
+    user = drawn_user(profile("tremor"), 3)
+    order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=40, seed=3)
+    record_user(order, tmp_path / "a.drive")
+    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    ticks = read_drive(tmp_path / "a.drive").ticks
+    frames = shown.frames()
+    assert len(frames) == 40
+    for frame, tick in zip(frames, ticks, strict=True):
+        (chair,) = frame.chairs
+        assert np.allclose(chair.p_WB_m, tick.p_WB_m, atol=1e-4)
+        assert chair.stick == (round(tick.stick.x, 4), round(tick.stick.y, 4))
+    assert shown.lines[-1].told == "That is the whole drive."
+    assert json.loads(shown.film.about.camera)["name"] == config.cameras[0].name
+
+
+@pytest.fixture(scope="module")
+def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a test of `stop` on a block of two chairs."""
+    folder = tmp_path_factory.mktemp("tested")
+    suite = suite_in(corner, block_of(corner, max_steps=45, handover=5))
+    write_list(suite.file, folder / "corner.json")
+    order = SuiteOrder(suite=suite, out=folder, forks=0)
+    piece = piece_of(order, 0, "stop", town_addresses(order), judged=False)
+    records = tuple(record_of(record) for record in drive_piece(piece))
+    rows, pooled = pooled_rows("stop", records, records)
+    said = {"suite": "corner-v1", "set": "try", "list_sha256": suite.sha256, "rows": rows, "pooled": [pooled]}
+    (folder / "result.json").write_text(json.dumps({**said, "changed": []}))
+    (folder / "episodes.json").write_text(json.dumps({"stop": [record.to_json() for record in records]}))
+    asked = {"suite": str(folder / "corner.json"), "preset": "quick", "network": ""}
+    (folder / "asked.json").write_text(json.dumps(asked))
+    return folder
+
+
+def choice(folder: Path, **changes: object) -> EpisodeChoice:
+    return EpisodeChoice(**{"folder": folder, "policy": "", "block": 0, "own": (), **changes})
+
+
+def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
+    shown = Filmed()
+    episode_film(choice(tested), shown.hear)
+    assert [line.kind for line in shown.lines] == ["end"], "nothing went another way"
+    assert set(shown.names) == {0, 1}
+    frames = shown.frames()
+    kept = json.loads((tested / "episodes.json").read_text())["stop"]
+    for record in kept:
+        own = [chair for frame in frames for chair in frame.chairs if chair.seat == record["seat"]]
+        assert len(own) == record["steps"] + 5
+        assert [bool(chair.flags & Flag.ALONE) for chair in own[:6]] == [True] * 5 + [False]
+        assert all(chair.stick is not None and chair.commanded is not None for chair in own)
+    assert shown.film.about.warns and not shown.film.about.tells_unsafe
+
+
+def test_an_episode_that_goes_another_way_says_so(tested: Path, tmp_path: Path) -> None:
+    for name in ("result.json", "asked.json"):
+        (tmp_path / name).write_bytes((tested / name).read_bytes())
+    episodes = json.loads((tested / "episodes.json").read_text())
+    episodes["stop"][0]["m"] += 1.0
+    (tmp_path / "episodes.json").write_text(json.dumps(episodes))
+    shown = Filmed()
+    episode_film(choice(tmp_path), shown.hear)
+    assert any(line.kind == "bad" and "went another way" in line.told for line in shown.lines)
+
+
+def test_what_is_not_in_a_test_is_refused(tested: Path) -> None:
+    for changes, told in (({"block": 4}, "--block 4"), ({"policy": "dwa"}, "expected one of: stop")):
+        with pytest.raises(ConfigError, match=told):
+            episode_film(choice(tested, **changes), lambda said: None)

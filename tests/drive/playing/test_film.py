@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.drive.playing.films import ABOUT, chair, film_of, step
+from wcsim.drive.playing.film import MOST_MARKS, Film
+from wcsim.drive.playing.play_messages import PlayMarks, PlayState
+from wcsim.drive.playing.play_state import CRASH_TICKS, about_of, marks_of, state_of
+from wcsim.drive.playing.player import Player
+from wcsim.drive.playing.states import Flag
+from wcsim.drive.playing.sums import ChairSums
+from wcsim.errors import ProtocolError
+
+CRASH = Flag.CRASHED
+
+
+def state(film: Film, at: int, seat: int = 0) -> PlayState:
+    player = Player()
+    player.seek(at, first=film.first, count=film.count)
+    return state_of(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
+
+
+def test_any_frame_is_there_at_once_whatever_was_looked_at_before() -> None:
+    film = film_of(700, {})
+    for at in (699, 0, 350, 128, 127, 640, 3, 699):
+        moment = film.moment(at, 1, jumped=False)
+        assert moment is not None
+        assert moment.chair.p_WB_m.tolist() == [at, 2.0, 0.0]
+        (car,) = moment.actors
+        assert (car.id, car.p_W_m.tolist(), car.v_W_mps.tolist()) == ("car", [at, -5.0, 0.0], [10.0, 0.0, 0.0])
+        assert moment.signals[0].colours == "Gr"
+    assert film.moment(5, 7, jumped=False) is None
+    for at in (-1, 700):
+        with pytest.raises(ProtocolError, match="no frame"):
+            film.shot(at)
+
+
+def test_a_way_is_kept_with_its_length() -> None:
+    route = film_of(2, {}).route(chair(0, 0))
+    assert route is not None
+    assert route.arc_m.tolist() == [0.0, 5.0, 11.0]
+    assert film_of(1, {}).route(chair(0, 0, way=-1)) is None
+
+
+def test_numbers_up_to_here_are_exact_after_any_jump() -> None:
+    """As they were when this frame was the newest."""
+    flags = {
+        10: Flag.WARNING, 11: Flag.WARNING | Flag.INTERVENING, 12: Flag.INTERVENING, 40: CRASH | Flag.DROPPED,
+        200: Flag.ARRIVED, 300: CRASH, 301: Flag.INTERVENING, 420: Flag.HELPED,
+    }  # fmt: skip
+    whole = film_of(450, flags)
+    for at in (449, 12, 300, 40, 39):
+        assert state(whole, at).chairs == state(film_of(at + 1, flags), at).chairs
+    kpis = state(whole, 449).chairs[0].kpis
+    assert (kpis.ticks, kpis.crashes, kpis.drops, kpis.arrivals, kpis.helps) == (450, 2, 1, 1, 1)
+    assert (kpis.warnings, kpis.interventions) == (1, 2)
+    assert kpis.kpi1 == pytest.approx(0.25)
+    assert kpis.kpi2 == pytest.approx((41 + 301) / 2)
+    assert kpis.way_m == pytest.approx(450 * 0.05)
+    assert state(whole, 39).chairs[0].kpis.crashes == 0
+
+
+def test_what_is_not_known_counts_for_nothing() -> None:
+    sums = ChairSums().plus(chair(0, 0, stick=None), 0.1)
+    assert (sums.ticks, sums.kpi1) == (1, None)
+    assert sums.plus(chair(0, 1), 0.1).kpi1 == pytest.approx(0.25)
+
+
+def test_marks_are_where_something_begins() -> None:
+    flags = {5: Flag.WARNING, 6: Flag.WARNING, 9: CRASH, 20: CRASH | Flag.DROPPED, 30: Flag.ARRIVED}
+    film = film_of(40, flags)
+    film.mark("gap", "a fresh world")
+    told = [(mark.at, mark.seat, mark.kind) for mark in film.marks]
+    assert told == [(5, 0, "warning"), (9, 0, "crash"), (20, 0, "drop"), (30, 0, "arrival"), (40, -1, "gap")]
+    assert state(film, 9 + CRASH_TICKS - 1).crash == ""
+    crashed = Film(ABOUT)
+    crashed.add(step(0, chair(0, 0, CRASH, reason="hit a car")))
+    assert state(crashed, 0).crash == "hit a car"
+
+
+def test_a_crash_is_told_for_a_while_and_of_its_own_chair_alone() -> None:
+    film = Film(ABOUT)
+    for at in range(60):
+        film.add(step(at, chair(0, at, CRASH if at == 20 else Flag(0), reason="hit a tram"), chair(1, at)))
+    assert [bool(state(film, at).crash) for at in (19, 20, 20 + CRASH_TICKS - 1, 20 + CRASH_TICKS)] == [0, 1, 1, 0]
+    assert state(film, 20, seat=1).crash == ""
+
+
+def test_memory_is_bounded_and_the_oldest_go_first() -> None:
+    film = film_of(2000, {}, most_bytes=20_000)
+    assert film.packed_bytes <= 20_000
+    assert 0 < film.first < film.count == 2000
+    assert film.shot(film.first).frame.tick == film.first + 1
+    with pytest.raises(ProtocolError, match=f"expected {film.first} to 1999"):
+        film.shot(film.first - 1)
+    assert state(film, 0).at == film.first
+    assert state(film, 1999).chairs[0].kpis.ticks == 2000, "what was let go of still counts"
+
+
+def test_marks_are_bounded_too() -> None:
+    film = film_of(1, {})
+    for _ in range(MOST_MARKS + 10):
+        film.mark("gap", "again")
+    told = marks_of(film)
+    assert (len(told.marks), told.left_out) == (MOST_MARKS, 10)
+
+
+def test_a_chair_that_is_not_in_the_street_is_told_of() -> None:
+    film = Film(ABOUT)
+    film.add(step(0, chair(1, 0)))
+    now = state(film, 0)
+    assert not now.here
+    assert [(line.name, line.here) for line in now.chairs] == [("ann", False), ("ben", True)]
+    assert (now.stick, now.unsafe, now.left_m) == (None, [], None)
+
+
+def test_a_page_gets_it_as_json() -> None:
+    film = film_of(30, {9: CRASH})
+    for said in (about_of(ABOUT, (), "", -1), state(film, 9), marks_of(film)):
+        assert msgspec.json.decode(msgspec.json.encode(said))["say"] in ("about", "state", "marks")
+    assert isinstance(marks_of(film), PlayMarks)
+
+
+def test_a_picture_begins_anew_with_an_episode() -> None:
+    film = film_of(3, {})
+    assert [film.moment(at, 0, jumped=False).jumped for at in (0, 1)] == [True, False]
+    assert np.isclose(film.moment(1, 0, jumped=False).yaw_rad, 0.0)

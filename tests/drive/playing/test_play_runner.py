@@ -1,0 +1,109 @@
+"""The player's process without a server: a pipe, and a source in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.journals import eventful_run
+from wcsim.drive.playing.play_runner import PlayRunner, PlayStart
+from wcsim.drive.playing.sources.source_process import FilmSource
+
+PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it takes
+
+
+class Desk:
+    """Says what a page would, and reads what it would hear."""
+
+    def __init__(self, source: FilmSource) -> None:
+        self.pipe, theirs = Pipe()
+        self._thread = threading.Thread(target=self._run, args=(theirs, PlayStart(source=source)), daemon=True)
+        self._thread.start()
+
+    def say(self, say: str, **more: object) -> None:
+        self.pipe.send_bytes(json.dumps({"say": say, **more}).encode())
+
+    def until(self, wanted: Callable[[bytes, Any], bool]) -> Any:
+        end_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end_s:
+            if self.pipe.poll(0.2):
+                data = self.pipe.recv_bytes()
+                said = json.loads(data[1:]) if data[:1] == b"J" else data
+                if wanted(data[:1], said):
+                    return said
+        raise AssertionError("never")
+
+    def state(self, wanted: Callable[[Any], bool] = lambda state: True) -> Any:
+        return self.until(lambda kind, said: kind == b"J" and said["say"] == "state" and wanted(said))
+
+    def said(self, say: str) -> Any:
+        return self.until(lambda kind, said: kind == b"J" and said["say"] == say)
+
+    def close(self) -> None:
+        self.say("end")
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+
+    def _run(self, pipe: Connection, start: PlayStart) -> None:
+        PlayRunner(pipe, start).run()
+
+
+@pytest.fixture(scope="module")
+def journal(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("played")
+    eventful_run(corner, folder)
+    return folder / "journal"
+
+
+@pytest.fixture
+def desk(journal: Path) -> Iterator[Desk]:
+    found = Desk(FilmSource(kind="journal", path=journal))
+    yield found
+    found.close()
+
+
+@pytest.mark.proof  # in `make test` the page itself does all this, where there is a browser
+def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
+    about = desk.said("about")
+    assert (about["ticks"], about["live"], len(about["points"])) == (150, False, 81)
+    whole = desk.state(lambda state: not state["reading"])
+    assert (whole["count"], whole["ended"]) == (150, "That is the whole journal.")
+    desk.say("pause", on=True)
+    desk.say("seek", to=100)
+    there = desk.state(lambda state: state["at"] == 100)
+    desk.say("seek", to=20)
+    desk.state(lambda state: state["at"] == 20)
+    desk.say("stepby", ticks=80)
+    again = desk.state(lambda state: state["at"] == 100)
+    assert again == there, "a jump leads to the same, to the last number"
+    assert {line["name"] for line in there["chairs"]} == {"c0", "c1", "c2"}
+    desk.say("follow", seat=2)
+    assert desk.state(lambda state: state["seat"] == 2)["chairs"] == there["chairs"]
+    desk.say("ready")
+    picture = desk.until(lambda kind, said: kind == b"P")
+    assert picture[5:6] == b"S" and len(picture) > 5000
+    desk.say("seek", to=140)
+    desk.say("pause", on=False)
+    end = desk.state(lambda state: state["paused"])
+    assert end["at"] == 149, "it stops at the end"
+    desk.say("pause", on=False)
+    assert desk.state(lambda state: state["at"] < 100)["paused"] is False, "and begins again"
+    desk.say("openepisode", policy="stop", block=0, seat=0)
+    assert "of no suite" in desk.said("notice")["told"]
+
+
+def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
+    (tmp_path / "journal").write_bytes(b"nothing of the kind")
+    desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))
+    told = desk.said("notice")
+    assert told["kind"] == "bad" and "is not a journal" in told["told"]
+    assert desk.said("busy")["told"] == "There is no more of it."
+    desk.close()

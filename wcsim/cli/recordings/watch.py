@@ -1,0 +1,74 @@
+"""`wcsim watch RUN`: the world of a run that goes on, live on a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import tyro
+
+from wcsim.cli.recordings.film_page import serve_film
+from wcsim.cli.shared.common import in_bounds, parse
+from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.errors import ConfigError
+
+_NICE: Final = 19  # a run comes first, wherever cores are few
+_MANIFEST: Final = "manifest.json"
+
+
+@dataclass
+class Options:
+    """Watch a run live: its street, its chairs, their sticks and KPIs, on a page in your browser.
+
+    For runs with a journal: `wcsim train --clients`, `wcsim serve --run`. The run is not touched. docs/watching.md
+    """
+
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """The folder of the run; it may begin later."""
+    seat: int | None = None
+    """Which chair to follow first."""
+    hook: str = ""
+    """Your own step hook, module:Class, that the run was started with: code, which the journal alone does not load."""
+    port: int = 8080
+    """Where the page is served; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
+
+
+def run(words: list[str]) -> int:
+    """Serve the page until Ctrl-C."""
+    options = parse(Options, words, "watch")
+    in_bounds("--port", options.port, 0, 65535)
+    in_bounds("--seat", options.seat or 0, 0, 1 << 30)
+    _check(options)
+    from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
+    from wcsim.drive.playing.sources.source_process import FilmSource
+
+    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, nice=_NICE)
+    seat = -1 if options.seat is None else options.seat
+    return serve_film(PlayStart(source=source, seat=seat, nice=_NICE), options.host, options.port)
+
+
+def _check(options: Options) -> None:
+    """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
+    if not is_folder(options.run):
+        raise ConfigError(f"{shown(options.run)}: is not there; expected the folder of a run of wcsim train --clients")
+    from wcsim.server.journal.journal import JOURNAL, read_header
+    from wcsim.server.journal.parts import part_files
+    from wcsim.server.journal.replay import journal_worlds
+
+    if part_files(options.run / JOURNAL):
+        journal_worlds(read_header(options.run / JOURNAL), options.hook)
+    elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
+        raise ConfigError(
+            f"{shown(options.run)}: is a run of one network, which keeps no journal and cannot be watched; expected "
+            "one of wcsim train --clients NETWORK (one client is enough), or of wcsim serve --run"
+        )
+
+
+def _has_clients(run: Path) -> bool:
+    """Whether a run shares its world, and has only not begun yet."""
+    from wcsim.agents.runs.run_folder import read_json
+
+    return "clients" in read_json(run, _MANIFEST)

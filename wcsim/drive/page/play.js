@@ -1,0 +1,284 @@
+// The page of a film: what is heard is shown, what the person does goes to the player.
+
+import { Grid, words } from "./grid.js";
+import { Link } from "./link.js";
+import { Scene } from "./scene.js";
+import { Timeline } from "./timeline.js";
+
+const NOTICE_MS = 6000;
+const LEAD_S = 3;
+const CRASHES = ["crash", "drop"];
+const by = (id) => document.getElementById(id);
+const LINES = { open: ["connected", "good"], lost: ["connection lost", "bad"] };
+const KPIS = [
+  ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
+  ["kpi2", "KPI 2, steps", (k) => (k.kpi2 === null ? "–" : k.kpi2.toFixed(0))],
+  ["ticks", "Ticks", (k) => k.ticks], ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
+  ["speed", "Speed", (k, c) => `${Math.abs(c.speed_mps).toFixed(2)} m/s`],
+  ["step", "Step of episode", (k, c) => (c.step < 0 ? "–" : c.step)],
+  ["left", "To go", (k, c, s) => (s.left_m === null ? "–" : `${s.left_m.toFixed(0)} m`)],
+  ["crashes", "Crashes", (k) => k.crashes ?? "–"], ["drops", "of them falls", (k) => k.drops ?? "–"],
+  ["arrivals", "Arrivals", (k) => k.arrivals ?? "–"], ["warnings", "Warnings", (k) => k.warnings ?? "–"],
+  ["interventions", "Interventions", (k) => k.interventions ?? "–"],
+];
+
+let about = null;
+let state = null;
+let noticeTimer = 0;
+let crash = "";
+let dragging = false;
+const cells = {};
+
+for (const [name, label] of KPIS) {
+  const pair = document.createElement("div");
+  const term = document.createElement("dt");
+  const value = document.createElement("dd");
+  term.textContent = label;
+  value.textContent = "–";
+  value.id = `kpi-${name}`;
+  pair.append(term, value);
+  by("kpis").append(pair);
+  cells[name] = value;
+}
+
+function put(node, text) {
+  if (node.textContent !== String(text)) node.textContent = String(text);
+}
+
+function say(text) {
+  by("spoken").textContent = by("spoken").textContent === text ? `${text} ` : text;
+}
+
+function note(kind, text) {
+  by("notice").dataset.kind = kind;
+  by("notice").textContent = text;
+  clearTimeout(noticeTimer);
+  if (kind !== "bad") noticeTimer = setTimeout(() => { by("notice").textContent = ""; by("notice").dataset.kind = ""; }, NOTICE_MS);
+}
+
+function big(text) {
+  by("big").hidden = !text;
+  put(by("big"), text);
+}
+
+const link = new Link({
+  line(what) {
+    const [text, kind] = LINES[what];
+    by("line").textContent = text;
+    by("line").dataset.kind = kind;
+    say(text);
+    if (what === "open") scene.tell();
+    else big("Connection lost. Trying again …");
+  },
+  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
+  about: tellAbout,
+  busy(message) { big(message.told); say(message.told); },
+  notice(message) { note(message.kind, message.told); },
+  marks(message) { timeline.setMarks(message.marks); choose(); },
+  role(role) {
+    by("banner").hidden = role.drives || !role.told;
+    by("banner-text").textContent = role.taken ? "Another page holds the film. You look on." : "Nobody holds the film.";
+    document.body.dataset.drives = String(role.drives);
+    if (role.drives) scene.tell();
+  },
+  state: tellState,
+});
+
+const scene = new Scene(link);
+const grid = new Grid(by("stick"), null, "Joystick: the user’s stick and what the chair was given; told in words below.");
+const timeline = new Timeline(by("marks"), by("at"), by("legend"), seek);
+
+function seek(to) {
+  link.say("seek", { to: Math.max(0, Math.round(to)) });
+}
+
+function choose() {
+  timeline.choose(state ? state.seat : -1, by("all").checked);
+}
+
+function lead() {
+  return by("lead").checked && about ? Math.round(LEAD_S / about.tick_s) : 0;
+}
+
+function jump(kinds, forward) {
+  if (!state) return;
+  const from = state.at + lead();
+  const mark = forward ? timeline.next(kinds, from) : timeline.before(kinds, from);
+  const name = kinds === CRASHES ? "crash" : "intervention";
+  if (!mark) { note("note", `There is no ${name} ${forward ? "after" : "before"} here${state.reading ? ", as far as it was read" : ""}.`); return; }
+  if (mark[1] >= 0 && mark[1] !== state.seat) link.say("follow", { seat: mark[1] });
+  seek(mark[0] - lead());
+}
+
+function tellAbout(told) {
+  about = told;
+  big("");
+  by("place").textContent = told.title;
+  document.title = `${told.title} – wcsim film`;
+  grid.setPoints(told.points);
+  by("legend-unsafe").hidden = !told.tells_unsafe;
+  by("camera-figure").hidden = !told.camera;
+  by("live").hidden = !told.live;
+  by("unknown").replaceChildren(...(told.unknown.length ? told.unknown : ["Nothing that it could."]).map((line) => { const item = document.createElement("li"); item.textContent = line; return item; }));
+  by("failed-part").hidden = !told.failed.length;
+  by("failed").replaceChildren(...told.failed.map((one) => {
+    const item = document.createElement("li");
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = `${one.block}.${one.seat} ${one.policy}: ${one.told}`;
+    button.addEventListener("click", () => (one.policy === about.policy && one.block === about.block
+      ? link.say("follow", { seat: one.seat }) : link.say("openepisode", { policy: one.policy, block: one.block, seat: one.seat })));
+    item.append(button);
+    return item;
+  }));
+  scene.tell();
+}
+
+function clock(ticks) {
+  const seconds = ticks * about.tick_s;
+  return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
+}
+
+function lamp(id, on, text) {
+  const node = by(id);
+  node.dataset.on = String(on);
+  put(node.querySelector("span"), text);
+}
+
+function tellState(now) {
+  const before = state;
+  state = now;
+  if (!about) return;
+  const last = Math.max(now.count - 1, about.ticks - 1);
+  timeline.setSpan(now.first, last);
+  if (!dragging) by("at").value = String(now.at);
+  by("at").setAttribute("aria-valuetext", `${clock(now.at)} of ${clock(last)}`);
+  if (!before || before.seat !== now.seat) choose();
+  const read = now.reading && about.ticks > now.count ? `, ${Math.floor(100 * now.count / about.ticks)} % read` : "";
+  put(by("clock"), `${clock(now.at)} / ${clock(last)}${read} · epoch ${now.epoch}, tick ${now.tick}`);
+  put(by("told"), now.ended || now.told);
+  put(by("play"), now.paused ? "Play" : "Pause");
+  by("play").setAttribute("aria-pressed", String(!now.paused));
+  by("live").setAttribute("aria-pressed", String(now.live));
+  by("pace").value = String(now.pace);
+  put(by("size"), `${now.count - now.first} ticks, ${now.size_mb} MB${now.first ? `; those before ${clock(now.first)} were let go` : ""}`);
+  tellChair(now);
+  tellChairs(now);
+  document.body.dataset.at = String(now.at);
+  document.body.dataset.count = String(now.count);
+}
+
+function tellChair(now) {
+  const own = now.chairs.find((chair) => chair.seat === now.seat);
+  for (const [name, , text] of KPIS) put(cells[name], own ? text(own.kpis, own, now) : "–");
+  grid.show(now.unsafe);
+  grid.move(now.stick, now.commanded);
+  const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
+  put(by("stick-text"), now.commanded ? `${asked} · chair: ${words(now.commanded)}` : asked);
+  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "clear") : "not known");
+  const follows = now.stick && now.commanded;
+  lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "steers otherwise" : "follows the stick") : "not known");
+  lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
+  lamp("lamp-who", false, now.alone ? "user alone" : now.overruled ? "user overrules" : "policy");
+  if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
+  crash = now.crash;
+  big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street here.");
+}
+
+function tellChairs(now) {
+  const home = by("chairs");
+  while (home.children.length > now.chairs.length) home.lastChild.remove();
+  now.chairs.forEach((chair, index) => {
+    if (!home.children[index]) home.append(chairButton());
+    const button = home.children[index];
+    button.dataset.seat = String(chair.seat);
+    button.dataset.here = String(chair.here);
+    button.setAttribute("aria-pressed", String(chair.seat === now.seat));
+    const [name, signs, more] = button.children;
+    put(name, chair.name);
+    put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warns" : chair.intervening ? "▬ intervenes" : "follows");
+    const k = chair.kpis;
+    put(more, `${k.ticks} ticks · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes ?? "–"} crashes`);
+  });
+}
+
+function chairButton() {
+  const button = document.createElement("button");
+  button.type = "button";
+  button.append(document.createElement("b"), document.createElement("span"), document.createElement("span"));
+  button.children[1].className = "signs";
+  button.children[2].className = "more";
+  button.addEventListener("click", () => link.say("follow", { seat: Number(button.dataset.seat) }));
+  return button;
+}
+
+function nextChair() {
+  if (!state || !state.chairs.length) return;
+  const at = state.chairs.findIndex((chair) => chair.seat === state.seat);
+  link.say("follow", { seat: state.chairs[(at + 1) % state.chairs.length].seat });
+}
+
+function changePace(by_) {
+  const options = [...by("pace").options].map((option) => Number(option.value));
+  const at = options.indexOf(Number(by("pace").value));
+  link.say("pace", { times: options[Math.min(options.length - 1, Math.max(0, at + by_))] });
+}
+
+const step = (ticks) => link.say("stepby", { ticks });
+const playOrPause = () => { if (state) link.say("pause", { on: !state.paused }); };
+const click = (id, does) => by(id).addEventListener("click", does);
+click("play", playOrPause);
+click("back", () => step(-1));
+click("on", () => step(1));
+click("back-crash", () => jump(CRASHES, false));
+click("on-crash", () => jump(CRASHES, true));
+click("back-intervention", () => jump(["intervention"], false));
+click("on-intervention", () => jump(["intervention"], true));
+click("live", () => link.say("golive"));
+click("take-over", () => link.say("takeover"));
+by("pace").addEventListener("change", () => link.say("pace", { times: Number(by("pace").value) }));
+by("all").addEventListener("change", choose);
+for (const [event, on] of [["pointerdown", true], ["pointerup", false], ["pointercancel", false], ["blur", false]]) by("at").addEventListener(event, () => { dragging = on; });
+
+const KEYS = {
+  ArrowLeft: (event) => step(event.shiftKey ? -second() : -1),
+  ArrowRight: (event) => step(event.shiftKey ? second() : 1),
+  Home: () => seek(0),
+  End: () => (about && about.live ? link.say("golive") : seek(state ? state.count - 1 : 0)),
+};
+const LETTERS = {
+  KeyC: (event) => jump(CRASHES, !event.shiftKey),
+  KeyV: (event) => jump(["intervention"], !event.shiftKey),
+  KeyN: nextChair,
+  BracketLeft: () => changePace(-1),
+  BracketRight: () => changePace(1),
+};
+
+function second() {
+  return about ? Math.round(1 / about.tick_s) : 10;
+}
+
+addEventListener("keydown", (event) => {
+  if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
+  const node = event.target instanceof HTMLElement ? event.target : document.body;
+  if (node.matches("select, input:not([type=checkbox]):not([type=range]), summary")) return;
+  const takesSpace = node.matches("button, a, input[type=checkbox]");
+  if (event.code === "Space" && !takesSpace) { playOrPause(); event.preventDefault(); return; }
+  if (event.code in KEYS) { KEYS[event.code](event); event.preventDefault(); return; }
+  const isLetter = event.code.startsWith("Key") || event.code.startsWith("Bracket");
+  if (isLetter && !by("letters").checked) return;
+  if (event.code in LETTERS) { if (!event.repeat) LETTERS[event.code](event); event.preventDefault(); return; }
+  if (scene.key(event)) event.preventDefault();
+});
+
+for (const name of ["keys", "display"]) click(`open-${name}`, () => by(name).showModal());
+const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
+const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
+const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
+for (const [id, key, first] of [["contrast", "contrast", wantsContrast], ["larger", "larger", false], ["letters", "letters", true]]) {
+  const box = by(id);
+  box.checked = kept(key) === null ? first : kept(key) === "true";
+  const apply = () => { document.documentElement.dataset[key] = String(box.checked); keep(key, String(box.checked)); timeline.draw(); };
+  box.addEventListener("change", apply);
+  apply();
+}

@@ -1,0 +1,181 @@
+"""A film: the states of all ticks, packed, with their sums and marks; the oldest go when it gets too large.
+
+An hour of a chair in Helsinki takes some 15 MB (docs/watching.md).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+import numpy as np
+import zstandard
+
+from wcsim.drive.drawing.moment import Moment
+from wcsim.drive.playing.states import (
+    FilmAbout,
+    FilmBody,
+    FilmChair,
+    FilmFrame,
+    FilmStep,
+    Flag,
+    actors_of,
+    outline_of,
+    route_of,
+    signals_of,
+)
+from wcsim.drive.playing.sums import ChairSums
+from wcsim.errors import ProtocolError
+from wcsim.physics.renderer.instances import ChairPose
+from wcsim.types import Route
+
+MOST_BYTES: Final = 512 << 20
+MOST_MARKS: Final = 4000
+_BLOCK: Final = 128  # ticks that are packed together
+_OPEN: Final = 6  # blocks that are kept unpacked
+_LEVEL: Final = 3
+_MARKED: Final = (
+    (Flag.DROPPED, "drop"),
+    (Flag.CRASHED, "crash"),
+    (Flag.ARRIVED, "arrival"),
+    (Flag.GAVE_UP, "gave-up"),
+    (Flag.HELPED, "help"),
+)
+_STRETCHES: Final = ((Flag.WARNING, "warning"), (Flag.INTERVENING, "intervention"))
+
+
+class Shot(msgspec.Struct, frozen=True, array_like=True):
+    """A frame with the sums of its chairs after it."""
+
+    frame: FilmFrame
+    sums: dict[int, ChairSums]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmMark:
+    """Something on the time line."""
+
+    at: int  # number of the frame
+    seat: int  # -1 for all
+    kind: str  # crash, drop, intervention, warning, arrival, gave-up, help, gap
+    told: str = ""
+
+
+class Film:
+    """All frames of a source, by number from 0 on; `first` is the oldest that is still there.
+
+    Args:
+        about: What it is of.
+        most_bytes: That frames may take, packed.
+    """
+
+    def __init__(self, about: FilmAbout, most_bytes: int = MOST_BYTES) -> None:
+        self.about, self._most_bytes = about, most_bytes
+        self.first = self.count = 0
+        self.packed_bytes = 0
+        self.marks = deque[FilmMark](maxlen=MOST_MARKS)
+        self.marked = 0  # ever
+        self._bodies: list[FilmBody] = []
+        self._ways: list[bytes] = []
+        self._signals: list[list[tuple[str, str]]] = []
+        self._blocks: dict[int, bytes] = {}
+        self._newest: list[Shot] = []
+        self._unpacked: OrderedDict[int, list[Shot]] = OrderedDict()
+        self._routes: OrderedDict[int, Route] = OrderedDict()
+        self._sums: dict[int, ChairSums] = {}
+        self._decoder = msgspec.msgpack.Decoder(list[Shot])
+
+    def add(self, step: FilmStep) -> None:
+        """One tick more."""
+        self._bodies += step.bodies
+        self._ways += step.ways
+        self._signals += step.signals
+        for chair in step.frame.chairs:
+            before = self._sums.get(chair.seat, ChairSums())
+            self._mark(chair, before)
+            self._sums[chair.seat] = before.plus(chair, self.about.tick_s)
+        self._newest.append(Shot(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
+        self.count += 1
+        if len(self._newest) == _BLOCK:
+            self._pack()
+
+    def mark(self, kind: str, told: str) -> None:
+        """Mark the place where the next frame will be, for all chairs."""
+        self._note(FilmMark(at=self.count, seat=-1, kind=kind, told=told))
+
+    def shot(self, at: int) -> Shot:
+        """A frame. Raises ProtocolError for a number that is not there."""
+        if not self.first <= at < self.count:
+            raise ProtocolError(f"the film has no frame {at}; expected {self.first} to {self.count - 1}")
+        block, row = divmod(at, _BLOCK)
+        if block == self.count // _BLOCK:
+            return self._newest[row]
+        if block not in self._unpacked:
+            raw = zstandard.ZstdDecompressor().decompress(self._blocks[block])
+            self._unpacked[block] = self._decoder.decode(raw)
+            while len(self._unpacked) > _OPEN:
+                self._unpacked.popitem(last=False)
+        self._unpacked.move_to_end(block)
+        return self._unpacked[block][row]
+
+    def moment(self, at: int, seat: int, jumped: bool) -> Moment | None:
+        """What there is to draw of a frame for a chair; None when that chair is not in it."""
+        frame = self.shot(at).frame
+        chair = next((each for each in frame.chairs if each.seat == seat), None)
+        if chair is None:
+            return None
+        begins = chair.step == 1
+        return Moment(
+            actors=actors_of(frame.actors, self._bodies),
+            signals=() if frame.signals < 0 else signals_of(self._signals[frame.signals]),
+            chairs=tuple(_pose(each) for each in frame.chairs),
+            seat=seat,
+            jumped=jumped or begins,
+            route=self._route(chair.way),
+            done_m=chair.done_m,
+        )
+
+    def route(self, chair: FilmChair) -> Route | None:
+        """A chair's way, None where it is not known."""
+        return self._route(chair.way)
+
+    def _route(self, way: int) -> Route | None:
+        if way < 0:
+            return None
+        if way not in self._routes:
+            self._routes[way] = route_of(self._ways[way])
+            if len(self._routes) > 4 * _OPEN:
+                self._routes.popitem(last=False)
+        return self._routes[way]
+
+    def _pack(self) -> None:
+        packed = zstandard.ZstdCompressor(level=_LEVEL).compress(msgspec.msgpack.encode(self._newest))
+        self._blocks[self.count // _BLOCK - 1] = packed
+        self.packed_bytes += len(packed)
+        self._newest = []
+        while self.packed_bytes > self._most_bytes and len(self._blocks) > 1:
+            oldest = next(iter(self._blocks))
+            self.packed_bytes -= len(self._blocks.pop(oldest))
+            self._unpacked.pop(oldest, None)
+            self.first = (oldest + 1) * _BLOCK
+
+    def _mark(self, chair: FilmChair, before: ChairSums) -> None:
+        flags, was = Flag(chair.flags), Flag(before.on)
+        event = next((kind for flag, kind in _MARKED if flags & flag), "")
+        begun = next((kind for flag, kind in _STRETCHES if flags & flag and not was & flag), "")
+        for kind in (event, begun):
+            if kind:
+                told = chair.reason if kind in ("crash", "drop") else ""
+                self._note(FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
+
+    def _note(self, mark: FilmMark) -> None:
+        self.marks.append(mark)
+        self.marked += 1
+
+
+def _pose(chair: FilmChair) -> ChairPose:
+    return ChairPose(
+        seat=chair.seat, p_WB_m=np.array(chair.p_WB_m), q_WB=np.array(chair.q_WB), outline=outline_of(chair)
+    )

@@ -1,0 +1,284 @@
+"""The process that plays a film: it takes what the source says, keeps time, hears the page, and draws for it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from typing import Any, Final
+
+import msgspec
+
+from wcsim.config import CameraConfig, parse_json
+from wcsim.drive import messages as m
+from wcsim.drive.drawing.orbit import clamped
+from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
+from wcsim.drive.playing import play_messages as pm
+from wcsim.drive.playing.film import MOST_BYTES, Film
+from wcsim.drive.playing.play_state import about_of, marks_of, state_of
+from wcsim.drive.playing.player import Player
+from wcsim.drive.playing.sources.source_process import FilmSource, run_source
+from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
+from wcsim.drive.runner import JSON, LINE, PICTURES
+from wcsim.errors import WcsimError
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.street import load_street
+
+_IDLE_S: Final = 0.2
+_TAKE_S: Final = 0.02  # of a turn, for what the source says
+_TOLD_S: Final = 0.25  # between two states while nothing moves but the source
+_MARKS_S: Final = 1.0
+_END_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlayStart:
+    """What to play."""
+
+    source: FilmSource
+    seat: int = -1  # whom to follow, -1 for the first
+    most_bytes: int = MOST_BYTES
+    failed: tuple[pm.FailedLine, ...] = ()
+    nice: int = 0  # of the player's process
+
+
+class PlayRunner:
+    """Plays films one after another, until the pipe to the server ends.
+
+    Args:
+        pipe: To the server.
+        start: The first film.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(self, pipe: Connection, start: PlayStart, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pipe, self._start, self._clock = pipe, start, clock
+        self._film: Film | None = None
+        self._pictures: StreetPictures | None = None
+        self._player, self._looks = Player(), PageLooks()
+        self._names: dict[int, str] = {}
+        self._seat, self._told, self._ended, self._over = start.seat, "", "", False
+        self._ready, self._stale, self._changed = False, True, True
+        self._drawn_s = self._said_s = self._marked_s = 0.0
+        self._marked = 0
+        self._opened = start.source
+        self._source: Connection | None = None
+        self._process: Any = None  # spawn's own class of processes has no public name
+        self._does: dict[type, Callable[[Any], None]] = {
+            m.SetView: self._view,
+            m.Pause: self._pause,
+            m.Pace: lambda said: self._player.set_pace(said.times),
+            m.Ready: self._take_ready,
+            m.End: self._end,
+            pm.Seek: lambda said: self._player.seek(said.to, **self._bounds()),
+            pm.StepBy: lambda said: self._player.step(said.ticks, **self._bounds()),
+            pm.Follow: self._follow,
+            pm.GoLive: lambda _: self._player.go_live(),
+            pm.OpenEpisode: self._open_episode,
+        }
+
+    def run(self) -> None:
+        """Play until the server ends."""
+        with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+            try:
+                self._open(self._start.source)
+                while not self._over:
+                    self._turn()
+            finally:
+                self.close()
+
+    def close(self) -> None:
+        """End the source; one that does not end is killed."""
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+        if self._process is not None:
+            self._process.join(_END_S)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
+            self._process = None
+
+    # --- one turn of the loop ---
+
+    def _turn(self) -> None:
+        pipes = [self._pipe] if self._source is None else [self._pipe, self._source]
+        wait(pipes, self._wait_s())
+        while self._pipe.poll():
+            self._hear(self._pipe.recv_bytes())
+        self._take()
+        film, now_s = self._film, self._clock()
+        if film is None or not film.count:
+            return
+        player = self._player
+        if player.advance(now_s, first=film.first, count=film.count, tick_s=film.about.tick_s):
+            self._stale = self._changed = True
+        if self._source is None and player.at == film.count - 1 and not player.paused:  # the end
+            player.pause(True)
+            self._changed = True
+        if self._changed or now_s - self._said_s > _TOLD_S:
+            self._state(film, now_s)
+        if self._ready and self._stale:
+            self._show(film, now_s)
+
+    def _wait_s(self) -> float:
+        film = self._film
+        if film is None or self._player.paused or self._player.live or self._player.at >= film.count - 1:
+            return _IDLE_S
+        return min(_IDLE_S, 0.5 * film.about.tick_s / self._player.pace)
+
+    def _take(self) -> None:
+        """What the source says, for a while."""
+        until_s = self._clock() + _TAKE_S
+        try:
+            while self._source is not None and self._source.poll():
+                self._said(self._source.recv_bytes())
+                if self._clock() > until_s:
+                    return
+        except (EOFError, ConnectionResetError):
+            self._source_gone()
+
+    def _said(self, data: bytes) -> None:
+        said = said_of(data)
+        if isinstance(said, FilmStep) and self._film is not None:
+            if self._seat < 0 and said.frame.chairs:
+                self._seat = said.frame.chairs[0].seat
+            self._film.add(said)
+        elif isinstance(said, FilmAbout):
+            self._begin(said)
+        elif isinstance(said, FilmNames):
+            self._names = dict(said.names)
+        elif isinstance(said, FilmLine):
+            self._line(said)
+
+    def _line(self, said: FilmLine) -> None:
+        self._changed = True
+        if said.kind == "mark" and self._film is not None:
+            self._film.mark("gap", said.told)
+        elif said.kind == "bad":
+            self._say(m.Notice(kind="bad", told=said.told))
+            self._pipe.send_bytes(LINE + said.told.encode())
+        elif said.kind == "end":
+            self._ended, self._told = said.told, ""
+        else:
+            self._told = said.told
+
+    def _source_gone(self) -> None:
+        """It has said all, or died."""
+        if self._source is not None:
+            self._source.close()
+        self._source = None
+        if not self._ended:
+            self._ended = "The process that made this film has ended; its messages in the terminal say why."
+            self._say(m.Notice(kind="bad", told=self._ended))
+        self._changed = True
+        if self._film is None or not self._film.count:
+            self._say(m.Busy(told=self._ended))
+
+    def _state(self, film: Film, now_s: float) -> None:
+        words = (self._told, self._ended, self._source is not None)
+        self._say(state_of(film, self._player, self._seat, self._names, words))
+        self._said_s, self._changed = now_s, False
+        if film.marked != self._marked and now_s - self._marked_s > _MARKS_S:
+            self._marked, self._marked_s = film.marked, now_s
+            self._say(marks_of(film))
+
+    def _show(self, film: Film, now_s: float) -> None:
+        if self._pictures is None:
+            return
+        moment = film.moment(self._player.at, self._seat, self._player.jumped)
+        if moment is None:
+            return
+        dt_s = min(1.0, now_s - self._drawn_s) * self._player.pace
+        self._pipe.send_bytes(PICTURES + self._pictures.draw(moment, self._looks, dt_s))
+        self._drawn_s, self._ready, self._stale, self._player.jumped = now_s, False, False, False
+
+    def _say(self, message: Any) -> None:
+        self._pipe.send_bytes(JSON + msgspec.json.encode(message))
+
+    # --- what the page wants ---
+
+    def _hear(self, data: bytes) -> None:
+        message = pm.of_play_server(data)
+        does = self._does.get(type(message))
+        if does is None:
+            return
+        try:
+            does(message)
+        except WcsimError as error:
+            self._say(m.Notice(kind="refused", told=str(error)))
+        if not isinstance(message, m.Ready | m.End):
+            self._stale = self._changed = True
+
+    def _bounds(self) -> dict[str, int]:
+        return (
+            {"first": 0, "count": 0} if self._film is None else {"first": self._film.first, "count": self._film.count}
+        )
+
+    def _view(self, said: m.SetView) -> None:
+        orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
+        size = {"width_px": said.width_px, "height_px": said.height_px}
+        self._looks = PageLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
+
+    def _pause(self, said: m.Pause) -> None:
+        """Who goes on at the end begins again."""
+        film, player = self._film, self._player
+        if not said.on and self._source is None and film is not None and player.at == film.count - 1:
+            player.seek(film.first, **self._bounds())
+        player.pause(said.on)
+
+    def _take_ready(self, _: m.Ready) -> None:
+        self._ready = True
+
+    def _end(self, _: m.End) -> None:
+        self._over = True
+
+    def _follow(self, said: pm.Follow) -> None:
+        self._seat, self._player.jumped = said.seat, True
+
+    def _open_episode(self, said: pm.OpenEpisode) -> None:
+        source = self._start.source
+        if source.kind != "episode":
+            raise WcsimError("this film is of no suite; expected a result of wcsim test --suite")
+        if not any((one.policy, one.block) == (said.policy, said.block) for one in self._start.failed):
+            raise WcsimError(f"{said.policy} has no failed episode in block {said.block}; expected one of the list")
+        self.close()
+        self._seat = said.seat
+        self._open(replace(source, policy=said.policy, block=said.block))
+
+    # --- films ---
+
+    def _open(self, source: FilmSource) -> None:
+        """Start the process of a source."""
+        self._say(m.Busy(told="Opening the street. The first time in a town this takes up to a minute ..."))
+        self._film, self._told, self._ended = None, "", ""
+        self._names, self._marked, self._opened = {}, 0, source
+        context = get_context("spawn")
+        self._source, theirs = context.Pipe()
+        self._process = context.Process(target=run_source, args=(theirs, source), daemon=True, name="wcsim-film")
+        self._process.start()
+        theirs.close()
+
+    def _begin(self, about: FilmAbout) -> None:
+        """A film begins: its street is loaded here too. One that cannot be drawn is told of."""
+        try:
+            street = load_street(find_town(about.town))
+            front = parse_json(CameraConfig, about.camera, "the camera of the film") if about.camera else None
+        except WcsimError as error:
+            self._line(FilmLine(kind="bad", told=str(error)))
+            return
+        self._pictures, self._film = StreetPictures(street, front), Film(about, self._start.most_bytes)
+        live = about.live
+        self._player = Player(live=live)
+        self._say(about_of(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._stale = self._changed = True
+
+
+def run_play(pipe: Connection, start: PlayStart) -> None:
+    """What the player's process does."""
+    os.nice(start.nice)
+    PlayRunner(pipe, start).run()

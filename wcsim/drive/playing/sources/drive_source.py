@@ -1,0 +1,71 @@
+"""A recorded drive as a film: the same drive made again, with what its recording says of person and policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from wcsim.bridge.drives.remake import config_of_drive, remade, town_of_drive
+from wcsim.bridge.world import World
+from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays
+from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, Flag, Said
+from wcsim.users.recording.drive_reader import read_drive
+from wcsim.users.recording.drive_types import RecordedTick
+
+NOT_IN_DRIVES: Final = (
+    "Unsafe positions: a drive says what its policy chose, and not why.",
+    "The camera's errors: its picture is drawn from where everybody was.",
+)
+_SAYS: Final = (
+    (Flag.WARNING, "warning"),
+    (Flag.INTERVENING, "intervening"),
+    (Flag.OVERRULED, "overruled"),
+    (Flag.HELPED, "helped"),
+)
+
+
+def drive_film(path: Path) -> Iterator[Said]:
+    """A drive from its first tick to its last.
+
+    Raises:
+        JournalError: It is no drive.
+        TownError: The town is gone, or is not what it was.
+        ConfigError: Its settings or its user cannot be used here.
+    """
+    drive = read_drive(path)
+    header, worlds = drive.header, list[World]()
+    policy = f", {header.policy} beside" if header.policy else ""
+    yield FilmAbout(
+        title=f"{header.profile} in {header.town}{policy}",
+        town=town_of_drive(header).address,
+        tick_s=header.tick_s,
+        camera=config_of_drive(header).cameras[0].model_dump_json(),
+        actions=config_of_drive(header).env.actions,
+        unknown=list(NOT_IN_DRIVES),
+        ticks=len(drive.ticks),
+        warns=bool(header.policy),
+    )
+    yield FilmNames(names={0: header.profile})
+    maker, differs = FrameMaker(), 0
+
+    def before(world: World) -> None:
+        worlds[:] = [world]
+        maker.begin(world)
+
+    with closing(remade(drive, before)) as steps:
+        for tick, _, after in steps:
+            differs += tuple(after.plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
+            yield maker.step_of(worlds[0], {0: _said(tick)})
+    told = "That is the whole drive."
+    if differs:
+        told += f" {differs} ticks came out elsewhere than recorded: other versions, or another machine, made it."
+    yield FilmLine(kind="end", told=told)
+
+
+def _said(tick: RecordedTick) -> TickSays:
+    flags = Flag(0)
+    for flag, name in _SAYS:
+        flags |= flag if getattr(tick, name) else Flag(0)
+    return TickSays(stick=tick.stick, commanded=tick.commanded, flags=flags)

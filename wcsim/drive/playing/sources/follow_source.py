@@ -1,0 +1,167 @@
+"""A run that goes on as a film: its journal is read as it grows, and its world made again a moment behind.
+
+The run itself does nothing for it and does not know of it. Where the film is slower than the run, it goes over to the
+newest epoch as soon as one begins, and says by how much it is behind till then.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from wcsim.bridge.world import World
+from wcsim.drive.playing.sources.journal_source import RecordScene, journal_about
+from wcsim.drive.playing.states import FilmLine, FilmNames, Said
+from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.journal.journal import JOURNAL
+from wcsim.server.journal.records import Ended, EpochBegun, JournalHeader, JournalRecord, Ticked
+from wcsim.server.journal.replay import JournalPlayer, journal_worlds
+from wcsim.server.journal.tail import JournalTail
+
+SKIPS_TICKS: Final = 100  # a newer epoch is gone over to at once where more ticks than this are left of the old one
+_MOST_WAITING: Final = 200_000  # records
+_POLL_S: Final = 0.05
+_TOLD_S: Final = 0.5
+_QUIET_S: Final = 3.0  # without a tick, before something is said of it
+_BEHIND: Final = 10  # ticks from which on they are told of
+_LAST_BYTES: Final = 4096
+_STEP_DIGITS: Final = 15
+
+Gone = Callable[[float], bool]  # waits so many seconds; whether nobody listens any more
+Clock = Callable[[], float]
+
+
+def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone, clock: Clock = time.monotonic) -> None:
+    """Follow a run until nobody listens any more.
+
+    Args:
+        run: Its folder.
+        hook: The step hook that it was started with, which a journal alone does not load.
+        say: Hears the film.
+        gone: See `Gone`.
+        clock: Monotonic seconds.
+
+    Raises:
+        JournalError: The journal is none, or damaged.
+        TownError, ConfigError: Its world cannot be made here.
+        WcsimError: Its records do not follow from each other.
+    """
+    with JournalTail(run / JOURNAL) as tail:
+        first = tail.read()
+        while tail.header is None:
+            say(FilmLine(kind="now", told="The run has not begun yet."))
+            if gone(_TOLD_S):
+                return
+            first = tail.read()
+        say(journal_about(tail.header, 0, live=True))
+        following = _Following(run, tail.header, hook, say)
+        try:
+            while first and following.waiting < _MOST_WAITING:
+                following.hear(first)
+                first = tail.read()
+            while following.turn(tail, gone, clock):
+                pass
+        finally:
+            following.close()
+
+
+class _Following:
+    """What has come and was not done again yet, and the world in which it will be."""
+
+    def __init__(self, run: Path, header: JournalHeader, hook: str, say: Callable[[Said], object]) -> None:
+        self._run, self._say = run, say
+        self._player = JournalPlayer[World](journal_worlds(header, hook), header.capacity)
+        self._scene = RecordScene()
+        self._queue = deque[JournalRecord]()
+        self._ended = ""
+        self._heard_s = self._told_s = self._asked_s = 0.0
+        self._told, self._differed = "", False
+        self._names, self._named = dict[int, str](), dict[int, str]()
+
+    @property
+    def waiting(self) -> int:
+        """Records that were not done again yet."""
+        return len(self._queue)
+
+    def hear(self, records: list[JournalRecord]) -> None:
+        """These have come; what an epoch makes needless is left out."""
+        self._queue.extend(records)
+        begun = [number for number, record in enumerate(self._queue) if isinstance(record, EpochBegun)]
+        left = sum(isinstance(record, Ticked) for record in list(self._queue)[: begun[-1]]) if begun else 0
+        if left > SKIPS_TICKS:
+            for _ in range(begun[-1]):
+                self._player.seats.note(self._queue.popleft())
+            self._say(FilmLine(kind="mark", told=f"{left} ticks were passed over for the newest epoch."))
+
+    def turn(self, tail: JournalTail, gone: Gone, clock: Clock) -> bool:
+        """Do the next record again, or wait for one; False when nobody listens any more."""
+        now_s = clock()
+        if not self._queue or now_s - self._asked_s > _POLL_S:
+            self._asked_s = now_s
+            records = tail.read() if self.waiting < _MOST_WAITING else []
+            if records:
+                self._heard_s = now_s
+                self.hear(records)
+        if self._queue:
+            self._do(self._queue.popleft())
+        if now_s - self._told_s > _TOLD_S:
+            self._told_s = now_s
+            self._tell(self._status(tail, now_s))
+        return not gone(0.0 if self._queue else _POLL_S)
+
+    def close(self) -> None:
+        """End the world."""
+        self._player.close()
+
+    def _do(self, record: JournalRecord) -> None:
+        self._ended = record.reason if isinstance(record, Ended) else ""
+        self._scene.before(self._player.world, record)
+        world = self._player.play(record)
+        for said in self._scene.said(world, record):
+            if isinstance(said, FilmNames):
+                self._names = dict(said.names)
+            self._say(said)
+        if self._scene.differs and not self._differed:
+            self._differed = True
+            self._say(FilmLine(kind="bad", told="What is shown differs from the run: another version, or machine."))
+
+    def _status(self, tail: JournalTail, now_s: float) -> str:
+        """What goes on with the run."""
+        behind = sum(isinstance(record, Ticked) for record in self._queue)
+        if behind > _BEHIND:
+            return f"{behind} ticks behind the run"
+        if self._ended.startswith(EPOCH_OVER):
+            return "The epoch is over; a fresh world is being started."
+        if self._ended:
+            return f"The run has ended ({self._ended}). It goes on here when it is resumed."
+        quiet_s = now_s - self._heard_s
+        if quiet_s < _QUIET_S:
+            return "live"
+        if tail.is_written() is False:
+            return "Nobody drives this world now: the run was killed, or its world is being started again."
+        return f"No tick for {quiet_s:.0f} s: the world waits for a client."
+
+    def _tell(self, told: str) -> None:
+        if told != self._told:
+            self._told = told
+            self._say(FilmLine(kind="now", told=told))
+        named = {seat: _with_step(self._run, name) for seat, name in self._names.items()}
+        if named != self._named:
+            self._named = named
+            self._say(FilmNames(names=named))
+
+
+def _with_step(run: Path, name: str) -> str:
+    """A client with the step that its learner was at when its last episode ended, where its folder says it."""
+    try:
+        with (run / name / "metrics.csv").open("rb") as file:
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - _LAST_BYTES))
+            lines = file.read(_LAST_BYTES).split(b"\n")
+    except OSError:
+        return name
+    step = lines[-2].split(b",")[0] if len(lines) > 1 else b""
+    return f"{name}, step {int(step)}" if step.isdigit() and len(step) <= _STEP_DIGITS else name

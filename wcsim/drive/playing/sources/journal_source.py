@@ -1,0 +1,97 @@
+"""A journal as a film: its world made again, blind, record by record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, parse_json
+from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
+from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
+from wcsim.server.journal.journal import read_header
+from wcsim.server.journal.records import Admitted, EpochBegun, JournalHeader, JournalRecord, Ticked
+from wcsim.server.journal.replay import count_ticks, replayed
+from wcsim.types import Joystick
+
+NOT_IN_JOURNALS = (
+    "Warnings and unsafe positions: a journal knows what chairs were given, and no policy's thoughts.",
+    "The cameras' errors: pictures are drawn from where everybody was.",
+)
+
+
+def journal_about(header: JournalHeader, ticks: int, *, live: bool = False) -> FilmAbout:
+    """What a journal shows."""
+    config = parse_json(RunConfig, header.config, "the configuration in the journal")
+    return FilmAbout(
+        title=f"{header.name or 'journal'}, {Path(header.town).name}",
+        town=header.town,
+        tick_s=header.tick_s,
+        camera=config.cameras[0].model_dump_json(),
+        actions=config.env.actions,
+        unknown=list(NOT_IN_JOURNALS),
+        ticks=ticks,
+        live=live,
+    )
+
+
+def journal_film(path: Path, epoch: int | None, hook: str) -> Iterator[Said]:
+    """A journal from its first tick to its last, of one epoch or of all.
+
+    Raises:
+        TownError: The town is not there, or has other streets than it had.
+        WcsimError: It is no journal, has no such epoch, or its records do not follow from each other.
+    """
+    header = read_header(path)
+    yield journal_about(header, count_ticks(path, epoch))
+    scene = RecordScene()
+    with closing(replayed(path, epoch, None, hook, scene.before)) as steps:
+        for world, record in steps:
+            yield from scene.said(world, record)
+    yield FilmLine(kind="end", told=scene.told("That is the whole journal."))
+
+
+class RecordScene:
+    """What the records of a journal show, one after the other."""
+
+    def __init__(self) -> None:
+        self.differs = 0  # ticks that gave another state than the journal says
+        self._maker = FrameMaker()
+        self._names: dict[int, str] = {}
+        self._asked: dict[int, Joystick] = {}
+
+    def before(self, world: World | None, record: JournalRecord) -> None:
+        """What is so before a record is done."""
+        if isinstance(record, Ticked) and world is not None:
+            self._maker.begin(world)
+            self._asked = asked_before(world.snapshot.clients)
+
+    def said(self, world: World, record: JournalRecord) -> Iterator[Said]:
+        """What there is to say after it."""
+        match record:
+            case EpochBegun():
+                world.go_blind()
+                yield FilmLine(kind="mark", told=f"Epoch {record.epoch} begins: a fresh world.")
+            case Admitted():
+                if self._names.get(record.seat) != record.name:
+                    self._names[record.seat] = record.name
+                    yield FilmNames(names=dict(self._names))
+            case Ticked():
+                self.differs += record.state_hash != world.snapshot.state_hash
+                yield self._step(world, record)
+            case _:
+                return
+
+    def told(self, told: str) -> str:
+        """A line, with what went another way."""
+        if not self.differs:
+            return told
+        return f"{told} {self.differs} ticks differ from the run: other versions, or another machine, made it."
+
+    def _step(self, world: World, record: Ticked) -> FilmStep:
+        said = {}
+        for command in record.commands:
+            stick, given = self._asked.get(command.seat), command.joystick
+            said[command.seat] = TickSays(stick=stick, commanded=given, flags=intervening(stick, given))
+        return self._maker.step_of(world, said)

@@ -1,0 +1,77 @@
+"""The process of a source: it says its film into a pipe, as fast as it is taken, and an error as a line."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Literal
+
+from wcsim.drive.playing.states import FilmLine, Said, said_bytes
+from wcsim.errors import WcsimError
+
+SourceKind = Literal["journal", "trace", "drive", "episode", "run"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmSource:
+    """What a film is made of; everything in it can be sent."""
+
+    kind: SourceKind
+    path: Path
+    epoch: int | None = None
+    hook: str = ""  # of a journal, named by the user
+    town: str = ""  # of a trace, where it is not the named one
+    policy: str = ""  # of an episode, as the two below
+    block: int = -1
+    own: tuple[str, ...] = ()
+    nice: int = 0
+
+
+def run_source(pipe: Connection, source: FilmSource) -> None:
+    """What the process does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    os.nice(source.nice)
+
+    def say(said: Said) -> None:
+        pipe.send_bytes(said_bytes(said))
+
+    with suppress(BrokenPipeError, ConnectionResetError):
+        try:
+            _film(source, say, pipe)
+        except WcsimError as error:
+            say(FilmLine(kind="bad", told=str(error)))
+            say(FilmLine(kind="end", told="There is no more of it."))
+
+
+def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
+    """Loads the simulators of this kind of source alone."""
+    if source.kind == "run":
+        from wcsim.drive.playing.sources.follow_source import follow_film
+
+        follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
+        return
+    if source.kind == "episode":
+        from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film
+
+        choice = EpisodeChoice(folder=source.path, policy=source.policy, block=source.block, own=source.own)
+        episode_film(choice, say)
+        return
+    if source.kind == "journal":
+        from wcsim.drive.playing.sources.journal_source import journal_film
+
+        film = journal_film(source.path, source.epoch, source.hook)
+    elif source.kind == "drive":
+        from wcsim.drive.playing.sources.drive_source import drive_film
+
+        film = drive_film(source.path)
+    else:
+        from wcsim.drive.playing.sources.trace_source import trace_film
+
+        film = trace_film(source.path, source.epoch, source.town)
+    for said in film:
+        say(said)
