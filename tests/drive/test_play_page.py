@@ -95,7 +95,7 @@ def trained(corner: Path, out: Path) -> subprocess.Popen[str]:
 def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Path) -> None:
     """The same journal and weights to the bit; the page shows all of it, through the change of its world."""
     alone, watched = tmp_path / "alone", tmp_path / "watched"
-    assert trained(corner, alone).wait(PATIENCE_S) == 0
+    assert trained(corner, alone).wait(4 * PATIENCE_S) == 0
     watched.mkdir()
     process = trained(corner, watched)
     try:
@@ -109,7 +109,7 @@ def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Pa
             wait(page, "document.getElementById('live').getAttribute('aria-pressed') === 'false'")
             page.click("#live")
             wait(page, "document.getElementById('clock').textContent.includes('epoch 1')")
-            assert process.wait(2 * PATIENCE_S) == 0
+            assert process.wait(4 * PATIENCE_S) == 0
             wait(page, "document.getElementById('told').textContent.startsWith('The run has ended')")
             axe_finds_nothing(page)
             assert page.errors == []

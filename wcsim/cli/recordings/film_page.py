@@ -39,7 +39,7 @@ def result_folder(path: Path) -> Path | None:
     return path if is_folder(path) and is_file(path / RESULT) else None
 
 
-def play_start(order: FilmOrder, nice: int = 0) -> PlayStart:
+def play_start(order: FilmOrder) -> PlayStart:
     """What a player begins with.
 
     Raises:
@@ -75,7 +75,6 @@ def play_start(order: FilmOrder, nice: int = 0) -> PlayStart:
         policy=policy,
         block=block,
         own=(order.policy,) if order.policy else (),
-        nice=nice,
     )
     return PlayStart(source=source, seat=-1 if seat is None else seat, failed=failed)
 

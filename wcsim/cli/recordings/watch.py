@@ -13,7 +13,6 @@ from wcsim.cli.shared.common import in_bounds, parse
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError
 
-_NICE: Final = 19  # a run comes first, wherever cores are few
 _MANIFEST: Final = "manifest.json"
 
 
@@ -45,9 +44,9 @@ def run(words: list[str]) -> int:
     from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
     from wcsim.drive.playing.sources.source_process import FilmSource
 
-    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, nice=_NICE)
+    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
     seat = -1 if options.seat is None else options.seat
-    return serve_film(PlayStart(source=source, seat=seat, nice=_NICE), options.host, options.port)
+    return serve_film(PlayStart(source=source, seat=seat, gives_way=True), options.host, options.port)
 
 
 def _check(options: Options) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +18,7 @@ from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
 from wcsim.drive.playing import play_messages as pm
 from wcsim.drive.playing.film import MOST_BYTES, Film
+from wcsim.drive.playing.giving_way import give_way
 from wcsim.drive.playing.play_state import about_of, marks_of, state_of
 from wcsim.drive.playing.player import Player
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
@@ -43,7 +43,7 @@ class PlayStart:
     seat: int = -1  # whom to follow, -1 for the first
     most_bytes: int = MOST_BYTES
     failed: tuple[pm.FailedLine, ...] = ()
-    nice: int = 0  # of the player's process
+    gives_way: bool = False  # to every other process, as its source does
 
 
 class PlayRunner:
@@ -280,5 +280,6 @@ class PlayRunner:
 
 def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
-    os.nice(start.nice)
+    if start.gives_way:
+        give_way()
     PlayRunner(pipe, start).run()

@@ -92,11 +92,9 @@ class JournalTail(Closing):
                 raise JournalError(f"{self._path}: after {self._end} bytes: {error}") from None
             self._end, self._after = start + item.end, None if self._after is None else item.crc
             if len(found) >= most:
-                return found
+                break
         if not found and torn_bytes(file, self._end, self._after) is None:
-            raise JournalError(
-                f"{self._path}: is damaged after {self._end} bytes, and more follows; restore it"
-            )
+            raise JournalError(f"{self._path}: is damaged after {self._end} bytes, and more follows; restore it")
         return found
 
     def _is_over(self) -> bool:

@@ -76,6 +76,8 @@ def torn_bytes(file: BinaryIO, end: int, after: int | None = None) -> int | None
     """
     file.seek(end)
     rest = file.read(MOST_TORN_BYTES + 1)
+    if not rest:  # what another process writes from here on is for the next look
+        return 0
     if next(whole_records(io.BytesIO(rest), after), None) is not None:
         return -1
     size = file.seek(0, os.SEEK_END) - end

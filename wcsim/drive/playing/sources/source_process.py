@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,6 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Literal
 
+from wcsim.drive.playing.giving_way import give_way
 from wcsim.drive.playing.states import FilmLine, Said, said_bytes
 from wcsim.errors import WcsimError
 
@@ -29,13 +29,14 @@ class FilmSource:
     policy: str = ""  # of an episode, as the two below
     block: int = -1
     own: tuple[str, ...] = ()
-    nice: int = 0
+    gives_way: bool = False  # to every other process
 
 
 def run_source(pipe: Connection, source: FilmSource) -> None:
     """What the process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
-    os.nice(source.nice)
+    if source.gives_way:
+        give_way()
 
     def say(said: Said) -> None:
         pipe.send_bytes(said_bytes(said))
