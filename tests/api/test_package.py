@@ -266,6 +266,7 @@ SAME_FILE_NAME = {
     "tour": "the bench, and its command",
     "train": "the loop, and the command",
     "video": "how it is written, and the command",
+    "watch": "who notes crashes, and the command",
     "world": "its section of a run file, and the world",
 }
 

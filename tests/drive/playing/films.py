@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wcsim.drive.playing.film import Film
-from wcsim.drive.playing.states import ACTOR_ROW, FilmAbout, FilmBody, FilmChair, FilmFrame, FilmStep, Flag
+from wcsim.drive.playing.film_states import ACTOR_ROW, FilmAbout, FilmBody, FilmChair, FilmFrame, FilmStep, Flag
+from wcsim.drive.playing.tick_film import TickFilm
 
 ABOUT = FilmAbout(title="by hand", town="nowhere", tick_s=0.1, actions="square81", warns=True)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -33,9 +33,9 @@ def step(at: int, *chairs: FilmChair) -> FilmStep:
     return FilmStep(frame=frame, bodies=bodies, ways=[way], signals=[[("x", "Gr")]])
 
 
-def film_of(ticks: int, flags: dict[int, Flag], most_bytes: int = 1 << 30) -> Film:
+def film_of(ticks: int, flags: dict[int, Flag], most_bytes: int = 1 << 30) -> TickFilm:
     """Chairs 0 and 1, of which the first does what `flags` say, by frame."""
-    film = Film(ABOUT, most_bytes)
+    film = TickFilm(ABOUT, most_bytes)
     for at in range(ticks):
         film.add(step(at, chair(0, at, flags.get(at, Flag(0))), chair(1, at)))
     return film

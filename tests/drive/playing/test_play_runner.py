@@ -85,7 +85,7 @@ def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     again = desk.state(lambda state: state["at"] == 100)
     assert again == there, "a jump leads to the same, to the last number"
     assert {line["name"] for line in there["chairs"]} == {"c0", "c1", "c2"}
-    desk.say("follow", seat=2)
+    desk.say("followseat", seat=2)
     assert desk.state(lambda state: state["seat"] == 2)["chairs"] == there["chairs"]
     desk.say("ready")
     picture = desk.until(lambda kind, said: kind == b"P")

@@ -1,9 +1,8 @@
 // The page: what is heard goes to the panel, what the person does goes to the server, 30 times a second.
 
 import { Grid } from "./grid.js";
-import { tellKeeping } from "./keeping.js";
 import { Link } from "./link.js";
-import { Panel } from "./panel.js";
+import { Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
 import { Stick } from "./stick.js";

@@ -141,3 +141,19 @@ export class Panel {
     by("level").setAttribute("aria-valuetext", text);
   }
 }
+
+// The lamp that says whether this drive is kept, and where; what is to be said aloud of it, "" for nothing.
+export function tellKeeping(message) {
+  const lamp = by("keeping");
+  const name = message.file.split("/").pop();
+  const word = message.on ? "Recording" : "Not recording";
+  const where = message.on ? (name ? `to ${name}` : "from the first tick on") : message.told || (name ? `${name} is whole` : "");
+  const said = `${word} ${where}`;
+  const before = lamp.hidden ? "" : lamp.textContent.trim().replace(/\s+/g, " ");
+  lamp.hidden = false;
+  lamp.dataset.on = String(message.on);
+  lamp.title = message.file;
+  lamp.querySelector("strong").textContent = word;
+  lamp.querySelector(".where").textContent = where;
+  return before === said ? "" : `${said}.`;
+}

@@ -106,7 +106,7 @@ function jump(kinds, forward) {
   const mark = forward ? timeline.next(kinds, from) : timeline.before(kinds, from);
   const name = kinds === CRASHES ? "crash" : "intervention";
   if (!mark) { note("note", `There is no ${name} ${forward ? "after" : "before"} here${state.reading ? ", as far as it was read" : ""}.`); return; }
-  if (mark[1] >= 0 && mark[1] !== state.seat) link.say("follow", { seat: mark[1] });
+  if (mark[1] >= 0 && mark[1] !== state.seat) link.say("followseat", { seat: mark[1] });
   seek(mark[0] - lead());
 }
 
@@ -127,7 +127,7 @@ function tellAbout(told) {
     button.type = "button";
     button.textContent = `${one.block}.${one.seat} ${one.policy}: ${one.told}`;
     button.addEventListener("click", () => (one.policy === about.policy && one.block === about.block
-      ? link.say("follow", { seat: one.seat }) : link.say("openepisode", { policy: one.policy, block: one.block, seat: one.seat })));
+      ? link.say("followseat", { seat: one.seat }) : link.say("openepisode", { policy: one.policy, block: one.block, seat: one.seat })));
     item.append(button);
     return item;
   }));
@@ -208,14 +208,14 @@ function chairButton() {
   button.append(document.createElement("b"), document.createElement("span"), document.createElement("span"));
   button.children[1].className = "signs";
   button.children[2].className = "more";
-  button.addEventListener("click", () => link.say("follow", { seat: Number(button.dataset.seat) }));
+  button.addEventListener("click", () => link.say("followseat", { seat: Number(button.dataset.seat) }));
   return button;
 }
 
 function nextChair() {
   if (!state || !state.chairs.length) return;
   const at = state.chairs.findIndex((chair) => chair.seat === state.seat);
-  link.say("follow", { seat: state.chairs[(at + 1) % state.chairs.length].seat });
+  link.say("followseat", { seat: state.chairs[(at + 1) % state.chairs.length].seat });
 }
 
 function changePace(by_) {

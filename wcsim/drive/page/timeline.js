@@ -1,9 +1,9 @@
 // The time line: marks as shapes in rows above a range input, so that they are told apart without colours.
 
-const KINDS = {
-  crash: ["crash", "--bad", "✕"], drop: ["fall off a kerb", "--bad", "▼"], intervention: ["intervention", "--do", "▬"],
-  warning: ["warning", "--warned", "▲"], arrival: ["arrival", "--good", "●"], "gave-up": ["given up", "--soft", "○"],
-  help: ["call for help", "--you", "◆"], gap: ["new beginning", "--ink", "┃"],
+const KINDS = { // one, several
+  crash: ["crash", "crashes", "--bad", "✕"], drop: ["fall off a kerb", "falls off kerbs", "--bad", "▼"], intervention: ["intervention", "interventions", "--do", "▬"],
+  warning: ["warning", "warnings", "--warned", "▲"], arrival: ["arrival", "arrivals", "--good", "●"], "gave-up": ["given up", "given up", "--soft", "○"],
+  help: ["call for help", "calls for help", "--you", "◆"], gap: ["new beginning", "new beginnings", "--ink", "┃"],
 };
 const ROWS = { crash: 0, drop: 0, warning: 1, intervention: 2, arrival: 3, "gave-up": 3, help: 3, gap: -1 };
 const ROW_PX = 11;
@@ -59,13 +59,13 @@ export class Timeline {
     const said = JSON.stringify(counts);
     if (said === this.counts) return;
     this.counts = said;
-    this.legend.replaceChildren(...Object.entries(KINDS).filter(([kind]) => counts[kind]).map(([kind, [name, colour, shape]]) => {
+    this.legend.replaceChildren(...Object.entries(KINDS).filter(([kind]) => counts[kind]).map(([kind, [one, several, colour, shape]]) => {
       const item = document.createElement("li");
       const sign = document.createElement("b");
       sign.textContent = shape;
       sign.style.color = `var(${colour})`;
       sign.setAttribute("aria-hidden", "true");
-      item.append(sign, `${counts[kind]} ${name}${counts[kind] > 1 && !name.includes("up") ? "s" : ""}`);
+      item.append(sign, `${counts[kind]} ${counts[kind] > 1 ? several : one}`);
       return item;
     }));
   }
@@ -87,7 +87,7 @@ export class Timeline {
       const key = `${Math.round(x)} ${kind}`;
       if (drawn.has(key)) continue;
       drawn.add(key);
-      pen.fillStyle = pen.strokeStyle = style.getPropertyValue(KINDS[kind][1]).trim() || "#000";
+      pen.fillStyle = pen.strokeStyle = style.getPropertyValue(KINDS[kind][2]).trim() || "#000";
       shape(pen, kind, x, (Math.max(0, ROWS[kind]) + 0.5) * ROW_PX);
     }
   }

@@ -24,7 +24,7 @@ class StepBy(PageMessage, frozen=True):
     ticks: Jump
 
 
-class Follow(PageMessage, frozen=True):
+class FollowSeat(PageMessage, frozen=True):
     """Show this chair."""
 
     seat: Count
@@ -42,7 +42,7 @@ class OpenEpisode(PageMessage, frozen=True):
     seat: Count
 
 
-_FromPage = m.Shown | m.SetView | m.Pause | m.Pace | m.TakeOver | Seek | StepBy | Follow | GoLive | OpenEpisode
+_FromPage = m.Shown | m.SetView | m.Pause | m.Pace | m.TakeOver | Seek | StepBy | FollowSeat | GoLive | OpenEpisode
 _PAGE: Final = msgspec.json.Decoder(_FromPage)
 _RUNNER: Final = msgspec.json.Decoder(_FromPage | m.Gone | m.Ready | m.End)
 

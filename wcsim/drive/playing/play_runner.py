@@ -17,12 +17,12 @@ from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
 from wcsim.drive.playing import play_messages as pm
-from wcsim.drive.playing.film import MOST_BYTES, Film
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
 from wcsim.drive.playing.giving_way import give_way
 from wcsim.drive.playing.play_state import about_of, marks_of, state_of
 from wcsim.drive.playing.player import Player
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
-from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
+from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
 from wcsim.drive.runner import JSON, LINE, PICTURES
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
@@ -57,7 +57,7 @@ class PlayRunner:
 
     def __init__(self, pipe: Connection, start: PlayStart, clock: Callable[[], float] = time.monotonic) -> None:
         self._pipe, self._start, self._clock = pipe, start, clock
-        self._film: Film | None = None
+        self._film: TickFilm | None = None
         self._pictures: StreetPictures | None = None
         self._player, self._looks = Player(), PageLooks()
         self._names: dict[int, str] = {}
@@ -76,7 +76,7 @@ class PlayRunner:
             m.End: self._end,
             pm.Seek: lambda said: self._player.seek(said.to, **self._bounds()),
             pm.StepBy: lambda said: self._player.step(said.ticks, **self._bounds()),
-            pm.Follow: self._follow,
+            pm.FollowSeat: self._follow,
             pm.GoLive: lambda _: self._player.go_live(),
             pm.OpenEpisode: self._open_episode,
         }
@@ -179,7 +179,7 @@ class PlayRunner:
         if self._film is None or not self._film.count:
             self._say(m.Busy(told=self._ended))
 
-    def _state(self, film: Film, now_s: float) -> None:
+    def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
         self._say(state_of(film, self._player, self._seat, self._names, words))
         self._said_s, self._changed = now_s, False
@@ -187,7 +187,7 @@ class PlayRunner:
             self._marked, self._marked_s = film.marked, now_s
             self._say(marks_of(film))
 
-    def _show(self, film: Film, now_s: float) -> None:
+    def _show(self, film: TickFilm, now_s: float) -> None:
         if self._pictures is None:
             return
         moment = film.moment(self._player.at, self._seat, self._player.jumped)
@@ -237,7 +237,7 @@ class PlayRunner:
     def _end(self, _: m.End) -> None:
         self._over = True
 
-    def _follow(self, said: pm.Follow) -> None:
+    def _follow(self, said: pm.FollowSeat) -> None:
         self._seat, self._player.jumped = said.seat, True
 
     def _open_episode(self, said: pm.OpenEpisode) -> None:
@@ -271,7 +271,7 @@ class PlayRunner:
         except WcsimError as error:
             self._line(FilmLine(kind="bad", told=str(error)))
             return
-        self._pictures, self._film = StreetPictures(street, front), Film(about, self._start.most_bytes)
+        self._pictures, self._film = StreetPictures(street, front), TickFilm(about, self._start.most_bytes)
         live = about.live
         self._player = Player(live=live)
         self._say(about_of(about, self._start.failed, self._opened.policy, self._opened.block))

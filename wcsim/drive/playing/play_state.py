@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from wcsim.drive.playing.film import Film
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair, Flag
 from wcsim.drive.playing.play_messages import (
     ChairLine,
     FailedLine,
@@ -15,8 +15,8 @@ from wcsim.drive.playing.play_messages import (
     PlayState,
 )
 from wcsim.drive.playing.player import Player
-from wcsim.drive.playing.states import FilmAbout, FilmChair, Flag
 from wcsim.drive.playing.sums import ChairSums
+from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.supervisor.actions import action_set
 
 CRASH_TICKS: Final = 15  # so long a crash is shown
@@ -41,14 +41,14 @@ def about_of(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block:
     )
 
 
-def marks_of(film: Film) -> PlayMarks:
+def marks_of(film: TickFilm) -> PlayMarks:
     """The marks of a film."""
     marks = [(mark.at, mark.seat, mark.kind, mark.told) for mark in film.marks if mark.at >= film.first]
     return PlayMarks(marks=marks, left_out=film.marked - len(film.marks))
 
 
 def state_of(
-    film: Film, player: Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
+    film: TickFilm, player: Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
 ) -> PlayState:
     """How a film stands.
 
@@ -128,7 +128,7 @@ def _kpis(sums: ChairSums, about: FilmAbout) -> PlayKpis:
     )
 
 
-def _crash(film: Film, at: int, seat: int) -> str:
+def _crash(film: TickFilm, at: int, seat: int) -> str:
     """What a chair has just crashed into, in words; shown a while, as a moment is easily missed."""
     for mark in reversed(film.marks):
         if mark.seat == seat and mark.kind in ("crash", "drop") and at - CRASH_TICKS < mark.at <= at:

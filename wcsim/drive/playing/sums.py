@@ -6,7 +6,7 @@ import math
 
 import msgspec
 
-from wcsim.drive.playing.states import FilmChair, Flag
+from wcsim.drive.playing.film_states import FilmChair, Flag
 from wcsim.supervisor.actions import MAX_DISTANCE
 
 _ON = Flag.WARNING | Flag.INTERVENING | Flag.OVERRULED

@@ -11,9 +11,9 @@ import pytest
 
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
 from wcsim.drive.playing.sources import follow_source
 from wcsim.drive.playing.sources.follow_source import follow_film
-from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
 from wcsim.errors import ConfigError, JournalError
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.journal.journal import Ended, JournalWriter, Ticked, iter_part, read_header

@@ -19,12 +19,12 @@ from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_u
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.config import load_run_config
-from wcsim.drive.playing.film import Film
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
 from wcsim.drive.playing.sources.drive_source import drive_film
 from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
 from wcsim.drive.playing.sources.journal_source import journal_film
 from wcsim.drive.playing.sources.trace_source import trace_film
-from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
+from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.errors import ConfigError, JournalError, TownError
 from wcsim.server.journal.journal import Ticked, read_journal
 from wcsim.towns.scenario.town import find_town
@@ -38,14 +38,14 @@ class Filmed:
     def __init__(self, said: Iterable[Said] = ()) -> None:
         self.names: dict[int, str] = {}
         self.lines: list[FilmLine] = []
-        self.film = Film(FilmAbout(title="", town="", tick_s=0.1))
+        self.film = TickFilm(FilmAbout(title="", town="", tick_s=0.1))
         for one in said:
             self.hear(one)
 
     def hear(self, said: Said) -> None:
         said = said_of(said_bytes(said))
         if isinstance(said, FilmAbout):
-            self.film = Film(said)
+            self.film = TickFilm(said)
         elif isinstance(said, FilmStep):
             self.film.add(said)
         elif isinstance(said, FilmNames):

@@ -9,8 +9,8 @@ from typing import Final
 
 from wcsim.bridge.drives.remake import config_of_drive, remade, town_of_drive
 from wcsim.bridge.world import World
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Flag, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays
-from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, Flag, Said
 from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_types import RecordedTick
 

@@ -18,8 +18,8 @@ from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town
 from wcsim.agents.policy_api import Policy, TellsUnsafe, Warns
 from wcsim.bridge.world import World
 from wcsim.config.suite import BlockFile
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FilmStep, Flag, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, intervening, stick_of
-from wcsim.drive.playing.states import FilmAbout, FilmFrame, FilmLine, FilmNames, FilmStep, Flag, Said
 from wcsim.errors import ConfigError
 from wcsim.view.report.failures import FailedEpisode, failures_of, fate
 from wcsim.view.report.illustrate import order_of

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.bridge.world import World
+from wcsim.drive.playing.film_states import FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.journal_source import RecordScene, journal_about
-from wcsim.drive.playing.states import FilmLine, FilmNames, Said
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.journal.journal import JOURNAL
 from wcsim.server.journal.records import Ended, EpochBegun, JournalHeader, JournalRecord, Ticked

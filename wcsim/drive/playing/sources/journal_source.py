@@ -8,8 +8,8 @@ from pathlib import Path
 
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
-from wcsim.drive.playing.states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
 from wcsim.server.journal.journal import read_header
 from wcsim.server.journal.records import Admitted, EpochBegun, JournalHeader, JournalRecord, Ticked
 from wcsim.server.journal.replay import count_ticks, replayed

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Literal
 
+from wcsim.drive.playing.film_states import FilmLine, Said, said_bytes
 from wcsim.drive.playing.giving_way import give_way
-from wcsim.drive.playing.states import FilmLine, Said, said_bytes
 from wcsim.errors import WcsimError
 
 SourceKind = Literal["journal", "trace", "drive", "episode", "run"]

@@ -12,8 +12,8 @@ from wcsim.bridge.recording.trace import TickRecord, TraceHeader
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import ChairConfig
 from wcsim.core.reading import shown
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmLine, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, quaternion
-from wcsim.drive.playing.states import FilmAbout, FilmChair, FilmLine, Said
 from wcsim.errors import ConfigError, TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town, find_town

@@ -14,7 +14,7 @@ import numpy as np
 import zstandard
 
 from wcsim.drive.drawing.moment import Moment
-from wcsim.drive.playing.states import (
+from wcsim.drive.playing.film_states import (
     FilmAbout,
     FilmBody,
     FilmChair,
@@ -46,7 +46,7 @@ _MARKED: Final = (
 _STRETCHES: Final = ((Flag.WARNING, "warning"), (Flag.INTERVENING, "intervention"))
 
 
-class Shot(msgspec.Struct, frozen=True, array_like=True):
+class FilmTick(msgspec.Struct, frozen=True, array_like=True):
     """A frame with the sums of its chairs after it."""
 
     frame: FilmFrame
@@ -63,7 +63,7 @@ class FilmMark:
     told: str = ""
 
 
-class Film:
+class TickFilm:
     """All frames of a source, by number from 0 on; `first` is the oldest that is still there.
 
     Args:
@@ -81,11 +81,11 @@ class Film:
         self._ways: list[bytes] = []
         self._signals: list[list[tuple[str, str]]] = []
         self._blocks: dict[int, bytes] = {}
-        self._newest: list[Shot] = []
-        self._unpacked: OrderedDict[int, list[Shot]] = OrderedDict()
+        self._newest: list[FilmTick] = []
+        self._unpacked: OrderedDict[int, list[FilmTick]] = OrderedDict()
         self._routes: OrderedDict[int, Route] = OrderedDict()
         self._sums: dict[int, ChairSums] = {}
-        self._decoder = msgspec.msgpack.Decoder(list[Shot])
+        self._decoder = msgspec.msgpack.Decoder(list[FilmTick])
 
     def add(self, step: FilmStep) -> None:
         """One tick more."""
@@ -96,7 +96,7 @@ class Film:
             before = self._sums.get(chair.seat, ChairSums())
             self._mark(chair, before)
             self._sums[chair.seat] = before.plus(chair, self.about.tick_s)
-        self._newest.append(Shot(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
+        self._newest.append(FilmTick(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
         self.count += 1
         if len(self._newest) == _BLOCK:
             self._pack()
@@ -105,7 +105,7 @@ class Film:
         """Mark the place where the next frame will be, for all chairs."""
         self._note(FilmMark(at=self.count, seat=-1, kind=kind, told=told))
 
-    def shot(self, at: int) -> Shot:
+    def shot(self, at: int) -> FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
         if not self.first <= at < self.count:
             raise ProtocolError(f"the film has no frame {at}; expected {self.first} to {self.count - 1}")

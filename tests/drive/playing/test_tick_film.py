@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from tests.drive.playing.films import ABOUT, chair, film_of, step
-from wcsim.drive.playing.film import MOST_MARKS, Film
+from wcsim.drive.playing.film_states import Flag
 from wcsim.drive.playing.play_messages import PlayMarks, PlayState
 from wcsim.drive.playing.play_state import CRASH_TICKS, about_of, marks_of, state_of
 from wcsim.drive.playing.player import Player
-from wcsim.drive.playing.states import Flag
 from wcsim.drive.playing.sums import ChairSums
+from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
 from wcsim.errors import ProtocolError
 
 CRASH = Flag.CRASHED
 
 
-def state(film: Film, at: int, seat: int = 0) -> PlayState:
+def state(film: TickFilm, at: int, seat: int = 0) -> PlayState:
     player = Player()
     player.seek(at, first=film.first, count=film.count)
     return state_of(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
@@ -75,13 +75,13 @@ def test_marks_are_where_something_begins() -> None:
     told = [(mark.at, mark.seat, mark.kind) for mark in film.marks]
     assert told == [(5, 0, "warning"), (9, 0, "crash"), (20, 0, "drop"), (30, 0, "arrival"), (40, -1, "gap")]
     assert state(film, 9 + CRASH_TICKS - 1).crash == ""
-    crashed = Film(ABOUT)
+    crashed = TickFilm(ABOUT)
     crashed.add(step(0, chair(0, 0, CRASH, reason="hit a car")))
     assert state(crashed, 0).crash == "hit a car"
 
 
 def test_a_crash_is_told_for_a_while_and_of_its_own_chair_alone() -> None:
-    film = Film(ABOUT)
+    film = TickFilm(ABOUT)
     for at in range(60):
         film.add(step(at, chair(0, at, CRASH if at == 20 else Flag(0), reason="hit a tram"), chair(1, at)))
     assert [bool(state(film, at).crash) for at in (19, 20, 20 + CRASH_TICKS - 1, 20 + CRASH_TICKS)] == [0, 1, 1, 0]
@@ -108,7 +108,7 @@ def test_marks_are_bounded_too() -> None:
 
 
 def test_a_chair_that_is_not_in_the_street_is_told_of() -> None:
-    film = Film(ABOUT)
+    film = TickFilm(ABOUT)
     film.add(step(0, chair(1, 0)))
     now = state(film, 0)
     assert not now.here
