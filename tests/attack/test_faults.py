@@ -39,6 +39,7 @@ def test_flipped_bits_are_got_over_or_told(tmp_path: Path, corner: Path, capsys:
     told(done, faults.flips(tmp_path / "flips", corner, 20, 1))
 
 
+@pytest.mark.proof
 def test_a_disk_that_is_full_early_costs_nothing(tmp_path: Path, corner: Path) -> None:
     """Before any episode or checkpoint: what the world has done is kept, and gone on with."""
     run = tmp_path / "run"

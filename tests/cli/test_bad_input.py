@@ -147,7 +147,7 @@ REPLAYS = {
     "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
     "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
     "watch . --port -1": ("--port -1", "0 to 65535"),
-    "replay a --page": ("a: is not there", "journal"),
+    "replay a --page": ("a: has no trace and no journal", "a drive"),
     "replay a --verify --block 3": ("--block", "of --page"),
     "replay a --page --port 99999": ("--port 99999", "0 to 65535"),
     "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),

@@ -22,6 +22,7 @@ log = logging.getLogger("wcsim.towns")
 LIBRARIES = MappingProxyType(
     {
         "cv2": "opencv-python-headless",
+        "filelock": "filelock",
         "networkx": "networkx",
         "numba": "numba",
         "numpy": "numpy",

@@ -39,6 +39,7 @@ def has_learned(learned, follow):
     return per_1000(learned) <= 0.5 * per_1000(follow) and learned.speed_mps >= 0.3 and learned.kpi1_mean <= 0.9
 
 
+@pytest.mark.proof
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
     run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))

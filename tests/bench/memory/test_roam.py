@@ -41,6 +41,7 @@ def test_what_grows_is_seen(world, monkeypatch):
     assert growth_mb(rows) > 0.8 * 10 * LEAK_MB
 
 
+@pytest.mark.proof
 def test_what_does_not_grow_is_not_said_to(world):
     rows = roam(world, 40, 5, 0, lambda row: None)
     assert growth_mb(rows) < 0.8 * 10 * LEAK_MB

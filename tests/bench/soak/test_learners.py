@@ -22,6 +22,7 @@ def soaked(folder, corner, *words, timeout_s=280):
     return told["runs"]
 
 
+@pytest.mark.proof
 def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
     words = ("--networks", "small,patch", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
     (run,) = soaked(tmp_path, corner, *words, "--seed", 2, "--set", "learn.checkpoint_every=20")

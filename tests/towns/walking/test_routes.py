@@ -90,7 +90,7 @@ def over_a_crossing(street: Street, share: float, seed: int, routes: int = 40) -
     return found / routes
 
 
-@pytest.mark.parametrize("name", ["monaco", "manhattan"])
+@pytest.mark.parametrize("name", [pytest.param("monaco", marks=pytest.mark.proof), "manhattan"])
 def test_a_share_of_the_routes_of_a_town_leads_over_a_crossing_nearby(name: str) -> None:
     street = load_street(find_town(name))
     before, after = over_a_crossing(street, 0.0, 3), over_a_crossing(street, 1.0, 3)

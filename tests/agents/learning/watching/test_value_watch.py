@@ -78,6 +78,7 @@ def overestimates(path, double_q, seed):
     return [float(row["overestimate"]) for row in read_metrics(path)]
 
 
+@pytest.mark.proof
 def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
     later = {
         double_q: np.mean([overestimates(tmp_path / f"{double_q}-{seed}.csv", double_q, seed)[20:] for seed in (1, 2)])
