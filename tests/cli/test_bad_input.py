@@ -202,6 +202,7 @@ def test_training_and_test_towns_are_kept_apart(wcsim, folder):
     assert files_in(folder) == set()
 
 
+@pytest.mark.proof
 def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_path):
     assert wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
     renamed = broken(corner, "unknown-key", tmp_path / "renamed")

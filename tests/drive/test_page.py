@@ -165,7 +165,7 @@ def test_a_second_page_looks_on_and_takes_over(page: Any, running: Served) -> No
     wait(page, "document.body.dataset.drives === 'true'")
 
 
-@pytest.mark.parametrize("dress", ["", "#contrast", "#larger"])
+@pytest.mark.parametrize("dress", ["", "#contrast", pytest.param("#larger", marks=pytest.mark.proof)])
 def test_axe_finds_nothing(page: Any, dress: str) -> None:
     from axe_playwright_python.sync_playwright import Axe
 

@@ -116,6 +116,7 @@ def assert_runs(sumocfg: Path, folder: Path, seconds: float, chairs: int = 2) ->
     assert (plain / "fcd.xml").stat().st_size > 10_000
 
 
+@pytest.mark.proof
 def test_a_scenario_is_checked_cured_as_printed_and_run(tmp_path: Path) -> None:
     ours = cured(GENERATED["programs-left"](tmp_path / "theirs"), tmp_path)
     assert_runs(ours, tmp_path, 5.0)

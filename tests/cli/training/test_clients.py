@@ -170,6 +170,7 @@ def test_two_networks_learn_in_one_world(tmp_path, corner):
     assert places(child) == []
 
 
+@pytest.mark.proof
 def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
     child = start(tmp_path, "train", "--town", corner, "--clients", "small,nowhere:Net", "--out", "run", *SMALL)
     out, err = child.communicate(timeout=120)

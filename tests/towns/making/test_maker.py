@@ -125,6 +125,7 @@ def test_streets_have_what_a_city_has(town: Town) -> None:
     assert "busStop" in tags
 
 
+@pytest.mark.proof
 def test_chairs_drive_in_it(town: Town, tmp_path: Path) -> None:
     config = with_overrides(load_run_config("quick"), SMALL_CAMERAS)
     order = RecordOrder(seconds=20.0, seed=1, chairs=2, folder=tmp_path / "run")
