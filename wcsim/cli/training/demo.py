@@ -26,14 +26,14 @@ if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.matrix import TestResult
 
 _FILM_WIDTH_PX, _FILM_S = 480, 10.0
-_USUAL = "On two free cores this takes some 8 minutes: 3 to train, 4 to test, half a minute to film."
+_USUAL = "On two free cores this takes some 4 minutes, half of them to train; the first time one more, for the streets."
 
 
 @dataclass
 class Options:
     """Train preset quick in Helsinki, test it in Monaco beside the baselines, and film it there.
 
-    Some 8 minutes on two free cores; every stage says how long it still takes.
+    Some 4 minutes on two free cores; every stage says how long it still takes.
     """
 
     train_town: str = "helsinki"
@@ -163,7 +163,7 @@ def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
     return (
         (f"wcsim drive {town} --policy {run}", "you are the user, on a page in your browser, and it helps you"),
         (f"wcsim look {town}", "a picture and ten seconds of film without any network"),
-        (f"wcsim test --suite dev {run} --jobs 2", "judges it on a fixed list of episodes, in an hour or so"),
+        (f"wcsim test --suite dev {run} --jobs 2", "judges it on a fixed list of episodes, in a quarter of an hour"),
         ("wcsim train --preset laptop --out runs/laptop", "a better one, in half an hour"),
     )
 
