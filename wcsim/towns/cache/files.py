@@ -17,7 +17,7 @@ WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"
 _STREET = re.compile(rf"street-{_KEY}\.npz")
 _VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
-_KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc)")  # machine code, with the list of it for each kernel
+_KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list of it and the lock for each kernel
 _BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
 
 
