@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import networkx
@@ -21,6 +22,18 @@ from wcsim.server.specs import SeatRequest
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted((ROOT / "wcsim").rglob("*.py"))
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
+
+
+@cache
+def texts() -> dict[str, str]:
+    """What the files of the package say."""
+    return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in SOURCES}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """The same, parsed: once a run, and only where it is asked for."""
+    return {name: ast.parse(text) for name, text in texts().items()}
 
 
 def python(code: str) -> str:
@@ -80,13 +93,22 @@ def test_help_comes_quickly():
     assert best < 0.5
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_files_and_functions_stay_short(path):
-    text = path.read_text(encoding="utf-8")
-    assert text.count("\n") <= 400
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            assert (node.end_lineno or 0) - node.lineno < 60, node.name
+def test_files_stay_short():
+    assert [name for name, text in texts().items() if text.count("\n") > 400] == []
+
+
+def test_functions_stay_short():
+    found = [(name, node) for name, tree in trees().items() for node in ast.walk(tree)]
+    long = [f"{name}: {node.name}" for name, node in found if isinstance(node, FUNCTION) and lines(node) >= 60]
+    assert long == []
+
+
+FUNCTION = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Of a function, after its first."""
+    return (node.end_lineno or 0) - node.lineno
 
 
 FOLDERS = sorted({path.parent for path in SOURCES} | {path.parent for path in (ROOT / "tests").rglob("*.py")})
@@ -94,6 +116,7 @@ STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsi
 MOST_ENTRIES = 14
 MOST_ROOMS = 17  # the tests' folder has one of support beside the product's
 ROOTS = (ROOT, ROOT / "wcsim", ROOT / "tests")
+
 
 def entries(folder: Path) -> set[str]:
     """What one sees in a folder: code and rooms, without data and what Python itself needs."""
@@ -112,9 +135,9 @@ def entries(folder: Path) -> set[str]:
     return {path.name for path in seen if path.is_dir() or path.suffix not in (".xml", ".toml") or folder == ROOT}
 
 
-@pytest.mark.parametrize("folder", [ROOT, *FOLDERS], ids=lambda folder: str(folder.relative_to(ROOT)))
-def test_a_folder_is_seen_at_a_glance(folder):
-    assert len(entries(folder)) <= (MOST_ROOMS if folder in ROOTS else MOST_ENTRIES), sorted(entries(folder))
+def test_a_folder_is_seen_at_a_glance():
+    most = {folder: MOST_ROOMS if folder in ROOTS else MOST_ENTRIES for folder in (ROOT, *FOLDERS)}
+    assert {folder: sorted(entries(folder)) for folder in most if len(entries(folder)) > most[folder]} == {}
 
 
 @pytest.mark.parametrize("folder", STAY)
@@ -122,25 +145,24 @@ def test_rooms_that_others_rely_on_stay(folder):
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize("folder", [f for f in FOLDERS if "wcsim" in f.parts], ids=lambda f: str(f.relative_to(ROOT)))
-def test_a_folder_says_what_it_is_for(folder):
-    said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
-    assert said
-    assert len(said.splitlines()[0]) > 20
-    assert said.splitlines()[0].endswith(".")
+def test_a_folder_says_what_it_is_for():
+    folders = {path.parent.relative_to(ROOT) for path in SOURCES}
+    said = {str(folder): ast.get_docstring(trees()[str(folder / "__init__.py")]) or "" for folder in folders}
+    first = {folder: text.partition("\n")[0] for folder, text in said.items()}
+    assert {folder: line for folder, line in first.items() if len(line) <= 20 or not line.endswith(".")} == {}
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_nothing_executes_foreign_data(path):
-    code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))
-    assert not FORBIDDEN_CALLS.search(re.sub(r"\.eval\(\)", "", code))
+def test_nothing_executes_foreign_data():
+    code = {name: re.sub(r"\.eval\(\)", "", ast.unparse(tree)) for name, tree in trees().items()}
+    assert [name for name, text in code.items() if FORBIDDEN_CALLS.search(text)] == []
 
 
 def test_no_two_folders_need_each_other():
     """A file's own folder is its room; `TYPE_CHECKING` imports count for nothing, as nothing is loaded by them."""
     graph = networkx.DiGraph()
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for name, tree in trees().items():
+        path = ROOT / name
+        for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("wcsim."):
                 for alias in node.names:
                     here, there = room_of(path), room_of(file_of(node.module, alias.name))
@@ -202,16 +224,17 @@ def functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
                 yield owner + found.name, found
 
 
-ALL_FUNCTIONS = [each for path in SOURCES for each in functions(ast.parse(path.read_text(encoding="utf-8")))]
+def all_functions() -> list[tuple[str, ast.FunctionDef]]:
+    return [each for tree in trees().values() for each in functions(tree)]
 
 
 def test_functions_are_calm():
-    busy = {name: count for name, function in ALL_FUNCTIONS if (count := branches(function)) > MOST_BRANCHES}
+    busy = {name: count for name, function in all_functions() if (count := branches(function)) > MOST_BRANCHES}
     assert busy == {}
 
 
 def test_functions_take_few_parameters():
-    wide = {name: count for name, function in ALL_FUNCTIONS if (count := parameters(function)) > MOST_PARAMETERS}
+    wide = {name: count for name, function in all_functions() if (count := parameters(function)) > MOST_PARAMETERS}
     assert wide == {}
 
 
@@ -276,7 +299,7 @@ def doubles(names: Iterable[str]) -> set[str]:
 
 
 def test_a_class_name_is_used_once():
-    nodes = (node for path in SOURCES for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    nodes = (node for tree in trees().values() for node in ast.walk(tree))
     names = (node.name for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
     assert doubles(names) == set(SAME_CLASS_NAME)
 
@@ -330,12 +353,12 @@ def test_files_that_a_page_names_are_there(page):
 
 def test_files_that_docstrings_name_are_there():
     said = (
-        (path, ast.get_docstring(node) or "")
-        for path in SOURCES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        (name, ast.get_docstring(node) or "")
+        for name, tree in trees().items()
+        for node in ast.walk(tree)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
     )
-    missing = {str(path.relative_to(ROOT)): lost for path, text in said if (lost := not_there(text, path.parent))}
+    missing = {name: lost for name, text in said if (lost := not_there(text, (ROOT / name).parent))}
     assert missing == {}
 
 

@@ -179,6 +179,7 @@ def test_axe_finds_nothing(page: Any, dress: str) -> None:
         assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
 
 
+@pytest.mark.proof
 def test_nothing_runs_over_the_edge_of_a_telephone(page: Any) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -50,6 +50,7 @@ def test_a_new_scene_runs_is_blessed_and_then_kept(tmp_path, capsys, monkeypatch
     assert json.loads(Path("told.json").read_text())["mine"]["gave_way"] == 1
 
 
+@pytest.mark.proof
 def test_a_changed_scene_fails_and_is_blessed_again(tmp_path, capsys):
     folder = tmp_path / "mine"
     shutil.copytree(find_scene("kerb-drop"), folder)

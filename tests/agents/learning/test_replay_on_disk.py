@@ -70,6 +70,7 @@ def drive(out, resume=False, at=None):
     return train(a_run(short, out, 5, resume=resume), lambda: Killed(done // EPISODE))
 
 
+@pytest.mark.proof
 def test_killed_with_groups_on_disk_it_learns_what_it_would_have_learned(tmp_path):
     straight = drive(tmp_path / "straight")
     assert (straight / "replay").is_dir()

@@ -50,6 +50,7 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corne
     assert 0 <= policy.act({**seen, "joystick": np.array([0.0, 1.0], np.float32)}) < 81
 
 
+@pytest.mark.proof
 def test_a_network_of_pictures_without_memory_or_odometry_is_trained_in_rounds(corner: Path, tmp_path: Path):
     words = ("danger.eye=both", "danger.memory=false", "danger.odometry=false", "learn.network=gru", "env.window=2")
     run = run_in(corner, tmp_path / "seen", *words, "collect.segments=1")
@@ -99,6 +100,7 @@ def children() -> list[int]:
     return worlds
 
 
+@pytest.mark.proof
 def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corner: Path, tmp_path: Path):
     out = tmp_path / "stopped"
 

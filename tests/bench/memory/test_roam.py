@@ -34,6 +34,7 @@ def test_every_chair_jumps_from_pavement_to_pavement(world):
     assert rows[-1].tiles == rows[-1].tiles_seen == len(world.street.tiles.near(np.zeros((1, 2)), 1e4))
 
 
+@pytest.mark.proof
 def test_what_grows_is_seen(world, monkeypatch):
     held = []
     monkeypatch.setattr(bench, "_jump", lambda *_: held.append(b"\1" * (LEAK_MB << 20)))

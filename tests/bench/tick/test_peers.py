@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from wcsim.bench.tick.naive import NaiveLoop
 from wcsim.bridge.world import World
@@ -51,6 +52,7 @@ def actors_of(world: World) -> tuple[ActorState, ...]:
     return world._sumo.actors(np.zeros((1, 2)), EVERYWHERE_M)
 
 
+@pytest.mark.proof
 def test_a_tick_with_camera_is_five_times_faster_than_the_naive_loop():
     ours, theirs, actors = spent("helsinki", 30, 60.0)
     assert actors > 30

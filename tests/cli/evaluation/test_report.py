@@ -52,6 +52,7 @@ def tested(finished, folder):
     return folder / "out"
 
 
+@pytest.mark.proof
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
     with in_this_process():
         told = wcsim("report", "out", "--pictures", "1")

@@ -40,6 +40,7 @@ def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
 
 
+@pytest.mark.proof
 def test_a_town_that_somebody_changed_is_left_as_it_is(wcsim: Run, folder: Path) -> None:
     assert wcsim("town", "make", "mine", "--seed", "9", *SMALL).code == 0
     config = folder / "scenarios" / "sumo" / "mine" / "mine.sumocfg"

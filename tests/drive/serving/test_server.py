@@ -150,6 +150,7 @@ def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -
         page.state()  # the drive goes on
 
 
+@pytest.mark.proof
 def test_ctrl_c_ends_it_with_a_line(running: Served) -> None:
     """The last test: the drive of this file is over then."""
     _, process = running

@@ -74,6 +74,7 @@ def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: 
         check_town(replace(corner_town, net=net))
 
 
+@pytest.mark.proof
 @pytest.mark.shared
 def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"

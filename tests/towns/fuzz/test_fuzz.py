@@ -13,7 +13,7 @@ import pytest
 from tests.towns.fuzz.run import Outcome, run_batch, write_base
 from tests.towns.fuzz.scenarios import DEADLY, DISK, FAMILIES, OWN, RAW, TREE, make_case
 
-SAMPLE, ALL, BATCH = 25, 500, 25
+SAMPLE, ALL, BATCH = 10, 500, 25
 SOUND = tuple(range(-len(FAMILIES), 0))
 
 
@@ -32,10 +32,9 @@ def planted(number: int, fault: str, folder: Path, limit_s: float = 60.0) -> str
     return f"{outcome.result}: {outcome.told}"
 
 
-@pytest.mark.parametrize("first", range(0, SAMPLE, BATCH))
-def test_a_sample_of_mutants(first: int, tmp_path: Path) -> None:
-    results = Counter(item.result for item in check(tuple(range(first, first + BATCH)), tmp_path))
-    assert results["works"] >= 3 and results["refused"] >= 3, results
+def test_a_sample_of_mutants(tmp_path: Path) -> None:
+    results = Counter(item.result for item in check(tuple(range(SAMPLE)), tmp_path))
+    assert results["works"] >= 2 and results["refused"] >= 2, results
 
 
 @pytest.mark.proof

@@ -114,6 +114,7 @@ def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Pat
     assert len(load_street(corner_town).mesh.faces) > 0
 
 
+@pytest.mark.proof
 def test_helsinki_hangs_together() -> None:
     town = find_town("helsinki")
     assert share_of(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95

@@ -50,6 +50,7 @@ def test_what_it_costs_is_measured_in_a_process_of_its_own(made):
     assert (facts.quota_share, facts.quota_by) == (0.5, "SIGSTOP and SIGCONT")
 
 
+@pytest.mark.proof
 def test_the_example_drives_the_recorded_ride_again(made):
     words = [sys.executable, str(ROOT / "examples" / "exported_policy.py"), str(made[0])]
     for more in ([], [str(made[0] / "reference.npz")]):

@@ -19,6 +19,7 @@ def test_every_disturbance_is_a_setting_that_exists() -> None:
         assert config == load_run_config("quick", told_apart.CLEAN) or settings
 
 
+@pytest.mark.proof
 def test_a_change_is_measured_against_the_same_episodes_driven_clean(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

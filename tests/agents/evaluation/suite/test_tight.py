@@ -22,6 +22,7 @@ def driven(block, work, make):
     return record
 
 
+@pytest.mark.proof
 def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block, tmp_path):
     alone = driven(block, tmp_path / "a", lambda: baseline("follow", config()))
     assert alone.part == "tight" and alone.own and alone.missed and alone.score == 0.0
