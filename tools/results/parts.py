@@ -9,6 +9,7 @@ from typing import Final
 
 SEEDS: Final = (1, 2, 3)
 BASELINES: Final = ("follow", "dwa", "oracle-visible", "oracle", "stop", "zero", "random")
+PAPER_STEPS: Final = 14_000  # what two cores do in 25 minutes, at some ten steps a second
 # What each ablation changes of preset `laptop`. These learn from the driving of `laptop-1`, all at once, as `again`
 # does, their row of comparison.
 OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
@@ -73,6 +74,12 @@ def parts(out: Path) -> list[Part]:
         for seed in SEEDS
     ]
     runs = tuple(f"laptop-{seed}" for seed in SEEDS)
+    paper = trained(out, "paper-1", 1, "paper", (f"learn.total_steps={PAPER_STEPS}",))
+    told = f"preset paper for as long as laptop takes, {PAPER_STEPS:,} steps"
+    found.append(Part(name="paper", says=told, steps=(paper,)))
+    found.append(
+        Part(name="paper-v1", says="that network on Street Assist v1", steps=(paper, judged(out, "v1", ("paper-1",))))
+    )
     found.append(Part(name="v1", says="the three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
