@@ -15,11 +15,32 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock
+
 from wcsim.core.reading import require_no_links
 from wcsim.errors import DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
+
+
+@contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """While open, whoever else opens the same lock waits; where none can be had, as in a read-only folder, nobody.
+
+    The lock's file goes with its last owner; who waits for a file that has gone takes a new one.
+    """
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError, NotImplementedError):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            held.enter_context(FileLock(lock))
+            held.callback(_gone, lock)
+        yield
+
+
+def _gone(lock: Path) -> None:
+    with contextlib.suppress(OSError):
+        lock.unlink()
 
 
 def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:

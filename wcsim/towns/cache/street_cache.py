@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from wcsim.core.files import alone
 from wcsim.towns.cache.folder import cache_folder, write_whole
 from wcsim.towns.cache.pread_file import PreadFile
 from wcsim.towns.cache.street_arrays import street_of
@@ -24,34 +22,13 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     found = _read(path)
     if found is not None:
         return found
-    with _alone(path.with_suffix(".lock")):
+    with alone(path.with_suffix(".lock")):  # worlds that begin together build it once
         found = _read(path)  # somebody else may have built it meanwhile
         if found is not None:
             return found
         packed = build()
         write_whole(path, lambda file: _save(file, packed))
     return _read(path) or street_of(packed)  # from the file, if there is one, so that only what is used is in memory
-
-
-@contextmanager
-def _alone(lock: Path) -> Iterator[None]:
-    """While open, whoever else wants the same street waits for it: worlds that begin together build it once.
-
-    Where no lock can be had, as in a folder that cannot be written, each builds its own.
-    """
-    with ExitStack() as held:
-        with suppress(OSError):
-            lock.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            held.callback(os.close, descriptor)
-            held.callback(_gone, lock)
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-
-
-def _gone(lock: Path) -> None:
-    with suppress(OSError):
-        lock.unlink()
 
 
 def _save(path: Path, packed: Packed) -> None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wcsim.core.files import alone
 from wcsim.errors import WcsimError
 from wcsim.server.workers.cluster.bundle import is_kept, keep, kept_folder, unpack
 from wcsim.server.workers.worker_api import Call
@@ -101,7 +101,7 @@ def _received(parcels: tuple[SentParcel, ...], fetch: Fetch, leaving: ExitStack)
     for parcel in parcels:
         if parcel.kept:
             folder = kept_folder(cache_folder(), parcel.digest, parcel.name)
-            with _alone(folder):
+            with alone(folder.parents[1] / f"{folder.parent.name}.lock"):  # a town comes once to a machine
                 if not is_kept(folder, parcel.digest):
                     data = fetch(parcel.ref[0])
                     fetched += len(data)
@@ -122,16 +122,6 @@ def _from_ray(ref: Any) -> bytes:
 
     data: bytes = ray.get(ref)
     return data
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """One process of this machine at a time, so that a town comes once."""
-    lock = folder.parents[1] / f"{folder.parent.name}.lock"
-    lock.parent.mkdir(parents=True, exist_ok=True)
-    with lock.open("wb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def _pid_file(run: str, key: str) -> Path:
