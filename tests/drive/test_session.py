@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,19 @@ def test_help_and_overruling_are_counted_and_written_down(session: DriveSession,
     assert kinds.count(EventKind.OVERRULE) == 2 and kinds.count(EventKind.OVERRULE_END) == 1
     assert [each.overruled for each in noted.ticks] == [False, True, True, False, True]
     assert noted.ticks[0].help_asked and not noted.ticks[1].help_asked
+
+
+def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSession, noted: Noted) -> None:
+    session.place = replace(session.place, handover_step=5)
+    for _ in range(5):
+        assert not session.handed_over
+        session.tick(AHEAD)
+    assert (session.counted_s, session.tally.way_m, len(noted.ticks)) == (0.0, 0.0, 5)
+    for _ in range(3):
+        assert session.handed_over
+        session.tick(AHEAD)
+    assert session.counted_s == pytest.approx(3 * session.tick_s) and session.tally.way_m > 0.0
+    assert session.time_s == pytest.approx(8 * session.tick_s)
 
 
 def test_assistance_and_level_are_switched_while_driving(session: DriveSession, noted: Noted) -> None:

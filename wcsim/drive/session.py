@@ -79,6 +79,11 @@ class DriveSession(Closing):
         return self._ticks * self.tick_s
 
     @property
+    def counted_s(self) -> float:
+        """Seconds of driving that are judged: as in the suite, none before a handover, when the user drives alone."""
+        return self.tally.ticks * self.tick_s
+
+    @property
     def ticks(self) -> int:
         """How many there were."""
         return self._ticks
@@ -274,7 +279,8 @@ class DriveSession(Closing):
 
     def _tell(self, driven: DrivenTick) -> None:
         """Count the tick, and tell who looks on what happened in it."""
-        self.tally.add(driven, self.tick_s)
+        if driven.step > self.place.handover_step:
+            self.tally.add(driven, self.tick_s)
         if driven.help_asked:
             self.say(EventKind.HELP, "the user asks for help")
         now = (driven.warning, driven.intervening, driven.overruled)

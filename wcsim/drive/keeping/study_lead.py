@@ -116,7 +116,7 @@ class StudyLead:
         if session is None or part is None or self.step.kind is not StepKind.DRIVE:
             return
         block, self._failed = part.block, self._failed or bool(session.assistance.failed)
-        left_s = 60.0 * block.minutes - session.time_s
+        left_s = 60.0 * block.minutes - session.counted_s
         over = block.arrivals is not None and session.tally.arrivals >= block.arrivals
         if over or left_s <= 1e-6:
             self._finish("arrivals" if over else "minutes")
@@ -201,7 +201,7 @@ class StudyLead:
         session, part = self._session, self.step.part
         if session is None or part is None:
             return
-        left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.time_s), part.block.arrivals
+        left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.counted_s), part.block.arrivals
         self._shown_s = int(left_s)
         self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.tally.arrivals)
 

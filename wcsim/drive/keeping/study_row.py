@@ -32,7 +32,7 @@ def block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: st
         "episode": place.episode,
         "recording": file,
         "ended": ended,
-        "minutes": f"{session.time_s / 60.0:.4f}",
+        "minutes": f"{session.counted_s / 60.0:.4f}",
         "kpi1": "" if tally.kpi1 is None else f"{tally.kpi1:.5f}",
         "kpi2": f"{tally.kpi2:.2f}",
         "distance_m": f"{tally.way_m:.2f}",
