@@ -8,12 +8,14 @@ import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tests.attack.files import people
+from tests.attack.files.family import Family, model_twist
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
@@ -51,19 +53,6 @@ RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),
     *("vary.light=[0.5, 1.5]", "env.window=4"),
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Family:
-    """A kind of file: a sound one, how it is spoilt, and what says that it was taken rightly."""
-
-    name: str
-    file: str
-    sound: bytes
-    twist: Callable[[Rng], tuple[bytes, str]]
-    take: Callable[[Path], bool]  # whether what was made of the file makes the same again
-    share: int  # of all cases
-    beside: tuple[tuple[str, bytes], ...] = ()  # files that a sound one needs
 
 
 def same(model: Model) -> bool:
@@ -133,14 +122,6 @@ def _write_trace(path: Path, header: TraceHeader, ticks: Sequence[TickRecord]) -
 
 
 # --- sound ones ---
-
-
-def _model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str]) -> Callable[[Rng], tuple[bytes, str]]:
-    def twist(rng: Rng) -> tuple[bytes, str]:
-        changed, told = twisted(data, rng)
-        return write(changed).encode(), told
-
-    return twist
 
 
 def _csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
@@ -232,21 +213,22 @@ def families(work: Path) -> list[Family]:
     stick_text = "\n".join(",".join(map(str, row)) for row in sticks).encode()
     lone = {key: value for key, value in manifest.items() if key != "clients"}
     return [
-        Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=_model_twist(toml, toml_text),
+        Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=model_twist(toml, toml_text),
                take=lambda path: take_config(load_run_config("quick", (), path)), share=24),
         Family(name="plant", file="p.toml", sound=toml_text(without_none(plant)).encode(),
-               twist=_model_twist(without_none(plant), toml_text), take=_take_plant, share=14),
-        Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=_model_twist(scene, toml_text),
+               twist=model_twist(without_none(plant), toml_text), take=_take_plant, share=14),
+        Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=model_twist(scene, toml_text),
                take=_take_scene, share=10),
-        Family(name="town", file="town.toml", sound=toml_text(town).encode(), twist=_model_twist(town, toml_text),
+        Family(name="town", file="town.toml", sound=toml_text(town).encode(), twist=model_twist(town, toml_text),
                take=_take_town, share=10),
         Family(name="manifest", file=MANIFEST, sound=json_text(manifest).encode(),
-               twist=_model_twist(manifest, json_text), take=_take_manifest, share=10),
-        Family(name="run", file=CONFIG, sound=run_json, twist=_model_twist(whole, json_text), take=_take_run, share=8,
+               twist=model_twist(manifest, json_text), take=_take_manifest, share=10),
+        Family(name="run", file=CONFIG, sound=run_json, twist=model_twist(whole, json_text), take=_take_run, share=8,
                beside=((MANIFEST, json_text(lone).encode()),)),
         Family(name="recording", file="s.csv", sound=stick_text, twist=_csv_twist(sticks), take=_take_recording,
                share=8),
         Family(name="trace", file="trace", sound=trace, twist=_trace_twist(trace), take=_take_trace, share=8),
+        *people.families(work),
     ]  # fmt: skip
 
 
