@@ -23,7 +23,7 @@ from wcsim.drive.keeping.study_view import StudyView
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.drive.stating import about_of, state_of
-from wcsim.drive.stick_watch import StickWatch
+from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
 from wcsim.types import Joystick
 
@@ -75,8 +75,8 @@ class DriveRunner:
         self._pictures: DrivePictures | None = None
         self._watch, self._looks = StickWatch(), PageLooks()
         self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
-        self._over = self._told_failure = False
-        self._due_s = self._held_s = self._drawn_s = 0.0
+        self._over = self._told_failure = self._unseen = False
+        self._due_s = self._held_s = self._drawn_s = self._opened_s = 0.0
         self._last: DrivenTick | None = None
         self.tick_s = self.picture_s = 0.0  # of processor time, means
         self.gap_s = 0.0  # between ticks, a mean
@@ -138,7 +138,8 @@ class DriveRunner:
     @property
     def waiting(self) -> str:
         """Why time stands still though nobody paused it, "" while it goes."""
-        if self._watch.stands_still(self._clock()):
+        now_s = self._clock()
+        if self._watch.stands_still(now_s) and now_s - self._opened_s > STANDS_STILL_S:
             return "No page holds the stick. Time stands still."
         return ""
 
@@ -156,6 +157,8 @@ class DriveRunner:
         while self._pipe.poll(self._wait_s()):
             self._hear(self._pipe.recv_bytes())
         now_s = self._clock()
+        if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
+            self._show(now_s)
         if self._goes() and now_s >= max(self._due_s, self._held_s):
             self._tick(now_s)
         if self._ready and self._stale:
@@ -163,7 +166,8 @@ class DriveRunner:
 
     def _goes(self) -> bool:
         led = self._lead is None or self._lead.drives
-        return self.session is not None and led and not self._paused and not self.waiting
+        held = not self._watch.stands_still(self._clock())
+        return self.session is not None and led and held and not self._paused
 
     def _wait_s(self) -> float:
         if self._ready and self._stale and self.session is not None:
@@ -197,7 +201,7 @@ class DriveRunner:
         before = time.process_time()
         dt_s = min(1.0, now_s - self._drawn_s) if not self._paused else 0.0
         self._pipe.send_bytes(PICTURES + pictures.draw(session, self._looks, dt_s))
-        self._drawn_s, self._ready, self._stale = now_s, False, False
+        self._drawn_s, self._ready, self._stale, self._unseen = now_s, False, False, False
         self.picture_s += _NEWEST * (time.process_time() - before - self.picture_s)
 
     def _say(self, message: Any) -> None:
@@ -305,7 +309,8 @@ class DriveRunner:
         if self._names is not None:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
         self._pictures = DrivePictures(session)
-        self._due_s, self._held_s, self._paused, self._stale = self._clock(), 0.0, False, True
+        self._due_s = self._opened_s = self._clock()
+        self._held_s, self._paused, self._stale, self._unseen = 0.0, False, True, True
         self._say(about_of(session))
         self._state()
         return session

@@ -5,12 +5,11 @@ import { Link } from "./link.js";
 import { Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
+import { big, by, line, note, wireDialogs, wireDisplay } from "./shared.js";
 import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
 const SEND_MS = 33;
-const NOTICE_MS = 6000;
-const by = (id) => document.getElementById(id);
 const LINES = { open: ["connected", "good"], lost: ["connection lost – the chair stops", "bad"] };
 
 let drives = false;
@@ -18,24 +17,11 @@ let overrules = false;
 let busy = "";
 let lastSaid = "";
 let crash = "";
-let noticeTimer = 0;
 
 function say(text) {
   if (text === lastSaid) by("live").textContent = "";
   lastSaid = text;
   by("live").textContent = text;
-}
-
-function note(kind, text) {
-  by("notice").dataset.kind = kind;
-  by("notice").textContent = text;
-  clearTimeout(noticeTimer);
-  noticeTimer = setTimeout(() => { by("notice").textContent = ""; by("notice").dataset.kind = ""; }, NOTICE_MS);
-}
-
-function big(text) {
-  by("big").hidden = !text;
-  if (by("big").textContent !== text) by("big").textContent = text;
 }
 
 function overrule(on) {
@@ -54,10 +40,8 @@ const stick = new Stick((what, name) => {
 
 const link = new Link({
   line(what) {
-    const [text, kind] = LINES[what];
-    by("line").textContent = text;
-    by("line").dataset.kind = kind;
-    say(text);
+    line(LINES[what]);
+    say(LINES[what][0]);
     if (what === "open") scene.tell();
     else { stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
@@ -76,7 +60,7 @@ const link = new Link({
     crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
     const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
-    const standing = state.waiting || (state.paused ? "Paused" : pushed ? "Let go of the stick once." : "");
+    const standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
     big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
@@ -164,16 +148,5 @@ by("steer-by").addEventListener("change", () => {
 });
 by("scan-s").addEventListener("change", () => { scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4)); scan.rest(); });
 
-for (const name of ["keys", "display"]) {
-  by(`open-${name}`).addEventListener("click", () => { stopNow(); by(name).showModal(); });
-}
-const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
-const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
-const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
-for (const [id, key, first] of [["contrast", "contrast", wantsContrast], ["larger", "larger", false], ["letters", "letters", true]]) {
-  const box = by(id);
-  box.checked = kept(key) === null ? first : kept(key) === "true";
-  const apply = () => { document.documentElement.dataset[key] = String(box.checked); keep(key, String(box.checked)); };
-  box.addEventListener("change", apply);
-  apply();
-}
+wireDialogs(stopNow);
+wireDisplay();

@@ -1,8 +1,8 @@
 // Lamps, numbers, and the controls of assistance, time and place.
 
 import { words } from "./grid.js";
+import { by, Numbers } from "./shared.js";
 
-const by = (id) => document.getElementById(id);
 const KPIS = [
   ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
   ["kpi2", "KPI 2, steps", (k) => k.kpi2.toFixed(0)],
@@ -22,18 +22,7 @@ export class Panel {
     this.about = null;
     this.state = null;
     this.levels = null;
-    this.cells = {};
-    for (const [name, label] of KPIS) {
-      const pair = document.createElement("div");
-      const term = document.createElement("dt");
-      const value = document.createElement("dd");
-      term.textContent = label;
-      value.textContent = "–";
-      value.id = `kpi-${name}`;
-      pair.append(term, value);
-      by("kpis").append(pair);
-      this.cells[name] = value;
-    }
+    this.numbers = new Numbers(KPIS);
     this.wire();
   }
 
@@ -105,7 +94,7 @@ export class Panel {
   tellState(state) {
     const before = this.state;
     this.state = state;
-    for (const [name, , text] of KPIS) { const said = String(text(state.kpis, state)); if (this.cells[name].textContent !== said) this.cells[name].textContent = said; }
+    this.numbers.tell(state.kpis, state);
     this.lamps(state, before);
     by("assist").setAttribute("aria-checked", String(state.assisted));
     by("pause").setAttribute("aria-pressed", String(state.paused));

@@ -3,12 +3,11 @@
 import { Grid, words } from "./grid.js";
 import { Link } from "./link.js";
 import { Scene } from "./scene.js";
+import { big, by, line, note, Numbers, put, wireDialogs, wireDisplay } from "./shared.js";
 import { Timeline } from "./timeline.js";
 
-const NOTICE_MS = 6000;
 const LEAD_S = 3;
 const CRASHES = ["crash", "drop"];
-const by = (id) => document.getElementById(id);
 const LINES = { open: ["connected", "good"], lost: ["connection lost", "bad"] };
 const KPIS = [
   ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
@@ -24,56 +23,25 @@ const KPIS = [
 
 let about = null;
 let state = null;
-let noticeTimer = 0;
 let crash = "";
 let dragging = false;
-const cells = {};
-
-for (const [name, label] of KPIS) {
-  const pair = document.createElement("div");
-  const term = document.createElement("dt");
-  const value = document.createElement("dd");
-  term.textContent = label;
-  value.textContent = "–";
-  value.id = `kpi-${name}`;
-  pair.append(term, value);
-  by("kpis").append(pair);
-  cells[name] = value;
-}
-
-function put(node, text) {
-  if (node.textContent !== String(text)) node.textContent = String(text);
-}
+const numbers = new Numbers(KPIS);
 
 function say(text) {
   by("spoken").textContent = by("spoken").textContent === text ? `${text} ` : text;
 }
 
-function note(kind, text) {
-  by("notice").dataset.kind = kind;
-  by("notice").textContent = text;
-  clearTimeout(noticeTimer);
-  if (kind !== "bad") noticeTimer = setTimeout(() => { by("notice").textContent = ""; by("notice").dataset.kind = ""; }, NOTICE_MS);
-}
-
-function big(text) {
-  by("big").hidden = !text;
-  put(by("big"), text);
-}
-
 const link = new Link({
   line(what) {
-    const [text, kind] = LINES[what];
-    by("line").textContent = text;
-    by("line").dataset.kind = kind;
-    say(text);
+    line(LINES[what]);
+    say(LINES[what][0]);
     if (what === "open") scene.tell();
     else big("Connection lost. Trying again …");
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about: tellAbout,
   busy(message) { big(message.told); say(message.told); },
-  notice(message) { note(message.kind, message.told); },
+  notice(message) { note(message.kind, message.told, message.kind === "bad"); },
   marks(message) { timeline.setMarks(message.marks); choose(); },
   role(role) {
     by("banner").hidden = role.drives || !role.told;
@@ -170,7 +138,7 @@ function tellState(now) {
 
 function tellChair(now) {
   const own = now.chairs.find((chair) => chair.seat === now.seat);
-  for (const [name, , text] of KPIS) put(cells[name], own ? text(own.kpis, own, now) : "–");
+  numbers.tell(...(own ? [own.kpis, own, now] : []));
   grid.show(now.unsafe);
   grid.move(now.stick, now.commanded);
   const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
@@ -271,14 +239,5 @@ addEventListener("keydown", (event) => {
   if (scene.key(event)) event.preventDefault();
 });
 
-for (const name of ["keys", "display"]) click(`open-${name}`, () => by(name).showModal());
-const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
-const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
-const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
-for (const [id, key, first] of [["contrast", "contrast", wantsContrast], ["larger", "larger", false], ["letters", "letters", true]]) {
-  const box = by(id);
-  box.checked = kept(key) === null ? first : kept(key) === "true";
-  const apply = () => { document.documentElement.dataset[key] = String(box.checked); keep(key, String(box.checked)); timeline.draw(); };
-  box.addEventListener("change", apply);
-  apply();
-}
+wireDialogs();
+wireDisplay(() => timeline.draw());

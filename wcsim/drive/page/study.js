@@ -1,6 +1,7 @@
 // A study: pages to read, questions, rests, and a strip above the drive. What comes next is the server's to say.
 
-const by = (id) => document.getElementById(id);
+import { by } from "./shared.js";
+
 const STOP_MS = 5000;
 const OF_OTHERS = { welcome: "is reading the first page", read: "is reading what comes next", ask: "is answering questions", rest: "is resting", end: "is at the end" };
 

@@ -1,0 +1,73 @@
+// What the page of a drive and the page of a film have alike: numbers, notices, dialogs, the switches of the display.
+
+const NOTICE_MS = 6000;
+let noticeTimer = 0;
+
+export const by = (id) => document.getElementById(id);
+
+export function put(node, text) {
+  if (node.textContent !== String(text)) node.textContent = String(text);
+}
+
+// A notice under the street; one that stays is there until the next.
+export function note(kind, text, stays = false) {
+  by("notice").dataset.kind = kind;
+  by("notice").textContent = text;
+  clearTimeout(noticeTimer);
+  if (!stays) noticeTimer = setTimeout(() => { by("notice").textContent = ""; by("notice").dataset.kind = ""; }, NOTICE_MS);
+}
+
+// Words over the street, "" for none.
+export function big(text) {
+  by("big").hidden = !text;
+  put(by("big"), text);
+}
+
+// The state of the connection: its words, and "good" or "bad".
+export function line([text, kind]) {
+  by("line").textContent = text;
+  by("line").dataset.kind = kind;
+}
+
+// The list of numbers, of rows [name, label, function that makes the text].
+export class Numbers {
+  constructor(rows) {
+    this.rows = rows;
+    this.cells = {};
+    for (const [name, label] of rows) {
+      const pair = document.createElement("div");
+      const term = document.createElement("dt");
+      const value = document.createElement("dd");
+      term.textContent = label;
+      value.textContent = "–";
+      value.id = `kpi-${name}`;
+      pair.append(term, value);
+      by("kpis").append(pair);
+      this.cells[name] = value;
+    }
+  }
+
+  tell(...what) {
+    for (const [name, , text] of this.rows) put(this.cells[name], what.length ? text(...what) : "–");
+  }
+}
+
+// Buttons open their dialogs, after `first` was called.
+export function wireDialogs(first = () => {}) {
+  for (const name of ["keys", "display"]) by(`open-${name}`).addEventListener("click", () => { first(); by(name).showModal(); });
+}
+
+const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
+const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
+
+// Contrast, larger text, single letters: kept in the browser; `after` is called at each change.
+export function wireDisplay(after = () => {}) {
+  const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
+  for (const [name, first] of [["contrast", wantsContrast], ["larger", false], ["letters", true]]) {
+    const box = by(name);
+    box.checked = kept(name) === null ? first : kept(name) === "true";
+    const apply = () => { document.documentElement.dataset[name] = String(box.checked); keep(name, String(box.checked)); after(); };
+    box.addEventListener("change", apply);
+    apply();
+  }
+}
