@@ -270,8 +270,11 @@ def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
     told = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
     assert (told.code, told.err) == (0, "note: made the folder new\n")
     name = find_town(str(corner)).name
-    assert [line.split(": ")[0] for line in told.out.splitlines()] == [f"new/{name}.png", f"new/{name}.webm"]
-    assert files_in(folder) == {"new", f"new/{name}.png", f"new/{name}.webm"}
+    made = [f"new/{name}-street.png", f"new/{name}.png", f"new/{name}.webm"]
+    assert [line.split(": ")[0] for line in told.out.splitlines()] == made
+    assert files_in(folder) == {"new", *made}
+    street = cv2.imread(made[0])
+    assert street.shape == (540, 960, 3) and street.std() > 20.0
 
 
 def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):

@@ -44,13 +44,13 @@ class FilmedDrive:
 
     def __init__(self, town: Town, seed: int, width: int) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
-        self._world = World(town, RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
+        self.world = World(town, RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
         self._camera = camera
-        self.tick_s = self._world.config.world.tick_s
+        self.tick_s = self.world.config.world.tick_s
 
     def go_on(self) -> Snapshot:
         """One tick."""
-        return self._world.tick(as_users_wish(self._world.snapshot))
+        return self.world.tick(as_users_wish(self.world.snapshot))
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""
@@ -66,15 +66,15 @@ class FilmedDrive:
 
     def picture(self, chart: MapView) -> tuple[CameraFrame, U8]:
         """The camera's frame of now, and the map around the chair."""
-        return self._world.snapshot.clients[0].sensors.cameras[0], map_view(chart, self._world)
+        return self.world.snapshot.clients[0].sensors.cameras[0], map_view(chart, self.world)
 
     def open_map(self, size_px: int) -> MapView:
         """A map of the town for `picture`; only videos need one."""
-        return MapView(self._world.street.mesh, size_px, MAP_SPAN_M)
+        return MapView(self.world.street.mesh, size_px, MAP_SPAN_M)
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
-        self._world.close()
+        self.world.close()
 
     @property
     def camera(self) -> CameraConfig:
@@ -83,7 +83,7 @@ class FilmedDrive:
 
     def shot(self, after_s: float) -> Shot:
         """What the camera sees now, so long after the beginning."""
-        snapshot = self._world.snapshot
+        snapshot = self.world.snapshot
         frame = snapshot.clients[0].sensors.cameras[0]
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
@@ -97,11 +97,11 @@ class FilmedDrive:
 
     def business(self) -> float:
         """How much of interest is in the picture now: actors, and how large they are; below 0 for hardly any."""
-        frame = self._world.snapshot.clients[0].sensors.cameras[0]
+        frame = self.world.snapshot.clients[0].sensors.cameras[0]
         pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
         if pixels <= _IN_VIEW_PX:
             return -1.0
-        return self._in_view(self._world.snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
+        return self._in_view(self.world.snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
 
     def _in_view(self, snapshot: Snapshot) -> int:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
@@ -131,18 +131,20 @@ class BusiestMoment:
         self._stage, self._most = stage, -1.0
         self.shot = stage.shot(0.0)
 
-    def look(self, after_s: float) -> None:
-        """Take this moment instead, if there is more in it."""
+    def look(self, after_s: float) -> bool:
+        """Take this moment instead, if there is more in it; whether it was taken."""
         now = self._stage.business()
-        if now > self._most:
-            self.shot, self._most = self._stage.shot(after_s), now
+        if now <= self._most:
+            return False
+        self.shot, self._most = self._stage.shot(after_s), now
+        return True
 
 
 class Film:
     """A video of a stage: the camera beside a map; a context manager."""
 
     def __init__(self, stage: FilmedDrive, path: Path) -> None:
-        self._stage, self.tick_s = stage, stage.tick_s
+        self._stage, self.tick_s, self._ticks = stage, stage.tick_s, 0
         height = stage.camera.height_px
         self._map = stage.open_map(height)
         try:
@@ -158,8 +160,9 @@ class Film:
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
-        told = captioned(frame.rgb, f"{snapshot.time_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near")
-        self._writer.write(side_by_side(told, chart))
+        self._ticks += 1
+        told = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
+        self._writer.write(side_by_side(captioned(frame.rgb, told), chart))
 
     def __enter__(self) -> Self:
         self._writer.__enter__()

@@ -1,4 +1,4 @@
-"""`wcsim look TOWN`: a picture and a ten-second video, without any training."""
+"""`wcsim look TOWN`: two pictures and a ten-second video, without any training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.pictures.snapshot import keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
-from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
+from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made, write_whole
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
 
@@ -19,41 +19,47 @@ _WIDTH_PX = 640
 
 @dataclass
 class Options:
-    """Take a picture from a chair's camera and film ten seconds of its way, its user driving alone."""
+    """Take pictures of a chair in its street and through its camera, and film ten seconds; its user drives alone."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name or folder."""
     seed: int = 4
     """Seed of the traffic and of the chair's place."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
-    """Where TOWN.png and TOWN.webm go."""
+    """Where TOWN-street.png, TOWN.png and TOWN.webm go."""
     seconds: float = 10.0
-    """How long it is filmed; the picture is of the busiest moment of these."""
+    """How long it is filmed; the pictures are of the busiest moment of these."""
 
 
 def run(words: list[str]) -> int:
     """One drive: it is filmed, and its busiest moment is the picture."""
     options = parse(Options, words, "look")
     town = find_town(options.town)
-    picture, video = (options.out / f"{town.name}.{kind}" for kind in ("png", "webm"))
+    street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     missing = missing_folder(video)
 
-    from wcsim.view.filming import BusiestMoment, open_stage  # loads the simulators, which --help must not
+    from wcsim.drive.drawing.still import StillPictures  # these load the simulators, which --help must not
+    from wcsim.view.filming import BusiestMoment, open_stage
+    from wcsim.view.pictures import write_png
 
     with (
         StageBar("filming") as bar,
         open_stage(town, options.seed, _WIDTH_PX) as stage,
         stage.film(video) as film,
     ):
-        busiest, frames = BusiestMoment(stage), round(options.seconds / film.tick_s)
+        stills, busiest = StillPictures(stage.world), BusiestMoment(stage)
+        seen, frames = stills.draw(), round(options.seconds / film.tick_s)
         for done in range(1, frames + 1):
             film.add()
-            busiest.look(done * film.tick_s)
+            if busiest.look(done * film.tick_s):
+                seen = stills.draw()
             bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
     tell_made(missing)
     place = f"{options.town}, seed {options.seed}"
+    write_whole(street, lambda part: write_png(part, seen))
+    print(f"{street}: {place}, the chair from behind")
     keep_shot(picture, busiest.shot, place)
-    print(f"{video}: {place}, {options.seconds:g} s")
+    print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")
     return 0

@@ -94,6 +94,11 @@ class StreetPictures:
         self._number += 1
         return packed(self._number, parts)
 
+    def behind(self, moment: Moment, looks: PageLooks) -> U8:
+        """The street from behind the chair, (H, W, 3) RGB."""
+        self._yaw_rad = moment.yaw_rad
+        return self._scene(moment, looks)
+
     def _scene(self, moment: Moment, looks: PageLooks) -> U8:
         camera, T_CW = _pinhole(looks), eye(moment.chair.p_WB_m, self._yaw_rad, looks.orbit)
         rows, shown = self._rows(moment)
