@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
-from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, export_danger
+from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, REFERENCE, export_danger
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import RunFolder, open_run
@@ -47,7 +47,8 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
             for name in (POLICY_JSON, WEIGHTS):
                 shutil.copyfile(policy / name, target / name)
             shutil.copyfile(Path(held) / "onnx" / MODEL, target / "model.onnx")
-            shutil.copyfile(Path(held) / "onnx" / MEANING, target / MEANING)
+            for name in (MEANING, REFERENCE):
+                shutil.copyfile(Path(held) / "onnx" / name, target / name)
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
             rows = [row for path in results for row in rows_of(path, run.path)]
@@ -150,10 +151,12 @@ def main() -> None:
     parser.add_argument("--to", type=Path, default=None, help="another folder than that of this wcsim")
     parser.add_argument("--town", default="helsinki", help="of the reference steps")
     asked = parser.parse_args()
-    from wcsim.agents.rounds.reference_ride import reference_ride  # loads the simulators
+    from wcsim.agents.evaluation.suite.named_policy import open_named  # these load the simulators
+    from wcsim.agents.rounds.reference_ride import reference_ride
 
     run = open_run(asked.run)
-    folder = ship(run, reference_ride(asked.town, run.config, 200), asked.result, asked.to or shipped_place())
+    ride = reference_ride(asked.town, run.config, 200, open_named(str(asked.run), run.config, 0))
+    folder = ship(run, ride, asked.result, asked.to or shipped_place())
     sys.stdout.write(f"shipped: {folder}\n")
 
 

@@ -14,7 +14,7 @@ from wcsim.errors import ConfigError, PolicyError
 
 SHIPPED: Final = "shipped"
 FILES: Final = "files.json"
-HELD: Final = ("policy.json", "weights.safetensors", "model.onnx", "meaning.json", "MODEL_CARD.md")
+HELD: Final = ("policy.json", "weights.safetensors", "model.onnx", "meaning.json", "reference.npz", "MODEL_CARD.md")
 _KIND: Final = FileKind(what="the files.json of the shipped policy", limit_bytes=1 << 20, error=PolicyError)
 
 

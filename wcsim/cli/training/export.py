@@ -29,7 +29,7 @@ class Options:
     steps: int = 200
     """Reference steps."""
     force: bool = False
-    """Export it although a decision takes longer than a real chair has."""
+    """Export it although a decision takes longer than a tick less what segmenting the picture takes."""
     json: OutFile = None
     """Write what was measured to this file."""
 
@@ -46,18 +46,23 @@ def run(words: list[str]) -> int:
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
+    from wcsim.agents.evaluation.suite.named_policy import open_named
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
     from wcsim.agents.rounds.reference_ride import reference_ride
 
     config = config_of(options.policy, "laptop", ())
-    ride = reference_ride(options.town, config, options.steps)
+    ride = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0))
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
     facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1])
     small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
+    borders = f" ({facts.border_off:.1g} in {facts.border_steps} of the steps, at borders of cells)"
+    borders = borders if facts.border_steps else ""
     within = "within" if cost.p99_ms <= facts.bar_ms else "over"
     print(
-        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most, "
-        f"{facts.same_actions:.1%} of {facts.steps} actions the same ({facts.same_as_wcsim:.1%} as in wcsim)\n"
+        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most"
+        f"{borders}\n"
+        f"{facts.same_actions:.1%} of {facts.steps} actions the same ({facts.same_as_wcsim:.1%} as in wcsim), "
+        f"{facts.interventions} of them not the user's own; {facts.warnings} steps with a warning\n"
         f"one thread: {cost.p50_ms:.2f} ms a step (p99 {cost.p99_ms:.2f}, {within} the bar of {facts.bar_ms:g} ms; "
         f"{cost.cpu_p50_ms:.2f} ms of the processor), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
