@@ -45,7 +45,7 @@ def ride(ticks: int = 30) -> list[dict[str, np.ndarray]]:
                 "seg": rng.choice([7, 8, 11, 24, 26], (1, 36, 48)).astype(np.uint8),
                 "imu": imu,
                 "odometry": np.array([0.05 + 0.01 * tick, 0.02], np.float32),
-                "joystick": np.array([0.3 * np.sin(tick / 5.0), 0.8], np.float32),
+                "joystick": np.array([0.9 * np.sin(tick / 2.0), np.cos(tick / 3.0)], np.float32),
             }
         )
     return found
@@ -63,6 +63,32 @@ def test_the_drives_law_is_that_of_the_chair():
     assert np.allclose(told, true, atol=1e-9)
     sticks = rng.uniform(-1.0, 1.0, (200, 2))
     assert np.allclose(drive.shaped(torch.as_tensor(sticks)).numpy(), shaped_rows(sticks, chair), atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
+    config = with_overrides(CONFIG, (f"world.action_delay_ticks={delay}",))
+    eye, points = Eye(config), action_set(config.env.actions)
+    graph = DangerGraph(network(), config, DangerRule()).eval()
+    state = [torch.zeros(shape) for shape in graph.shapes().values()]
+    for seen in ride(25):
+        eye.look(seen)
+        with torch.inference_mode():
+            values, _, _, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
+        assert np.allclose(state[0][0, 5:8], eye.around.ego.motion, atol=1e-4)
+        assert np.allclose(state[0][0, 2:5], eye.around.ego.pose_O, atol=1e-4)
+        start, later_s = eye.around.start()
+        places, now = (torch.stack(parts)[:, 0] for parts in graph._start(state[0], _before_sent(state[1])))
+        assert np.allclose(torch.cat([places, now]), start, atol=1e-4)
+        assert later_s == pytest.approx(delay * config.world.tick_s)
+        action = int(values.argmax())
+        assert np.allclose(state[2][0, 0], points.points[action])
+        eye.command(action)
+
+
+def _before_sent(waiting):
+    """Commands as they waited before the newest was sent."""
+    return torch.cat([waiting[:, :1], waiting[:, :-1]], 1)
 
 
 def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():

@@ -36,6 +36,7 @@ MODEL, INT8, ABOUT, MEANING, REFERENCE = (
 MOST_OFF: Final = 1e-4  # of a danger, between the model and the network it was made of
 BORDER_SHARE: Final = 0.02  # of the steps, in which a place may lie on the border of two cells and be read in the other
 BORDER_OFF: Final = 0.05  # of a danger, in such a step
+LEAST_SAME: Final = 0.95  # of the actions, as wcsim's own policy chooses: a border may lead on to others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,6 +168,13 @@ def _write_reference(
     np.savez_compressed(target / REFERENCE, **kept)
     own = points.nearest_many(inputs["joystick"])
     at_border = off > MOST_OFF
+    same = told["values"].argmax(axis=1) == np.array(chosen)
+    if np.mean(same) < LEAST_SAME:
+        raise PolicyError(
+            f"the exported model chooses as wcsim's policy in {np.mean(same):.1%} of the steps (not in step "
+            f"{int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a fault of the export, please report "
+            "it; nothing was written"
+        )
     return ExportFacts(
         steps=len(ride),
         interventions=int(np.sum(own != np.array(actions))),
@@ -177,7 +185,7 @@ def _write_reference(
         same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
         int8_most_off=float(np.abs(small["danger"] - np.stack(dangers)).max()),
         int8_same_actions=float(np.mean(small["values"].argmax(axis=1) == actions)),
-        same_as_wcsim=float(np.mean(told["values"].argmax(axis=1) == np.array(chosen))),
+        same_as_wcsim=float(np.mean(same)),
         cost=footprint(target / MODEL, target / REFERENCE, graph.INPUTS),
         int8_cost=footprint(target / INT8, target / REFERENCE, graph.INPUTS),
         bytes=(target / MODEL).stat().st_size,

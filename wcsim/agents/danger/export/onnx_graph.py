@@ -121,10 +121,9 @@ class DangerGraph(nn.Module):
 
     def shapes(self) -> State:
         """The shapes of all states."""
-        waiting = max(self.delay, 1)
         return {
             "state_motion": (1, 8),  # begun, tick, x, y, yaw in O, v, w, acceleration
-            "state_waiting": (1, waiting, 2),
+            "state_waiting": (1, self.delay + 1, 2),  # sent, not yet measured; the oldest was obeyed last
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
             "state_cells": (1, 7, RASTER * RASTER),
@@ -156,7 +155,7 @@ class DangerGraph(nn.Module):
         action = values.argmax(dim=1)
         alarm = self._alarm(danger, joystick, alarm)
         chosen = self.commands[action][:, None]
-        waiting = torch.cat([waiting[:, 1:], chosen], 1) if self.delay else waiting
+        waiting = torch.cat([waiting[:, 1:], chosen], 1)
         sent = torch.cat([self.points[action][:, None], sent[:, :-1]], 1)
         last = (action[:, None] + 1).to(torch.float32)
         return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm
@@ -191,8 +190,6 @@ class DangerGraph(nn.Module):
         first = (asked * moves)[:, None].expand_as(waiting)
         state = torch.cat([torch.ones_like(way), motion[:, 1:2] + 1.0, pose, now], 1)
         begins = torch.cat([torch.ones_like(way), torch.ones_like(way), torch.zeros_like(pose), fresh], 1)
-        if not self.delay:
-            first = waiting
         return torch.where(begun, state, begins), torch.where(begun[:, None], waiting, first)
 
     def _seen(self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
@@ -250,7 +247,7 @@ class DangerGraph(nn.Module):
         here = torch.zeros_like(motion[:, 0])
         places, now = (here, here, here), (motion[:, 5], motion[:, 6], motion[:, 7])
         for number in range(self.delay):
-            places, now = self.drive.advance(places, now, waiting[:, number], self.tick_s)
+            places, now = self.drive.advance(places, now, waiting[:, number + 1], self.tick_s)
         return places, now
 
     def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
