@@ -172,8 +172,8 @@ def _write_reference(
     if np.mean(same) < LEAST_SAME:
         raise PolicyError(
             f"the exported model chooses as wcsim's policy in {np.mean(same):.1%} of the steps (not in step "
-            f"{int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a fault of the export, please report "
-            "it; nothing was written"
+            f"{int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a fault of the export, please "
+            "report it; nothing was written"
         )
     return ExportFacts(
         steps=len(ride),
