@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 from tests.support.framing import chained, record_ends
 from tests.support.worlds import quick_config
@@ -90,14 +91,15 @@ class JournaledWorld:
         self.world.rebuild(seed)
         self.writer.append(EpochBegun(epoch=self.now.epoch, seed=seed))
 
-    def tick(self, ticks: int) -> None:
+    def tick(self, ticks: int, given: Mapping[int, Joystick] = MappingProxyType({})) -> None:
+        """So many ticks; who is given nothing weaves."""
         for _ in range(ticks):
             before = self.now
             commands = tuple(
                 Command(
                     seat=client.seat,
                     tick=before.tick,
-                    joystick=Joystick(0.8 * math.sin(0.3 * before.tick + client.seat), 0.9),
+                    joystick=given.get(client.seat, Joystick(0.8 * math.sin(0.3 * before.tick + client.seat), 0.9)),
                 )
                 for client in before.clients
             )

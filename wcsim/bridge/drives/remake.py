@@ -70,8 +70,12 @@ def config_of_drive(header: DriveHeader) -> RunConfig:
     return parse_json(RunConfig, header.config, "the configuration in the drive")
 
 
-def remade(drive: DriveRecording, before_tick: Callable[[World], object] = lambda world: None) -> Remaking:
+def remade(
+    drive: DriveRecording, before_tick: Callable[[World], object] = lambda world: None, *, blind: bool = True
+) -> Remaking:
     """Do again what was done in a drive; `before_tick` is shown the world before every tick.
+
+    Cameras see nothing where it is `blind`.
 
     Raises:
         TownError: The town is gone, or is not what it was.
@@ -82,7 +86,8 @@ def remade(drive: DriveRecording, before_tick: Callable[[World], object] = lambd
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
         spec = SeatSpec(profile=_user_of(drive, Path(work)), max_steps=header.max_steps, start=header.start)
         with World(town, config, (spec,), header.seed) as world:
-            world.go_blind()
+            if blind:
+                world.go_blind()
             asked = deque(event for event in drive.events if event.kind in (RESPAWN, USER))
             for tick in drive.ticks:
                 while asked and asked[0].tick <= world.snapshot.tick:

@@ -25,9 +25,13 @@ class Options:
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder to make."""
     town: str = "helsinki"
-    """Town in which the reference steps are driven."""
+    """Town in which the reference steps are driven, by turns with the user's stick and with one that is pushed."""
+    ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """A recorded drive, or the journal of a run, whose first episode gives the reference steps and actions instead."""
+    seat: int = 0
+    """Of a journal."""
     steps: int = 200
-    """Reference steps."""
+    """Reference steps, at the most."""
     force: bool = False
     """Export it although a decision takes longer than a tick less what segmenting the picture takes."""
     json: OutFile = None
@@ -48,12 +52,18 @@ def run(words: list[str]) -> int:
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
     from wcsim.agents.evaluation.suite.named_policy import open_named
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
+    from wcsim.agents.rounds.recorded_ride import recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
 
     config = config_of(options.policy, "laptop", ())
-    ride = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0))
+    actions: tuple[int, ...] | None = None
+    if options.ride is None:
+        ride = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0))
+    else:
+        held = recorded_ride(options.ride, options.steps, options.seat)
+        ride, actions = list(held.seen), held.actions
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
-    facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1])
+    facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1], actions)
     small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
     borders = f" ({facts.border_off:.1g} in {facts.border_steps} of the steps, at borders of cells)"
     borders = borders if facts.border_steps else ""

@@ -70,6 +70,7 @@ def export_danger(
     ride: Sequence[Observation],
     limit_ms: float = math.inf,
     level: float | None = None,
+    recorded: Sequence[int] | None = None,
 ) -> ExportFacts:
     """Write an ONNX folder that `wcsim test` takes as a policy, in one step.
 
@@ -80,6 +81,7 @@ def export_danger(
         ride: Observations of successive ticks of one episode, for the reference steps.
         limit_ms: For a decision, 99 of 100 times.
         level: Of assistance, a threshold of danger; None for the policy's own.
+        recorded: What was chosen in the ride when it was recorded: the reference's actions; None for the network's.
 
     Raises:
         PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
@@ -102,6 +104,8 @@ def export_danger(
         (target / MODEL).write_bytes(model)
         _quantised(target / MODEL, target / INT8)
         facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions)))
+        if recorded is not None:
+            _keep_recorded(target / REFERENCE, recorded)
         if facts[0].cost.p99_ms > limit_ms:
             raise PolicyError(
                 f"a decision takes {facts[0].cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
@@ -191,6 +195,13 @@ def _write_reference(
         bytes=(target / MODEL).stat().st_size,
         int8_bytes=(target / INT8).stat().st_size,
     )
+
+
+def _keep_recorded(reference: Path, recorded: Sequence[int]) -> None:
+    """Let the actions of the reference be those of the recording."""
+    with np.load(reference) as data:
+        kept = {**data, "action": np.array(recorded)}
+    np.savez_compressed(reference, **kept)
 
 
 def _off(told: F32, wanted: F32) -> F32:

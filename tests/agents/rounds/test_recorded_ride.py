@@ -1,0 +1,97 @@
+"""Recorded rides as observations: a policy that sees them again does again what it did."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.agents.danger.export.test_onnx_graph import network
+from tests.support.journals import JournaledWorld
+from tests.support.worlds import quick_config
+from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import load_net, save_danger
+from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
+from wcsim.bridge.drives.remake import config_of_drive
+from wcsim.config import RunConfig, load_run_config
+from wcsim.drive.keeping.drive_keeper import DriveKeeper
+from wcsim.drive.keeping.kept_files import file_names
+from wcsim.drive.session import DriveSession, Wish
+from wcsim.drive.starting import DriveStart
+from wcsim.errors import ConfigError, JournalError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.judge import observation_of
+from wcsim.types import Joystick
+from wcsim.users.recording.drive_reader import read_drive
+
+TICKS = 40
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A danger network that finds much dangerous, for the camera that drives have."""
+    place = tmp_path_factory.mktemp("policy") / "policy"
+    save_danger(place, network(), DangerRule(threshold=0.45), load_run_config("laptop"))
+    return place
+
+
+def again(policy: Path, ride: RecordedRide, config: RunConfig) -> list[int]:
+    """What the policy chooses when it sees a ride."""
+    net, rule = load_net(policy)
+    chooser = DangerPolicy("own", net, config, rule)
+    chooser.begin()
+    chooser.reset()
+    return [chooser.act(seen) for seen in ride.seen]
+
+
+def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.drive"
+    session = DriveSession(DriveStart(town=str(corner), policy=str(policy), seed=4))
+    session.look_on(DriveKeeper(session, file_names(path), lambda news: None))
+    sticks = [Joystick(0.8 * math.sin(0.3 * number), 0.6) for number in range(TICKS)]
+    chosen = [session.tick(Wish(stick=stick)).action for stick in sticks]
+    session.close()
+    ride = recorded_ride(path, TICKS)
+    assert len(ride.seen) == TICKS and list(ride.actions) == chosen
+    given = np.array([(stick.x, stick.y) for stick in sticks], np.float32)
+    assert np.array_equal([seen["joystick"] for seen in ride.seen], given)
+    assert ride.seen[0]["depth"].any()
+    assert again(policy, ride, config_of_drive(read_drive(path).header)) == chosen
+    assert len(set(chosen)) > 5
+    assert len(recorded_ride(path, 7).seen) == 7
+
+
+def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(corner: Path, policy: Path, tmp_path: Path) -> None:
+    senses = ("sensors.odometry=typical", "env.observe_gyro=true", "cameras.0.noise=typical")
+    config, (net, rule) = quick_config(*senses), load_net(policy)
+    points = action_set(config.env.actions).points
+    with JournaledWorld(corner, tmp_path, *senses) as it:
+        driver = DangerPolicy("own", net, config, rule)
+        driver.begin()
+        it.admit(0)
+        it.admit(1)  # of 25 steps
+        driver.reset()
+        chosen = []
+        for _ in range(30):
+            client = it.now.clients[1]
+            if client.first is not None:
+                break
+            chosen.append(driver.act(observation_of(client, config)))
+            it.tick(1, {1: Joystick(*points[chosen[-1]].tolist())})
+        it.tick(3)
+    ride = recorded_ride(tmp_path, 100, seat=1)
+    assert len(ride.seen) == 25 and list(ride.actions) == chosen
+    assert again(policy, ride, config) == chosen
+    with pytest.raises(ConfigError, match="seat 2 drove no tick"):
+        recorded_ride(tmp_path, 100, seat=2)
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.drive").write_bytes(b"nothing")
+    with pytest.raises(JournalError):
+        recorded_ride(tmp_path / "a.drive", 5)
+    with pytest.raises(JournalError):
+        recorded_ride(tmp_path, 5)

@@ -1,0 +1,93 @@
+"""A recorded drive, or one seat of a journal, as observations: the world is made again, with the cameras it had."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
+from wcsim.bridge.drives.remake import config_of_drive, remade
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig, parse_json
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError
+from wcsim.server.journal.journal import JOURNAL, read_header
+from wcsim.server.journal.records import JournalRecord, Respawned, Ticked
+from wcsim.server.journal.replay import replayed
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.judge import observation_of
+from wcsim.users.recording.drive_reader import is_drive, read_drive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedRide:
+    """Successive ticks of one episode."""
+
+    seen: tuple[Observation, ...]
+    actions: tuple[int, ...]  # what the policy of then chose in each
+
+
+def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
+    """The first episode of a recording, so many steps at the most.
+
+    Args:
+        path: A drive, a journal, or the run folder with one.
+        steps: The most.
+        seat: Of a journal.
+
+    Raises:
+        TownError: Its town is gone, or is not what it was.
+        ConfigError: Its settings cannot be used here, or that seat drove nowhere.
+        JournalError: It is neither, or damaged.
+    """
+    path = path / JOURNAL if path.is_dir() else path
+    ride = _of_drive(path, steps) if is_drive(path) else _of_journal(path, steps, seat)
+    if not ride.seen:
+        raise ConfigError(f"{shown(path)}: seat {seat} drove no tick; expected the seat of a chair: name another one")
+    return ride
+
+
+def _of_drive(path: Path, steps: int) -> RecordedRide:
+    drive = read_drive(path)
+    config, seen, actions = config_of_drive(drive.header), list[Observation](), list[int]()
+
+    def look(world: World) -> None:
+        client = world.snapshot.clients[0]
+        seen.append(observation_of(client.first or client, config))
+
+    with closing(remade(drive, look, blind=False)) as ticks:
+        for tick, _, _ in ticks:
+            if tick.episode != drive.ticks[0].episode or len(actions) == steps:
+                break
+            seen[-1] = {**seen[-1], JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
+            actions.append(tick.action)
+    return RecordedRide(seen=tuple(seen[: len(actions)]), actions=tuple(actions))
+
+
+def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
+    header = read_header(path)
+    config = parse_json(RunConfig, header.config, "the configuration in the journal")
+    points, seen, actions = action_set(config.env.actions), list[Observation](), list[int]()
+    over = False
+
+    def look(world: World | None, record: JournalRecord) -> None:
+        nonlocal over
+        given = [each for each in record.commands if each.seat == seat] if isinstance(record, Ticked) else []
+        over = over or (bool(actions) and not given and isinstance(record, Ticked | Respawned))
+        if world is None or over or not given or len(actions) == steps:
+            return
+        client = next(each for each in world.snapshot.clients if each.seat == seat)
+        if client.first is not None and actions:  # the episode before has ended
+            over = True
+            return
+        seen.append(observation_of(client.first or client, config))
+        actions.append(points.nearest((given[0].joystick.x, given[0].joystick.y)))
+
+    with closing(replayed(path, None, None, "", look)) as records:
+        for _ in records:
+            if over or len(actions) == steps:
+                break
+    return RecordedRide(seen=tuple(seen), actions=tuple(actions))
