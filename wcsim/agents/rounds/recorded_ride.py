@@ -28,6 +28,7 @@ class RecordedRide:
 
     seen: tuple[Observation, ...]
     actions: tuple[int, ...]  # what the policy of then chose in each
+    delay_ticks: int  # from a command to the chair that obeys it
 
 
 def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
@@ -64,7 +65,8 @@ def _of_drive(path: Path, steps: int) -> RecordedRide:
                 break
             seen[-1] = {**seen[-1], JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
             actions.append(tick.action)
-    return RecordedRide(seen=tuple(seen[: len(actions)]), actions=tuple(actions))
+    delay = config.world.action_delay_ticks
+    return RecordedRide(seen=tuple(seen[: len(actions)]), actions=tuple(actions), delay_ticks=delay)
 
 
 def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
@@ -90,4 +92,4 @@ def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
         for _ in records:
             if over or len(actions) == steps:
                 break
-    return RecordedRide(seen=tuple(seen), actions=tuple(actions))
+    return RecordedRide(seen=tuple(seen), actions=tuple(actions), delay_ticks=config.world.action_delay_ticks)

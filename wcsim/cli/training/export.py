@@ -32,6 +32,8 @@ class Options:
     """Of a journal."""
     steps: int = 200
     """Reference steps, at the most."""
+    delay_ticks: int | None = None
+    """From a command to the chair that obeys it; by default the recording's, or as in training."""
     force: bool = False
     """Export it although a decision takes longer than a tick less what segmenting the picture takes."""
     json: OutFile = None
@@ -55,12 +57,13 @@ def run(words: list[str]) -> int:
     from wcsim.agents.rounds.recorded_ride import recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
 
-    config = config_of(options.policy, "laptop", ())
-    actions: tuple[int, ...] | None = None
-    if options.ride is None:
-        ride = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0))
+    held = None if options.ride is None else recorded_ride(options.ride, options.steps, options.seat)
+    delay = options.delay_ticks if held is None or options.delay_ticks is not None else held.delay_ticks
+    own = () if delay is None else (f"world.action_delay_ticks={delay}",)
+    config = config_of(options.policy, "laptop", own)
+    if held is None:
+        ride, actions = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0)), None
     else:
-        held = recorded_ride(options.ride, options.steps, options.seat)
         ride, actions = list(held.seen), held.actions
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
     facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1], actions)
