@@ -97,13 +97,14 @@ class MapGaps(nn.Module):
         column = (HALF_M - (y + sin * self.discs[:, 0] + cos * self.discs[:, 1])) / CELL_M - 0.5
         row, column = row.clamp(0.0, SIDE - 1.001), column.clamp(0.0, SIDE - 1.001)
         i, j = torch.floor(row), torch.floor(column)
-        down, right = (row - i)[..., None], (column - j)[..., None]
-        at = (i * SIDE + j).to(torch.int64)
-        far = away_m.reshape(2, -1).transpose(0, 1)  # both at a place
-        above = (1.0 - right) * far[at] + right * far[at + 1]
-        below = (1.0 - right) * far[at + SIDE] + right * far[at + SIDE + 1]
-        room = (1.0 - down) * above + down * below - self.discs[:, 2:3]
-        return room.amin(2).transpose(1, 2)
+        # One long dimension last: libraries take rows of two numbers one by one.
+        down, right = (row - i).reshape(1, -1), (column - j).reshape(1, -1)
+        at = (i * SIDE + j).reshape(-1).to(torch.int64)
+        far = away_m.reshape(2, -1)  # what stands, what moves
+        above = (1.0 - right) * far.index_select(1, at) + right * far.index_select(1, at + 1)
+        below = (1.0 - right) * far.index_select(1, at + SIDE) + right * far.index_select(1, at + SIDE + 1)
+        room = ((1.0 - down) * above + down * below).view(2, *row.shape) - self.discs[:, 2]
+        return room.amin(3).transpose(0, 1)
 
 
 def _lowest_around(ground: torch.Tensor) -> torch.Tensor:

@@ -203,15 +203,15 @@ class DangerGraph(nn.Module):
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
         x, y = _in_O(motion, place[:, 0], place[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        slot = torch.where(used, _slot(ix, iy), torch.zeros_like(ix)).to(torch.int64)
+        cells_and_none = RASTER * RASTER + 1  # what is not used goes into a cell more, which is let go of
+        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(torch.int64)
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
         kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))  # the last one of a cell wins
         moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
         said = torch.stack([ix, iy, moving, kinds, place[:, 2], -place[:, 2]])
-        said = torch.where(used, said, torch.full_like(said, _NOWHERE))
-        begin = said.new_full((6 * RASTER * RASTER,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
-        slots = torch.cat([slot + number * RASTER * RASTER for number in range(6)])
-        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(6, -1)
+        begin = said.new_full((6 * cells_and_none,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
+        slots = torch.cat([slot + number * cells_and_none for number in range(6)])
+        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(6, -1)[:, :-1]
         key_x, key_y, moving, kinds, high, low = (most[number] for number in range(6))
         old = cells[0]
         seen = high > 0.5 * _NOWHERE
