@@ -20,11 +20,11 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import a_run
+from tests.agents.toy import ToyStreet, a_run
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import CameraConfig, RunConfig, load_run_config
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STEPS = 152  # a multiple of learn.train_every
@@ -122,6 +122,17 @@ def test_the_example_of_stock_learners_trains_saves_and_loads_both(corner, tmp_p
     assert [kind.load(path, device="cpu").num_timesteps for kind, path in zip((DQN, PPO), saved, strict=True)] == [
         24, 24,
     ]  # fmt: skip
+
+
+def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
+    model = DQN("MultiInputPolicy", ToyStreet(CameraConfig(width_px=80, height_px=60)), buffer_size=10, seed=1)
+    model.save(tmp_path / "sb3.zip")
+    monkeypatch.chdir(tmp_path)
+    policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](load_run_config("quick"))
+    policy.begin()
+    policy.reset()
+    seen = ToyStreet(CameraConfig(width_px=80, height_px=60)).reset(seed=1)[0]
+    assert policy.act(seen) == int(model.predict(seen, deterministic=True)[0]) and policy.name == "sb3"
 
 
 @pytest.mark.parametrize("name", ["own_network.py", "own_reward.py"])

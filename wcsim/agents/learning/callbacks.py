@@ -164,7 +164,7 @@ class EpisodeMetrics(SeqCallback):
             {
                 "step": self.num_timesteps,
                 "episode": self.episodes,
-                "phase": int(learner.phase),
+                "phase": int(learner.phase if plan is None else plan.phase(self.num_timesteps - learner.n_envs)),
                 **sums.row(info, crashed),
                 "epsilon": learner.exploration_rate,
                 "margin_weight": 0.0 if plan is None else plan.margin_weight(self.num_timesteps),

@@ -23,7 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
@@ -201,11 +201,14 @@ def policy_path(name: str) -> Path:
         head, stage = name, "final"
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
-        raise PolicyError(f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}")
+        raise PolicyError(
+            f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known} (a policy of your own, "
+            "module:Class, is tested with --suite)"
+        )
     if not is_folder(Path(head)):
         raise PolicyError(
             f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, or a "
-            f"baseline: {', '.join((*NAMES, UPPER_BOUND))}{meant(head, (*NAMES, UPPER_BOUND))}"
+            f"baseline: {', '.join((*NAMES, *UPPER_BOUNDS))}{meant(head, (*NAMES, *UPPER_BOUNDS))}"
         )
     run = open_run(Path(head))
     found = run.policy(stage)

@@ -74,7 +74,8 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     log(alone, *(row(10 * k, kpi1_greedy=0.1) for k in range(1, 11)), row(110, phase=2))
     assert main(["report", "run", "alone"]) == 0
     told = capsys.readouterr().out
-    assert "run/a: KPI 1 never below 0.1768" in told and "alone: KPI 1 below 0.1768 from step 50 on" in told
+    mean = "KPI 1, mean of 20 episodes,"
+    assert f"run/a: {mean} never below 0.1768" in told and f"alone: {mean} below 0.1768 from step 50 on" in told
     page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
     with (tmp_path / "runs" / "report" / "report" / "clients.csv").open() as file:

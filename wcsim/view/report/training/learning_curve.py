@@ -52,12 +52,12 @@ class LimitCrossing:
         """In words.
 
         >>> LimitCrossing(step=1200, last=0.4, left=9000).told()
-        'KPI 1 below 0.1768 from step 1200 on, above again since step 9000'
+        'KPI 1, mean of 20 episodes, below 0.1768 from step 1200 on, above again since step 9000'
         """
         if self.step is None:
-            return f"KPI 1 never below {KPI1_LIMIT}"
+            return f"KPI 1, mean of {OVER} episodes, never below {KPI1_LIMIT}"
         after = f", above again since step {self.left}" if self.left is not None else ""
-        return f"KPI 1 below {KPI1_LIMIT} from step {self.step} on{after}"
+        return f"KPI 1, mean of {OVER} episodes, below {KPI1_LIMIT} from step {self.step} on{after}"
 
 
 def read_training(folders: Sequence[Path]) -> Training:
