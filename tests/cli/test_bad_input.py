@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -200,6 +202,23 @@ def test_training_and_test_towns_are_kept_apart(wcsim, folder):
     refused(wcsim("train", "--town", "monaco"), "monaco is a test town", "--allow-test-town")
     refused(wcsim("test", "--town", "helsinki"), "helsinki is a training town", "--allow-train-town")
     assert files_in(folder) == set()
+
+
+def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_town(wcsim, folder, corner):
+    own = shutil.copytree(corner, folder.parent / "own")
+    (own / "town.toml").unlink()
+    scenario = next(own.glob("*.sumocfg"))
+    words = ("--only", "--episodes", "1", "--max-steps", "3", *QUICK)
+    told = wcsim("test", "--town", scenario, *words)
+    assert told.code == 0
+    assert "1 policy, 1 episode of each: follow" in told.err and "zero" not in told.out
+    known = shutil.copytree(corner, folder / "scenarios/sumo/known")
+    text = (known / "town.toml").read_text()
+    for split in ("test", "train"):
+        (known / "town.toml").write_text(re.sub(r'split = "\w+"', f'split = "{split}"', text))
+        told = wcsim("test", "--town", scenario, *words)
+        assert told.code == (2 if split == "train" else 0)
+    refused(told, "own is a training town, for it has the streets of", "--allow-train-town")
 
 
 @pytest.mark.proof

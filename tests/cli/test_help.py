@@ -70,3 +70,13 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
 def test_version(wcsim):
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert wcsim("--version").out.strip() == version
+
+
+def test_whatever_takes_a_town_says_that_a_scenario_will_do(wcsim):
+    takes = {("town", "check"), ("town", "pave"), ("town", "run"), ("town", "tour"), ("users", "record")}
+    takes |= {(name,) for name in ("look", "snapshot", "video", "drive", "test", "train", "collect", "demo", "serve")}
+    takes |= {("export",), ("doctor",), ("replay",)} | {words for words in COMMANDS if words[0] == "bench"}
+    takes -= {("bench", "chair"), ("bench", "barrier")}
+    for words in COMMANDS:
+        told = re.sub(r"[\s│]+", " ", wcsim(*words, "--help").out)
+        assert ("town's name, its folder, or anybody's .sumocfg" in told) == (words in takes), words

@@ -35,7 +35,7 @@ class Options:
     """Check versions, SUMO, threads, shared memory, and run a town for five seconds."""
 
     town: str = "helsinki"
-    """Town to run for the tick rate."""
+    """Where the tick rate is measured: a town's name, its folder, or anybody's .sumocfg."""
     seed: int = 0
     """Seed of that run."""
     json: OutFile = None

@@ -29,7 +29,7 @@ class Options:
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name or folder."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     policy: str = "dwa"
     """Who assists: a run, a policy folder, shipped, or a baseline; follow gives the stick as it is."""
     profile: str = "competent"

@@ -43,7 +43,7 @@ class Options:
     """Run a world until Ctrl-C; clients take its seats with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
-    """Town of the world."""
+    """Where: a town's name, its folder, or anybody's .sumocfg."""
     seats: int = 4
     """Wheelchairs that there is room for."""
     expected: int = 1

@@ -150,6 +150,18 @@ def test_the_tables_show_what_was_counted_and_drops_when_there_are_some():
     assert [row[-1] for row in cells(shown(fell))[2:]] == ["0", "3"]
 
 
+def test_a_drive_is_uneventful_when_nobody_crashed_and_all_followers_have_the_same_figures():
+    calm = evaluate(FOLLOW, Script(crash_at=99), episodes=1, max_steps=5, seed=0)
+    helped, heedless = replace(calm, policy="shipped"), replace(calm, policy="random", kpi1_mean=1.0)
+    result = TestResult(town="a", seed=0, profile="b", rows=(helped, calm, heedless))
+    assert result.uneventful
+    assert not replace(result, rows=(calm, heedless)).uneventful
+    assert not replace(result, rows=(replace(helped, kpi1_mean=0.9), calm)).uneventful
+    assert not replace(result, rows=(replace(helped, km=9.0), calm)).uneventful
+    crashed = evaluate(FOLLOW, Script(crash_at=3), episodes=1, max_steps=5, seed=0)
+    assert not replace(result, rows=(crashed, replace(crashed, policy="shipped"))).uneventful
+
+
 @pytest.mark.parametrize("width", [80, 100, 120])
 def test_no_name_and_no_number_is_broken_however_long(width):
     row = evaluate(FOLLOW, Script(), episodes=2, max_steps=9, seed=0, tick_s=10.0)

@@ -62,6 +62,7 @@ _GETTING_THERE: Columns = (
     ("red_entries", "at\nred", "{:d}"),
     ("standing_on_carriageway_s", "s on\nroad", "{:.0f}"),
 )
+_HEEDLESS = ("random", "zero")  # baselines that do not ask what the user wants
 _UPPER_BOUND_NOTES = {
     UPPER_BOUND: "oracle sees the truth: an upper bound",
     VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
@@ -102,6 +103,13 @@ class TestResult:
             "profile": self.profile,
             "rows": [row.to_json() for row in self.rows],
         }
+
+    @property
+    def uneventful(self) -> bool:
+        """Whether nobody crashed, and all who follow the user have the same figures as far as they are shown."""
+        followers = [row for row in self.rows if row.policy not in _HEEDLESS]
+        shown = {tuple(_texts(row, (*_FOLLOWING, *_GETTING_THERE))) for row in followers}
+        return len(followers) > 1 and len(shown) == 1 and not any(row.crashes for row in followers)
 
     def tables(self, width: int = 80) -> tuple[Table, Table]:
         """The rows for a console of `width` characters, at least 80: no number is folded, and no name in a row.
@@ -248,5 +256,9 @@ def _table(title: str, columns: Columns, width: int, more: Sequence[str] = ()) -
 
 
 def _cells(row: EvalRow, columns: Columns) -> list[Text]:
+    return [Text(cell) for cell in _texts(row, columns)]
+
+
+def _texts(row: EvalRow, columns: Columns) -> list[str]:
     values = [(getattr(row, key), text) for key, _, text in columns]
-    return [Text("-" if value is None else text.format(value)) for value, text in values]
+    return ["-" if value is None else text.format(value) for value, text in values]

@@ -17,7 +17,7 @@ class BridgeOptions:
     """The cost of the bridge: one world beside a twin without it, ten ticks each in turns, in processor time."""
 
     town: str = "helsinki"
-    """Town to run."""
+    """Where: a town's name, its folder, or anybody's .sumocfg."""
     ticks: int = 600
     """Ticks to measure."""
     demand_scale: float = 0.6

@@ -23,7 +23,7 @@ class CameraOptions:
     """The rasteriser beside PyBullet's TinyRenderer on the same frames, in CPU time; six cameras by threads."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Towns to take camera poses from, joined by commas."""
+    """Where camera poses are taken from, each a town's name, its folder, or anybody's .sumocfg; joined by commas."""
     poses: int = 32
     """Camera poses, shared out among the towns."""
     actors: int = 60

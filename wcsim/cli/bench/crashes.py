@@ -43,7 +43,7 @@ class CrashesOptions:
     """Class, place and cause of every crash of baselines on the same starts; stretches of lost control."""
 
     town: str = "monaco"
-    """Towns to drive in, joined by commas."""
+    """Where, each a town's name, its folder, or anybody's .sumocfg; several are joined by commas."""
     policy: str = "follow"
     """Baselines, joined by commas; each meets the same starts and users."""
     profile: str = "inattentive"

@@ -29,7 +29,7 @@ class CurveOptions:
     """What a tick costs over wheelchairs, actors and the size of the town, and what grows faster than linearly."""
 
     town: str = "helsinki"
-    """Town for the wheelchairs; the other two axes run in generated ones."""
+    """Where the wheelchairs are: a town's name, its folder, or anybody's .sumocfg; other axes have their own."""
     chairs: str = "1,2,4,8,12"
     """Numbers of wheelchairs, joined by commas."""
     actors: str = "50,200,500,1000"

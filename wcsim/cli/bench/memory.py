@@ -25,7 +25,7 @@ class MemoryOptions:
     """What a world holds in memory while its wheelchairs roam a whole town, through its traffic."""
 
     town: str = "monaco"
-    """Town to run."""
+    """Where: a town's name, its folder, or anybody's .sumocfg."""
     chairs: int = 3
     """Number of wheelchairs."""
     ticks: int = 20_000

@@ -47,7 +47,7 @@ class ParallelOptions:
     steps: int = 3000
     """Steps of each."""
     town: str = "helsinki"
-    """Town to train in."""
+    """Where to train: a town's name, its folder, or anybody's .sumocfg."""
     preset: str = "dqn"
     """Settings to begin with."""
     set: Repeated = ()

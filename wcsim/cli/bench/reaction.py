@@ -23,7 +23,7 @@ class ReactionOptions:
     """Whether the street brakes for wheelchairs and goes round them: contacts, waits, people that step aside."""
 
     town: str = "helsinki"
-    """Town with real streets to use beside the built ones; "" for these alone."""
+    """Real streets to use beside the built ones: a town's name, its folder, or anybody's .sumocfg; "" for none."""
     minutes: float = 10.0
     """Simulated minutes that a chair stands at each place."""
     trials: int = 40

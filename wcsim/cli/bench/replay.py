@@ -27,7 +27,7 @@ class ReplayOptions:
     """What a state costs in the replay memory on disk: bytes without and with sensor noise, time to write and read."""
 
     town: str = "helsinki"
-    """Town to run."""
+    """Where: a town's name, its folder, or anybody's .sumocfg."""
     width: int = 320
     """Camera width in pixels."""
     height: int = 240

@@ -52,7 +52,7 @@ class SoakOptions:
     set: Repeated = ()
     """section.key=value for the learners; may be given several times."""
     town: str = ""
-    """Town to run in. (default: monaco; with --networks helsinki)"""
+    """Where: a town's name, its folder, or anybody's .sumocfg. (default: monaco; with --networks helsinki)"""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
     """What a restarted world does: begin a new epoch, or compute the old one again."""
     lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None

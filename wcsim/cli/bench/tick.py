@@ -27,7 +27,7 @@ class TickOptions:
     """Ticks per second of a world with traffic, cameras, IMU and user on, and where the time goes."""
 
     town: str = "helsinki"
-    """Town to run."""
+    """Where: a town's name, its folder, or anybody's .sumocfg."""
     chairs: str = "1,6"
     """Numbers of wheelchairs to measure, joined by commas."""
     ticks: int = 400

@@ -31,7 +31,7 @@ class UsersOptions:
     """Statistics of each user profile beside its parameters; how often users arrive, and how often they crash."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Towns to drive in, joined by commas; the routes are shared out among them."""
+    """Where, each a town's name, its folder, or anybody's .sumocfg; joined by commas, they share the routes."""
     profiles: str = ",".join(profile_names())
     """Profiles to measure, joined by commas."""
     routes: int = 20

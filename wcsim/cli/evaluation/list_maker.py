@@ -17,7 +17,8 @@ class SuiteMakeOptions:
     """Make a list of test episodes for towns of your own."""
 
     make_suite: str
-    """Towns, joined by commas; made:SEED is a town without a map (`wcsim town make`)."""
+    """Where, joined by commas: a town's name, its folder, or anybody's .sumocfg;
+    made:SEED is a town without a map (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
     """The list to write."""
     name: str = "own-suite-v1"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,12 +25,13 @@ from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, find_town, streets_hash
+from wcsim.towns.scenario.town import Town, find_town, list_towns, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
-    from wcsim.agents.evaluation.matrix import TestResult
+    from wcsim.agents.evaluation.matrix import TestPlan, TestResult
 
 MAX_STEPS = 1_000_000  # as in env.max_steps
+UNEVENTFUL = "no danger was met: all who follow the user did the same; drive longer (--max-steps) or more (--episodes)"
 
 
 @dataclass
@@ -41,9 +43,9 @@ class Options:
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
-    """What to test; the baselines follow, random, zero, stop, dwa, oracle-visible and oracle are always added."""
+    """What to test; follow, random, zero, stop, dwa, oracle-visible and oracle are added unless --only."""
     town: str = "monaco"
-    """Towns, joined by commas."""
+    """Where, each a town's name, its folder, or anybody's .sumocfg; several are joined by commas."""
     profile: str = "inattentive"
     """User profiles, joined by commas; FILE.toml is your own, recorded:FILE replays one."""
     episodes: int = 5
@@ -60,8 +62,10 @@ class Options:
     """Your own network as module:Class, for runs that were trained with it."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Drive these policies and the user alone, without the other baselines."""
     allow_train_town: bool = False
-    """Test in a town of split train, or in the town that a run was trained in."""
+    """Test in a town that is for training, or in the town that a run was trained in."""
     verbose: Verbose = False
     """Show what is overridden of the town's SUMO options as a table, with the reasons."""
     json: OutFile = None
@@ -79,6 +83,8 @@ def run(words: list[str]) -> int:
     console = Console()
     for result in results:
         console.print(*result.tables(console.width))
+        if result.uneventful:
+            console.print(UNEVENTFUL)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
     if options.json is not None:
         write_json(options.json, as_json(results))
@@ -115,7 +121,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
     )
     from wcsim.agents.evaluation.matrix import TestPlan, open_policy, run_test, window_for
 
-    names = list(dict.fromkeys([*options.policies, *NAMES, *UPPER_BOUNDS]))
+    names = _driven(options)
     policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
 
@@ -139,9 +145,26 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
         reward=config.reward,
     )
     with StageBar("testing") as bar:
+        bar.say(_told_of(plan, names))
         return run_test(
             policies, make_env, plan, lambda text: bar.say(f"tested {text}"), lambda share, who: bar.show(share, who)
         )
+
+
+def _driven(options: Options) -> list[str]:
+    """Who drives, in the order of the tables; the user alone is what the others are compared with."""
+    from wcsim.agents.evaluation.suite.run import UNAIDED  # loads the simulators, which --help must not
+
+    added = (UNAIDED,) if options.only else (*NAMES, *UPPER_BOUNDS)
+    return list(dict.fromkeys([*options.policies, *added]))
+
+
+def _told_of(plan: TestPlan, names: Sequence[str]) -> str:
+    """How much there is to drive, in a line."""
+    many = f"{len(names)} policies" if len(names) > 1 else "1 policy"
+    places = [f"{len(found)} {what}s" for found, what in ((plan.towns, "town"), (plan.profiles, "user")) if found[1:]]
+    of_each = f"{plan.episodes} episode{'s' * (plan.episodes > 1)} of each"
+    return f"{many}, {' in each of '.join([of_each, *places])}: {', '.join(names)}"
 
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
@@ -187,20 +210,43 @@ def checked_town(name: str, options: Options) -> Town:
     validate_net(town.net)
     if options.allow_train_town:
         return town
-    if town.split == "train":
-        raise TownError(
-            f"{town.name} is a training town; expected a town of split test (wcsim town list). "
-            "Choose another --town, or say --allow-train-town"
-        )
     digest = streets_hash(town)
+    _refuse_school(town, digest)
     for policy in options.policies:
-        manifest = None if is_baseline(policy) else run_of(policy)
-        if manifest is not None and manifest.town_sha256 == digest:
+        if not is_baseline(policy) and digest in _schools(policy):
             raise TownError(
                 f"{policy} was trained in {town.name} itself; expected a town it has never seen. "
                 "Choose another --town, or say --allow-train-town"
             )
     return town
+
+
+def _refuse_school(town: Town, digest: str) -> None:
+    """Raise TownError for a town that is for training.
+
+    Nobody has said so of a scenario that was made elsewhere; but it may be a copy of such a town.
+    """
+    known = (town,) if town.declared else list_towns()
+    schools = (other for other in known if other.declared and other.split == "train")
+    found = next((other for other in schools if streets_hash(other) == digest), None)
+    if found is not None:
+        same = "" if town.declared else f", for it has the streets of {found.name}"
+        raise TownError(
+            f"{town.name} is a training town{same}; expected a town of split test (wcsim town list), or a scenario of "
+            "your own. Choose another --town, or say --allow-train-town"
+        )
+
+
+def _schools(policy: str) -> set[str]:
+    """Hashes of the streets that a run's policy was trained in; of one without its run nothing is known."""
+    manifest = run_of(policy)
+    if manifest is None:
+        return set()
+    found = {manifest.town_sha256}
+    for name in config_of(policy, "quick").collect.towns:
+        with contextlib.suppress(TownError):  # it is not here any more
+            found.add(streets_hash(find_town(name)))
+    return found
 
 
 def _config(options: Options) -> RunConfig:

@@ -30,7 +30,7 @@ class Options:
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name or folder."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     seed: int = 0
     """Seed of the traffic and of the chair's place."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")

@@ -59,7 +59,7 @@ class Options:
     seat: int | None = None
     """Of --page: which chair to follow."""
     town: str = ""
-    """Of --page: where a trace was recorded, if no town of its name is found."""
+    """Of --page: where a trace was recorded, if not found: a town's name, its folder, or anybody's .sumocfg."""
     port: int = 8080
     """Where --page is served; 0 takes a free one."""
     host: str = "127.0.0.1"

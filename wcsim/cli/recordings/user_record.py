@@ -30,7 +30,7 @@ class UserRecordOptions:
     """Let a simulated user drive through a town, and record the drive."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name or folder."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The file of the recording, a new one."""
     profile: str = "competent"

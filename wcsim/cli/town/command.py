@@ -36,7 +36,7 @@ class CheckOptions:
     """Check a town: can it be walked through, does its traffic find its way, is the ground whole, does SUMO run it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name or folder."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     json: OutFile = None
     """Write the result to this file."""
 

@@ -27,7 +27,7 @@ class PaveOptions:
     """Copy a scenario without pavements into a folder, add pavements and crossings, and move what lies by lane."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A .sumocfg, or a town's name or folder; it stays as it is."""
+    """A town's name, its folder, or anybody's .sumocfg; it stays as it is."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """A new folder for the copy."""
     max_speed: float = FASTEST_MPS

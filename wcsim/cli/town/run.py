@@ -34,7 +34,7 @@ class RunOptions:
     """Run a town's traffic, with or without wheelchairs, and keep what happened in a folder."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name or folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     seconds: float = 600.0
     """Simulated time."""
     seed: int = 0

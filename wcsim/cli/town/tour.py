@@ -34,7 +34,7 @@ class TourOptions:
     """Drive a wheelchair over every pavement, walking area and crossing of a town, through its traffic."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name or folder, or a .sumocfg."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     speed: float = 2.8
     """Speed of the wheelchair in m/s."""
     every: int = 1

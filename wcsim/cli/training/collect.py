@@ -23,7 +23,7 @@ class Options:
     """Record driving to learn from; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
-    """Towns to drive in, in turn, joined by commas; their split must be train."""
+    """Where, in turn, each a town's name, its folder, or anybody's .sumocfg; joined by commas, none for tests."""
     preset: str = "laptop"
     """Settings to begin with; the section [collect] says who drives, and how."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None

@@ -37,9 +37,9 @@ class Options:
     """
 
     train_town: str = "helsinki"
-    """Town to train in."""
+    """Where to train: a town's name, its folder, or anybody's .sumocfg."""
     test_town: str = "monaco"
-    """Town to test in."""
+    """Where to test: a town's name, its folder, or anybody's .sumocfg."""
     out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
     set: Repeated = ()

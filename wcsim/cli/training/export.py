@@ -25,7 +25,8 @@ class Options:
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder to make."""
     town: str = "helsinki"
-    """Town in which the reference steps are driven, by turns with the user's stick and with one that is pushed."""
+    """Where the reference steps are driven: a town's name, its folder, or anybody's .sumocfg. The stick is the user's and
+    one that is pushed, by turns."""
     ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """A recorded drive, or the journal of a run, whose first episode gives the reference steps and actions instead."""
     seat: int = 0

@@ -41,7 +41,7 @@ class Options:
     """Train a network: first to follow the user (action driven learning), then when not to (agent driven learning)."""
 
     town: str = "helsinki"
-    """Town to train in; its split must be train."""
+    """Where to train: a town's name, its folder, or anybody's .sumocfg; none for tests."""
     preset: str = ""
     """Settings to begin with: quick, laptop, best, dqn or paper. (default: quick, which learns dangers in rounds; dqn,
     which learns by Q-learning, with --network, --clients, --steps, --reward, --hook or a setting of [learn])"""

@@ -18,9 +18,10 @@ from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
 log = logging.getLogger("wcsim.towns")
 
 NOT_TOWNS = ("scenes",)
+TOWN_TOML = "town.toml"
 _BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
-_TOWN_TOML = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
+_TOWN_FILE = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +39,11 @@ class Town:
     additional: tuple[Path, ...] = ()  # the polygons among them
     border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
     passing: bool = False  # it is driven once: what is built of it is not kept
+
+    @property
+    def declared(self) -> bool:
+        """Whether a town.toml says what it is for; `split` is a mere guess for a scenario that was made elsewhere."""
+        return (self.folder / TOWN_TOML).is_file()
 
     @property
     def address(self) -> str:
@@ -158,7 +164,7 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
 
 def _town_file(folder: Path, config: Configuration) -> TownFile:
     """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
-    toml = folder / "town.toml"
+    toml = folder / TOWN_TOML
     if toml.is_file():
         return read_town_file(toml)
     place, alone = folder.resolve(), len(_configs(folder)) == 1
@@ -169,7 +175,7 @@ def _town_file(folder: Path, config: Configuration) -> TownFile:
 
 def read_town_file(toml: Path) -> TownFile:
     """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
-    return parse(TownFile, read_toml(toml, _TOWN_TOML), shown(toml))
+    return parse(TownFile, read_toml(toml, _TOWN_FILE), shown(toml))
 
 
 def net_middle(net: Path) -> tuple[int, int]:
@@ -209,7 +215,7 @@ def streets_hash(town: Town) -> str:
 
 def _main_config(folder: Path) -> Path:
     """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
-    toml = folder / "town.toml"
+    toml = folder / TOWN_TOML
     named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
@@ -230,7 +236,7 @@ def _main_config(folder: Path) -> Path:
 def _is_town(folder: Path) -> bool:
     if folder.name.startswith("."):  # an import that is not done, or was killed
         return False
-    return bool(_configs(folder)) or (folder / "town.toml").is_file()
+    return bool(_configs(folder)) or (folder / TOWN_TOML).is_file()
 
 
 def _configs(folder: Path) -> list[Path]:
