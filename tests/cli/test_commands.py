@@ -266,6 +266,19 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
     assert files_in(folder) == {"new", "new/film.webm"}
 
 
+def test_settings_are_laid_over_those_of_pictures_and_films(wcsim, folder, corner):
+    wrong, slow = ("--set", "chair.plant=none-of-these.toml"), ("--set", "chair.v_max_mps=0.2")
+    shows = {"snapshot": ("--width", "80"), "look": (), "video": ("--width", "80"), "video --policy follow": ()}
+    for words, more in shows.items():
+        told = wcsim(*words.split(), corner, *more, *wrong, "--seconds", "0.3")
+        assert told.code == 2 and "none-of-these.toml" in told.err
+    assert files_in(folder) == set()
+    for words in ("video", "video --policy follow"):
+        told = wcsim(*words.split(), corner, "--width", "80", *slow, "--seconds", "0.5", "--out", "slow.webm")
+        assert told.code == 0
+        assert cv2.VideoCapture("slow.webm").get(cv2.CAP_PROP_FRAME_COUNT) == 5
+
+
 def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
     told = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
     assert (told.code, told.err) == (0, "note: made the folder new\n")

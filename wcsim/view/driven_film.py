@@ -42,13 +42,23 @@ class DrivenFilm:
         policy: As `wcsim test` names it.
         profile: Of the user whose stick the policy sees.
         path: The video.
+        settings: section.key=value, laid over the policy's own.
     """
 
-    def __init__(self, town: Town, seed: int, width: int, policy: str, profile: str, path: Path) -> None:
+    def __init__(
+        self,
+        town: Town,
+        seed: int,
+        width: int,
+        policy: str,
+        profile: str,
+        path: Path,
+        settings: tuple[str, ...] = (),
+    ) -> None:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
             raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-        own = settings_of(policy, "quick", ())
+        own = settings_of(policy, "quick", settings)
         film = CameraConfig(name=FILM_CAMERA, width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         own = own.model_copy(update={"cameras": (*own.cameras, film)})
         self._policy = open_named(policy, own, seed)
@@ -58,6 +68,7 @@ class DrivenFilm:
         spec = SeatSpec(profile=profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
         self._world = World(town, config, (spec,), seed)
         self._chair, self._link = Chair(config), HeldLink()
+        self._ticks = 0
         self.taken_over = 0.0  # how far the stick that was driven last was from the user's, 0 to 2 and more
         try:
             self._map = MapView(self._world.street.mesh, film.height_px, MAP_SPAN_M)
@@ -88,7 +99,8 @@ class DrivenFilm:
         rgb = client.sensors.cameras[-1].rgb
         if rgb is None:
             raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
-        said = f"{policy.name}   {snapshot.time_s:.1f} s   {step.info['speed_mps']:.2f} m/s"
+        self._ticks += 1
+        said = f"{policy.name}   {self._ticks * self.tick_s:.1f} s   {step.info['speed_mps']:.2f} m/s"
         picture = captioned(rgb, said + ("   CRASH" if client.events.crashed else ""))
         given = Joystick(*self.actions.points[action].tolist())
         wanted = Joystick(float(asked[0]), float(asked[1]))
@@ -126,7 +138,19 @@ def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -
         cv2.line(pad, (middle, middle), at, colour, 2, cv2.LINE_AA)
         cv2.circle(pad, at, max(2, round(size * side)), colour, -1, cv2.LINE_AA)
     scale = max(0.35, width / 1200.0)
-    for row, (word, colour) in enumerate((("user", ASKED_RGB), ("driven", GIVEN_RGB))):
-        cv2.putText(image, word, (left, top - 6 - round(26 * scale) * row), 0, scale, colour, 1, cv2.LINE_AA)
+    low = top - 3
+    for word, colour in (("user", ASKED_RGB), ("driven", GIVEN_RGB)):
+        low = _with_word(image, (left, low), word, scale, colour)
     if warning:
         cv2.putText(image, "WARNING", (8, height - 12), 0, 2.0 * scale, WARN_RGB, 2, cv2.LINE_AA)
+
+
+def _with_word(image: U8, place: tuple[int, int], word: str, scale: float, colour: tuple[int, int, int]) -> int:
+    """Write a word on a dark strip of its own, from its lower left corner (column, row); returns the strip's top."""
+    (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    left, low = place
+    top = max(0, low - high - below - 4)
+    strip = image[top:low, left : left + wide + 6]
+    strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
+    cv2.putText(image, word, (left + 3, low - below - 1), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+    return top

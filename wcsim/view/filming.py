@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.config import CameraConfig, RunConfig
+from wcsim.config import CameraConfig, RunConfig, with_overrides
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
@@ -42,10 +42,11 @@ class Shot:
 class FilmedDrive:
     """A world with one chair, made to be looked at."""
 
-    def __init__(self, town: Town, seed: int, width: int) -> None:
+    def __init__(self, town: Town, seed: int, width: int, settings: tuple[str, ...] = ()) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
-        self.world = World(town, RunConfig(cameras=(camera,)), (SeatSpec(profile="competent"),), seed)
-        self._camera = camera
+        config = with_overrides(RunConfig(cameras=(camera,)), settings)
+        self.world = World(town, config, (SeatSpec(profile="competent"),), seed)
+        self._camera = config.cameras[0]
         self.tick_s = self.world.config.world.tick_s
 
     def go_on(self) -> Snapshot:
@@ -173,11 +174,14 @@ class Film:
 
 
 @contextmanager
-def open_stage(town: Town, seed: int, width: int) -> Iterator[FilmedDrive]:
-    """A stage that is closed at the end. Raises TownError, or ConfigError for a width out of bounds."""
+def open_stage(town: Town, seed: int, width: int, settings: tuple[str, ...] = ()) -> Iterator[FilmedDrive]:
+    """A stage that is closed at the end; `settings` (section.key=value) are laid over the usual ones.
+
+    Raises TownError, or ConfigError for a width out of bounds or settings that cannot be.
+    """
     if not 64 <= width <= 1920:
         raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-    stage = FilmedDrive(town, seed, width)
+    stage = FilmedDrive(town, seed, width, settings)
     try:
         yield stage
     finally:

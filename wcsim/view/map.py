@@ -35,6 +35,8 @@ _KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
 _CHAIR_RGB = (250, 214, 40)
 ROUTE_RGB = (40, 150, 60)
 _EDGE_RGB = (250, 250, 250)
+_BAR_M, _BAR_ALOFT = 10.0, 0.04  # the bar of the scale, and how far it is from the edges, as a share of the map
+_BAR_RGB, _BAR_RIM_RGB = (250, 250, 250), (28, 32, 38)
 _SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
 
 
@@ -43,6 +45,7 @@ class MapView:
 
     def __init__(self, street: StreetMesh | GeometryStore, size_px: int = 480, span_m: float = 60.0) -> None:
         """`street` may be the store of a camera rig, which saves building it again."""
+        self.px_per_m = size_px / span_m
         camera = Pinhole(
             width_px=size_px,
             height_px=size_px,
@@ -103,13 +106,29 @@ class MapView:
 
 
 def map_view(view: MapView, world: World) -> U8:
-    """The map around the first wheelchair of a world now, with its route, and all actors and wheelchairs in it."""
+    """The map around the first wheelchair of a world now: its route, all actors and wheelchairs in it, the scale."""
     snapshot, first = world.snapshot, world.seats[0]
     chairs = [
         chair_pose(client.seat, client.plant, seat.chair.outline)
         for client, seat in zip(snapshot.clients, world.seats, strict=True)
     ]
-    return view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
+    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
+    draw_scale(image, view.px_per_m)
+    return image
+
+
+def draw_scale(image: U8, px_per_m: float) -> None:
+    """Draw a bar of 10 m into the lower left corner of a map (H, W, 3)."""
+    height = image.shape[0]
+    away = max(4, round(_BAR_ALOFT * height))
+    left, right, low = away, away + round(_BAR_M * px_per_m), height - away
+    tick, size = max(2, away // 3), max(0.35, height / 1000.0)
+    for colour, thick in ((_BAR_RIM_RGB, 3), (_BAR_RGB, 1)):  # what is light has a dark rim: it is seen on any ground
+        cv2.line(image, (left, low), (right, low), colour, thick)
+        for end in (left, right):
+            cv2.line(image, (end, low - tick), (end, low + tick), colour, thick)
+        above = (left, low - tick - 4)
+        cv2.putText(image, f"{_BAR_M:g} m", above, cv2.FONT_HERSHEY_SIMPLEX, size, colour, thick, cv2.LINE_AA)
 
 
 def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:

@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.pictures.snapshot import keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
-from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made, write_whole
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made, write_whole
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
 
@@ -29,6 +29,8 @@ class Options:
     """Where TOWN-street.png, TOWN.png and TOWN.webm go."""
     seconds: float = 10.0
     """How long it is filmed; the pictures are of the busiest moment of these."""
+    set: Repeated = ()
+    """section.key=value, laid over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:
@@ -46,7 +48,7 @@ def run(words: list[str]) -> int:
 
     with (
         StageBar("filming") as bar,
-        open_stage(town, options.seed, _WIDTH_PX) as stage,
+        open_stage(town, options.seed, _WIDTH_PX, options.set) as stage,
         stage.film(video) as film,
     ):
         stills, busiest = StillPictures(stage.world), BusiestMoment(stage)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import check_output, in_bounds, parse, write_whole
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, write_whole
 from wcsim.towns.scenario.town import find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -31,6 +31,8 @@ class Options:
     """Width of each of the three images, in pixels."""
     seconds: float = 20.0
     """How long the chair may drive until most is in view."""
+    set: Repeated = ()
+    """section.key=value, laid over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:
@@ -42,7 +44,7 @@ def run(words: list[str]) -> int:
 
     from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
 
-    with open_stage(town, options.seed, options.width) as stage:
+    with open_stage(town, options.seed, options.width, options.set) as stage:
         shot = stage.busiest_moment(options.seconds)
     keep_shot(options.out, shot, f"{options.town}, seed {options.seed}")
     return 0

@@ -14,7 +14,7 @@ from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import is_onnx_folder
 from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import check_output, in_bounds, missing_folder, parse, tell_made
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made
 from wcsim.cli.shared.run_config import require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import Town, find_town
@@ -43,6 +43,8 @@ class Options:
     """Who drives: a run, a policy folder, shipped, or a baseline; "" gives the user what the stick says."""
     profile: str = "inattentive"
     """The simulated user whose stick a policy sees."""
+    set: Repeated = ()
+    """section.key=value, laid over those of the policy, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:
@@ -86,10 +88,11 @@ def _opened(options: Options, town: Town) -> Iterator[_Filmed]:
     if options.policy:
         from wcsim.view.driven_film import DrivenFilm
 
-        with DrivenFilm(town, options.seed, options.width, options.policy, options.profile, options.out) as driven:
+        who = options.policy, options.profile
+        with DrivenFilm(town, options.seed, options.width, *who, options.out, options.set) as driven:
             yield driven
         return
     from wcsim.view.filming import open_stage
 
-    with open_stage(town, options.seed, options.width) as stage, stage.film(options.out) as film:
+    with open_stage(town, options.seed, options.width, options.set) as stage, stage.film(options.out) as film:
         yield film

@@ -1,0 +1,53 @@
+"""A film of a chair that a policy drives."""
+
+import cv2
+import numpy as np
+import pytest
+
+from wcsim.types import Joystick
+from wcsim.view import driven_film
+from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, with_sticks
+from wcsim.view.map import draw_scale
+
+
+@pytest.mark.parametrize("width", [320, 480, 960])
+def test_the_words_of_both_sticks_stand_apart_on_dark_ground(width):
+    image = np.full((width * 3 // 4, width, 3), 255, np.uint8)
+    with_sticks(image, Joystick(0.0, 1.0), Joystick(0.0, 1.0), warning=False)
+    top = round(image.shape[0] * (1 - 0.28)) - 8
+    above, rows = image[:top].astype(int), {}
+    for colour in (ASKED_RGB, GIVEN_RGB):
+        at = np.nonzero(np.abs(above - colour).max(axis=2) < 40)
+        assert len(at[0]) > 10
+        rows[colour] = at[0]
+    assert rows[GIVEN_RGB].max() + 2 < rows[ASKED_RGB].min()
+    around = above[rows[ASKED_RGB].min() : rows[ASKED_RGB].max(), width - round(0.28 * image.shape[0]) - 4]
+    assert around.max() < 130, "light letters on light ground cannot be read"
+
+
+def test_the_clock_counts_from_the_beginning_of_the_film(corner, tmp_path, monkeypatch):
+    from wcsim.towns.scenario.town import find_town
+
+    said = []
+    real = driven_film.captioned
+    monkeypatch.setattr(driven_film, "captioned", lambda image, text: said.append(text) or real(image, text))
+    settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24", "chair.v_max_mps=0.5")
+    film = DrivenFilm(find_town(str(corner)), 0, 80, "follow", "inattentive", tmp_path / "a.webm", settings)
+    with film:
+        frames = [film.add() for _ in range(12)]
+    assert said[0].split()[:3] == ["follow", "0.1", "s"] and said[-1].split()[:3] == ["follow", "1.2", "s"]
+    assert frames[0].shape == (60, 140, 3)
+    assert max(float(text.split()[3]) for text in said) < 0.6, "settings are laid over those of the policy"
+
+
+@pytest.mark.parametrize(("size", "span_m"), [(360, 60.0), (900, 60.0), (480, 30.0)])
+def test_the_bar_of_the_scale_is_ten_metres_long(size, span_m):
+    ground = np.full((size, size, 3), 200, np.uint8)
+    image = ground.copy()
+    draw_scale(image, size / span_m)
+    low = size - max(4, round(0.04 * size))
+    white = np.nonzero((image[low] == 250).all(axis=1))[0]
+    assert np.ptp(white) == pytest.approx(10.0 * size / span_m, abs=1)
+    changed = (image != ground).any(axis=2)
+    assert changed.sum() < 0.05 * size**2
+    assert cv2.countNonZero(changed[: low - 2].astype(np.uint8)) > 20, "the bar says how long it is"
