@@ -36,7 +36,7 @@ _CHAIR_RGB = (250, 214, 40)
 ROUTE_RGB = (40, 150, 60)
 _EDGE_RGB = (250, 250, 250)
 _BAR_M, _BAR_ALOFT = 10.0, 0.04  # the bar of the scale, and how far it is from the edges, as a share of the map
-_BAR_RGB, _BAR_RIM_RGB = (250, 250, 250), (28, 32, 38)
+_BAR_RGB, _BAR_GROUND_RGB = (250, 250, 250), (28, 32, 38)
 _SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
 
 
@@ -120,15 +120,16 @@ def map_view(view: MapView, world: World) -> U8:
 def draw_scale(image: U8, px_per_m: float) -> None:
     """Draw a bar of 10 m into the lower left corner of a map (H, W, 3)."""
     height = image.shape[0]
-    away = max(4, round(_BAR_ALOFT * height))
+    away, size, word = max(6, round(_BAR_ALOFT * height)), max(0.35, height / 1000.0), f"{_BAR_M:g} m"
     left, right, low = away, away + round(_BAR_M * px_per_m), height - away
-    tick, size = max(2, away // 3), max(0.35, height / 1000.0)
-    for colour, thick in ((_BAR_RIM_RGB, 3), (_BAR_RGB, 1)):  # what is light has a dark rim: it is seen on any ground
-        cv2.line(image, (left, low), (right, low), colour, thick)
-        for end in (left, right):
-            cv2.line(image, (end, low - tick), (end, low + tick), colour, thick)
-        above = (left, low - tick - 4)
-        cv2.putText(image, f"{_BAR_M:g} m", above, cv2.FONT_HERSHEY_SIMPLEX, size, colour, thick, cv2.LINE_AA)
+    (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
+    ground = image[low - high - below - 10 : low + 6, left - 5 : max(right, left + wide) + 6]
+    ground[:] = (0.35 * ground + 0.65 * np.array(_BAR_GROUND_RGB)).astype(np.uint8)
+    cv2.line(image, (left, low), (right, low), _BAR_RGB, 1)
+    for end in (left, right):
+        cv2.line(image, (end, low - 3), (end, low + 3), _BAR_RGB, 1)
+    above = (left, low - below - 4)
+    cv2.putText(image, word, above, cv2.FONT_HERSHEY_SIMPLEX, size, _BAR_RGB, 1, cv2.LINE_AA)
 
 
 def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
