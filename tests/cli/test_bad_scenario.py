@@ -57,14 +57,14 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "no walking areas, so nobody can walk; lay pavements and crossings: wcsim town pave /" in one_line(checked)
+    assert "no walking areas, so nobody can walk; first lay pavements and crossings: wcsim town pave /" in one_line(checked)
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "nobody can cross a street; lay pavements and crossings: wcsim town pave /" in one_line(checked)
+    assert "nobody can cross a street; first add crossings and walking areas: wcsim town pave /" in one_line(checked)
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 

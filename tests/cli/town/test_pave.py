@@ -9,8 +9,9 @@ from pathlib import Path
 
 from tests.cli.conftest import QUICK, Run
 from tests.support.typed import printed, typed
+from tests.towns.made.strangers import made
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import find_town, open_town
 
 
 def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, folder: Path) -> None:
@@ -23,11 +24,13 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
     assert paved.code == 0, paved.err
-    assert "24 streets have a pavement now" in paved.out and "1 signal programs" in paved.out
+    assert "24 streets have a pavement now; " in paved.out and "1 signal programs" in paved.out
+    later = printed(checked.out, "then, for the paved copy, make walkers")
     told = json.loads(Path("paved.json").read_text())
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])
     (fault,) = told["faults"]
+    assert shlex.split(later) == shlex.split(printed(fault, "nobody walks")), "what was printed before is for the copy"
     code, said = typed(printed(fault, "nobody walks"), folder)
     assert code == 0, said
     text = (ours.folder / "walkers.rou.xml").read_text()
@@ -38,6 +41,19 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert wcsim("town", "check", ours.sumocfg).code == 0
     ran = wcsim("town", "run", ours.sumocfg, "--seconds", "5", "--out", "run", *QUICK)
     assert ran.code == 0, ran.err
+
+
+def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(wcsim: Run, folder: Path) -> None:
+    theirs = open_town(made(folder / "own", ("--grid", "--grid.number", "3", "--sidewalks.guess"), persons=False))
+    checked = wcsim("town", "check", theirs.sumocfg)
+    assert checked.code == 1
+    assert "has pavements beside 24 streets, but no walking areas to join them, so nobody can walk; " in checked.out
+    assert "; first add crossings and walking areas: wcsim town pave /" in checked.out
+    paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
+    told = json.loads(Path("paved.json").read_text())
+    added = f"{told['crossings']} crossings and {told['walkingareas']} walking areas added"
+    assert f"24 streets had pavements already; {added}" in paved.out and "a pavement now" not in paved.out
+    assert told["crossings"] > 0 and told["walkingareas"] > 0 and told["paved"]["had"] == 24
 
 
 def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:

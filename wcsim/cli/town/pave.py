@@ -66,9 +66,11 @@ def run(options: PaveOptions) -> int:
 
 def _print(paved: Paved) -> None:
     print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {paved.sumocfg}")
+    streets = [f"{paved.streets} streets have a pavement now"] if paved.streets or not paved.had else []
+    streets += [f"{paved.had} streets had pavements already"] if paved.had else []
     print(
-        f"{paved.streets} streets have a pavement now, with {paved.crossings} crossings; {paved.placed} stops, "
-        f"detectors, ... by lane were looked at, and {paved.programs} signal programs"
+        f"{', '.join(streets)}; {paved.crossings} crossings and {paved.walkingareas} walking areas added; "
+        f"{paved.placed} stops, detectors, ... by lane were looked at, and {paved.programs} signal programs"
     )
     if paved.moved_m:
         print(f"{len(paved.moved_m)} places gave way to a junction that has grown; the farthest, in m along the lane:")

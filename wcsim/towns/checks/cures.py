@@ -9,6 +9,7 @@ import math
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -33,13 +34,19 @@ FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement unless somebody as
 
 def pave_cure(town: Town) -> str:
     """The command that adds pavements and crossings to a scenario, or why there is none."""
-    slowest_mps = slowest_street_mps(read_net(town.net))
+    net = read_net(town.net)
+    slowest_mps = slowest_street_mps(net)
     if slowest_mps is None:
         return "there is no street that cars use, to lay pavements beside; choose another scenario"
     options = " --allow-outside" if town.border is None else ""
     options += f" --max-speed {math.ceil(slowest_mps)}" if slowest_mps > FASTEST_MPS else ""
-    command = f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(town.name + '-paved')}{options}"
-    return f"lay pavements and crossings: {command}"
+    command = f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(str(_copy(town)))}{options}"
+    return f"{'add crossings and walking areas' if paved_streets(net) else 'lay pavements and crossings'}: {command}"
+
+
+def paved_streets(net: Net) -> int:
+    """How many edges of a net have a pavement."""
+    return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in net.edges if not edge.function)
 
 
 def slowest_street_mps(net: Net) -> float | None:
@@ -56,19 +63,34 @@ def netedit_cure(town: Town) -> str:
     return f"{_tool('netedit')} -s {_path(town.net)}"
 
 
-def walkers_cure(town: Town) -> str:
+def walkers_cure(town: Town, *, paved: bool = False) -> str:
     """The command that makes walkers for the scenario's own time, for an hour of it at most.
+
+    Args:
+        town: The scenario.
+        paved: Make them for the copy that the command of `pave_cure` leaves.
 
     Raises:
         TownError: the scenario's begin or end is no time.
     """
     begin_s, end_s = own_time(town)
+    if paved:
+        if town.border is None:  # what it shares with others decides how the copy's folders are named
+            return "make walkers as the check of the copy says"
+        own, there = town.folder.absolute(), _copy(town).absolute()
+        sumocfg, net = (there / path.absolute().relative_to(own) for path in (town.sumocfg, town.net))
+        town = replace(town, sumocfg=sumocfg, net=net)
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
         f"make walkers.rou.xml, and add it to <route-files> in {_path(town.sumocfg)}: {tool} -n {_path(town.net)} "
         f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
         f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
     )
+
+
+def _copy(town: Town) -> Path:
+    """Where the paved copy of a scenario goes, seen from the folder in which the command is typed."""
+    return Path(f"{town.name}-paved")
 
 
 def own_time(town: Town) -> tuple[float, float]:

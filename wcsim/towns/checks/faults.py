@@ -7,7 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.towns.checks.cures import grade_cure, netedit_cure, pave_cure, routes_cure, walkers_cure
+from wcsim.towns.checks.cures import (
+    grade_cure,
+    netedit_cure,
+    pave_cure,
+    paved_streets,
+    routes_cure,
+    slowest_street_mps,
+    walkers_cure,
+)
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.manifest import changes_of, own_work
 from wcsim.towns.scenario.town import Town
@@ -17,6 +25,7 @@ from wcsim.towns.walking.islands import CutOff
 from wcsim.towns.walking.overlaps import Overlap
 
 _ENOUGH_SHARE = 0.95
+_WALKER = "pedestrian"
 LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
@@ -42,7 +51,7 @@ class Findings:
 
 def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     """The faults of a town; none when all is well."""
-    lines = [*_ways(town, net, found), *_demand(town, found), *projection_faults(town, net)]
+    lines = [*_ways(town, net, found), *_demand(town, net, found), *projection_faults(town, net)]
     if found.mesh_faults > found.rays // 1000:
         lines.append(
             f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: "
@@ -110,17 +119,30 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     larger = f"take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name {town.name}"
     imported = "town import" in town.file.rebuild
-    pave = larger if imported else pave_cure(town)
+    pave = larger if imported else f"{'first ' * _walkers_later(town, net, found)}{pave_cure(town)}"
     if not found.walkingareas:
-        return [f"the net has no walking areas, so nobody can walk; {pave}"]
+        paved = paved_streets(net)
+        has = f"has pavements beside {paved} streets, but" if paved else "has"
+        return [f"the net {has} no walking areas{' to join them' if paved else ''}, so nobody can walk; {pave}"]
     lines = []
-    if not found.crossings and net.lanes(LaneKind.MOTOR):
+    if _lacks_crossings(net, found):
         lines.append(f"the net has no crossings, so nobody can cross a street; {pave}")
     if found.walkable_largest_share < _ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
         cure = larger if imported else f"join the parts: {netedit_cure(town)}"
         lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
+
+
+def _lacks_crossings(net: Net, found: Findings) -> bool:
+    return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
+
+
+def _walkers_later(town: Town, net: Net, found: Findings) -> bool:
+    """Whether nobody walks, and those who will are for a copy of the scenario that has to be paved first."""
+    unpaved = not found.walkingareas or _lacks_crossings(net, found)
+    can_be = "town import" not in town.file.rebuild and slowest_street_mps(net) is not None
+    return unpaved and can_be and _WALKER not in found.classes
 
 
 def _parts(cut_off: tuple[CutOff, ...]) -> str:
@@ -130,10 +152,11 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
     return f"cut off are the parts around {told}{more}; " if told else ""
 
 
-def _demand(town: Town, found: Findings) -> list[str]:
+def _demand(town: Town, net: Net, found: Findings) -> list[str]:
     lines = []
-    if "pedestrian" not in found.classes:
-        cure = walkers_cure(town)
+    if _WALKER not in found.classes:
+        later = _walkers_later(town, net, found)
+        cure = f"{'then, for the paved copy, ' * later}{walkers_cure(town, paved=later)}"
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"

@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, slowest_street_mps
+from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, paved_streets, slowest_street_mps
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.elements import Paving, edits_of, routes_of
@@ -34,7 +34,9 @@ class Paved:
 
     sumocfg: Path
     streets: int  # edges with a new pavement
-    crossings: int
+    had: int  # edges that had one before
+    crossings: int  # added
+    walkingareas: int  # added
     placed: int  # stops, detectors, ... that lie on a lane
     programs: int  # of signals, that were given the new links
     moved_m: tuple[tuple[str, float], ...]  # places that a junction has grown over, and how far they gave way
@@ -78,7 +80,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         shifts = {edge: lanes.shift(edge) for edge in lanes.before}
         paving = Paving(lanes=lanes, signals=links_of(before, after, shifts))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
-        crossings = sum(edge.get("function") == "crossing" for edge in after.iterfind("edge"))
+        crossings = _count(after, "crossing")
         if not crossings and not any(shifts.values()):
             raise TownError(f"{town.net}: none of its streets got a pavement: {_why_none(net, fastest_mps)}")
         if out.is_dir():
@@ -87,12 +89,18 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     return Paved(
         sumocfg=out / config.path.absolute().relative_to(base),
         streets=sum(shifts.values()),
+        had=paved_streets(net),
         crossings=crossings,
+        walkingareas=_count(after, "walkingarea") - _count(before, "walkingarea"),
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
         notes=_notes(paving),
     )
+
+
+def _count(net: Element, function: str) -> int:
+    return sum(edge.get("function") == function for edge in net.iterfind("edge"))
 
 
 def _unpaved(net: Net) -> list[str]:
