@@ -57,7 +57,8 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "no walking areas, so nobody can walk; first lay pavements and crossings: wcsim town pave /" in one_line(checked)
+    told = one_line(checked)
+    assert "no walking areas, so nobody can walk; first lay pavements and crossings: wcsim town pave /" in told
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
