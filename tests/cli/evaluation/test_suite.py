@@ -1,12 +1,16 @@
 """`wcsim test --suite`: the result, its keys, and what is refused."""
 
+import io
 import json
+import re
 
 import pytest
+from rich.console import Console
 
 from tests.agents.evaluation.suite.lists import written_list
 from tests.support.one_process import in_this_process
 from wcsim.cli import main
+from wcsim.cli.evaluation.result_tables import show_result
 
 KEYS = {
     "policy", "part", "episodes", "status", "km", "crashes_own", "crashes_other", "drops", "crash_reasons",
@@ -72,3 +76,13 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
 def test_what_cannot_be_played_is_refused(small, words, said, tmp_path, capsys):
     assert run("--suite", small, "--out", tmp_path / "out", *words) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("parts", [("tight",), ("free", "tight")])
+def test_a_list_of_one_part_is_shown_once(parts):
+    row = {"policy": "follow", "episodes": 3}
+    rows, pooled = [{**row, "part": part} for part in parts], [{**row, "part": ""}]
+    console = Console(width=120, file=io.StringIO())
+    show_result(console, {"suite": "s", "set": "x", "rows": rows, "pooled": pooled}, ())
+    shown = re.findall(r"^s x: (.+), safety *$", console.file.getvalue(), re.MULTILINE)
+    assert shown == [*parts, *(["all parts"] if len(parts) > 1 else [])]

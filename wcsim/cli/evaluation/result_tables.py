@@ -44,9 +44,10 @@ _JUDGED: tuple[Column, ...] = (
 
 
 def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[str]) -> None:
-    """Print a result of `wcsim test --suite`, three tables for each part and three for all."""
+    """Print a result of `wcsim test --suite`: three tables for each part, and three for all where there are several."""
     version = f"{result['suite']} {result['set']}{' CHANGED by ' + ' '.join(changed) if changed else ''}"
-    for part in [*dict.fromkeys(row["part"] for row in result["rows"]), ""]:
+    parts = list(dict.fromkeys(row["part"] for row in result["rows"]))
+    for part in parts if len(parts) == 1 else [*parts, ""]:
         rows = [row for row in (result["rows"] if part else result["pooled"]) if row["part"] == part]
         title = f"{version}: {part or 'all parts'}"
         for what, columns in (("safety", _SAFE), ("service", _THERE), ("interventions and warnings", _JUDGED)):
