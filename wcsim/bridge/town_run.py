@@ -62,7 +62,8 @@ class TrafficFacts:
     persons: int
     mirrored: int  # different ones that were near a wheelchair
     mirrored_most: int  # at once
-    teleports: int
+    teleports: int  # since the scenario began
+    teleports_warming: int  # of these while the traffic warmed up, before the first tick
     collisions: int  # that SUMO saw among its own, each once however long it lasts
     episodes: int
     crashes: int  # of wheelchairs
@@ -126,7 +127,7 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
 
 
 def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(world.snapshot.time_s, world.town.file.origin_m)
+    meter = _Meter(world.snapshot.time_s, world.jams, world.town.file.origin_m)
     for tick in range(ticks):
         commands = as_users_wish(world.snapshot)
         after = world.tick(commands)
@@ -143,7 +144,7 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
 
 
 def _run_alone(traffic: TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(traffic.snapshot.time_s)
+    meter = _Meter(traffic.snapshot.time_s, traffic.jams)
     for tick in range(ticks):
         after = traffic.tick()
         everyone = traffic.everyone()
@@ -197,8 +198,8 @@ def _rounded(actor: ActorState) -> ActorState:
 class _Meter:
     """Counts what the facts say."""
 
-    def __init__(self, begin_s: float, origin_m: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._begin_s = begin_s
+    def __init__(self, begin_s: float, jams: int, origin_m: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._begin_s, self._jams = begin_s, jams
         self._origin_m = origin_m
         self._crashed: list[CrashFact] = []
         self._seen: set[str] = set()
@@ -233,7 +234,8 @@ class _Meter:
             persons=persons,
             mirrored=len(self._mirrored),
             mirrored_most=self._most,
-            teleports=self._teleports,
+            teleports=self._jams + self._teleports,
+            teleports_warming=self._jams,
             collisions=self._collisions,
             episodes=self._ended + chairs,
             crashes=len(self._crashed),

@@ -159,6 +159,11 @@ class World(Closing):
         """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
         return self._sumo.everyone()
 
+    @property
+    def jams(self) -> int:
+        """Vehicles that SUMO took out of jams since the scenario began, while the traffic warmed up too."""
+        return self._sumo.jams
+
     def mishaps(self) -> tuple[int, int]:
         """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
         return self._sumo.mishaps()

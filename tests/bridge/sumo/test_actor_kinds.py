@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import libsumo
 import pytest
 
@@ -65,7 +67,7 @@ def watch(loop: MirrorLoop, ticks: int) -> tuple[set[str], dict[tuple[object, ..
     return seen, most
 
 
-def test_departed_arrived_parked_riding_and_teleported_ones(tmp_path):
+def test_departed_arrived_parked_riding_and_teleported_ones(tmp_path, caplog):
     cfg = build_street(tmp_path, TYPES + EVENTS, ADDITIONAL, lanes=1)
     with mirror_loop(cfg, radius_m=250.0, jam_teleport_s=5.0) as loop:
         seen: set[str] = set()
@@ -79,6 +81,9 @@ def test_departed_arrived_parked_riding_and_teleported_ones(tmp_path):
             teleported |= set(libsumo.simulation.getStartingTeleportIDList())
             rode = rode or ("rides" in libsumo.person.getIDList() and libsumo.person.getVehicle("rides") != "")
         assert teleported == {"jammed"} and rode
+        assert loop.sumo.jams == 1
+        (line,) = (record.getMessage() for record in caplog.records if "jam" in record.getMessage())
+        assert re.fullmatch(r"jam: jammed stood too long on edge SC and was teleported at 1\d\.\d s", line)
         assert {"v:parked", "v:broken"} <= before, "who stands stays in the mirror"
         assert not {"p:brief", "p:rides"} & before
         assert {"v:leaves", "v:line", "p:rides", "p:walks", "p:brief", "v:jammed"} <= seen

@@ -4,8 +4,12 @@ import json
 
 import pytest
 
+from tests.bridge.sumo.test_actor_kinds import ADDITIONAL, EVENTS, TYPES
+from tests.support.menagerie import build_street
 from tests.towns.made import hostile
+from wcsim.bridge.sumo.session import log
 from wcsim.bridge.town_run import CrashFact
+from wcsim.cli.evaluation.test import jams_once
 from wcsim.cli.main import main
 from wcsim.cli.town.run import crash_lines
 from wcsim.towns.scenario.town import find_town
@@ -40,6 +44,29 @@ def test_traffic_alone_begins_where_the_scenario_begins(corner, tmp_path, capsys
     assert main(["town", "run", str(corner), "--seconds", "2", "--chairs", "0", "--out", str(out)]) == 0
     assert json.loads((out / "manifest.json").read_text())["facts"]["end_s"] == pytest.approx(2.0)
     assert "mirrored near a wheelchair" not in capsys.readouterr().out
+
+
+def test_jams_are_counted_as_they_are_told(tmp_path, capsys, caplog):
+    sumocfg = build_street(tmp_path, TYPES + EVENTS, ADDITIONAL, lanes=1)
+    settings = ["--set", "world.jam_teleport_s=5", "--set"]
+    for warmup_s, seconds, cell in ((20, 2, "1, 1 while the traffic warmed up "), (0, 20, "1 ")):
+        caplog.clear()
+        out = tmp_path / f"run-{warmup_s}"
+        words = ["town", "run", str(sumocfg), "--chairs", "0", "--seconds", str(seconds), "--out", str(out)]
+        assert main([*words, *settings, f"world.warmup_s={warmup_s}"]) == 0
+        (line,) = (record.getMessage() for record in caplog.records if "jam: " in record.getMessage())
+        assert line.startswith("jam: jammed stood too long on edge SC and was teleported at 17.")
+        assert f"taken out of a jam by SUMO             │ {cell}" in capsys.readouterr().out
+        facts = json.loads((out / "manifest.json").read_text())["facts"]
+        assert (facts["teleports"], facts["teleports_warming"]) == (1, int(warmup_s > 0))
+
+
+def test_a_jam_that_all_policies_meet_is_told_once(caplog):
+    with jams_once():
+        for vehicle in ("a", "a", "b", "a"):
+            log.warning("jam: %s", vehicle)
+    log.warning("jam: %s", "a")
+    assert [record.getMessage() for record in caplog.records] == ["jam: a", "jam: b", "jam: a"]
 
 
 def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):

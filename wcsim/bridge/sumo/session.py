@@ -47,6 +47,15 @@ def _pair_of(collider: str, victim: str) -> tuple[str, str]:
     return (collider, victim) if collider <= victim else (victim, collider)
 
 
+def _stood(vehicle: str) -> str:
+    """Where somebody stood who is being teleported: SUMO has put them onto the next edge of their route already."""
+    try:
+        edges, now = libsumo.vehicle.getRoute(vehicle), libsumo.vehicle.getRouteIndex(vehicle)
+    except libsumo.TraCIException:  # taken out of the street for good
+        return ""
+    return f" on edge {edges[max(0, now - 1)]}" if edges else ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SumoOptions:
     """What a session runs, and what a world overrides of a scenario's own options."""
@@ -79,7 +88,7 @@ class SumoSession(Closing):
         """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
         refuse_second_world()
         self._options = options
-        self._teleports = 0
+        self._teleports = self._jams = 0
         self._come: frozenset[str] = frozenset()
         self._colliding: frozenset[tuple[str, str]] = frozenset()
         self._collisions = 0
@@ -101,6 +110,11 @@ class SumoSession(Closing):
         return self._teleports
 
     @property
+    def jams(self) -> int:
+        """The same since the scenario began, the time in which the traffic warmed up included."""
+        return self._jams
+
+    @property
     def come(self) -> frozenset[str]:
         """Who came into being in the last step, as in `ActorState.id`: departed, or ended a teleport."""
         return self._come
@@ -117,12 +131,13 @@ class SumoSession(Closing):
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
         self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
         self._teleports = len(jammed)
+        self._jams += len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
         self._collisions = len(pairs - self._colliding)
         self._colliding = pairs
         self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
-            log.warning("jam: %s stood too long and was teleported", name)
+            log.warning("jam: %s stood too long%s and was teleported at %.1f s", name, _stood(name), self.time_s())
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
@@ -131,7 +146,7 @@ class SumoSession(Closing):
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
-        self._teleports, self._come = 0, frozenset()
+        self._teleports, self._jams, self._come = 0, 0, frozenset()
         self._collisions, self._colliding = 0, frozenset()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         self._hook = open_hook(self._options.hook, libsumo)

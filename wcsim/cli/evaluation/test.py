@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,6 +31,7 @@ from wcsim.towns.scenario.town import Town, find_town, list_towns, streets_hash
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.matrix import TestPlan, TestResult
 
+TRAFFIC_LOG = "wcsim.bridge.sumo.session"
 MAX_STEPS = 1_000_000  # as in env.max_steps
 UNEVENTFUL = "no danger was met: all who follow the user did the same; drive longer (--max-steps) or more (--episodes)"
 
@@ -144,11 +146,29 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
         tick_s=config.world.tick_s,
         reward=config.reward,
     )
-    with StageBar("testing") as bar:
+    with StageBar("testing") as bar, jams_once():
         bar.say(_told_of(plan, names))
         return run_test(
             policies, make_env, plan, lambda text: bar.say(f"tested {text}"), lambda share, who: bar.show(share, who)
         )
+
+
+@contextlib.contextmanager
+def jams_once() -> Iterator[None]:
+    """Tell a jam of the traffic that all policies meet once, and not for each of them."""
+    told: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        before = len(told)
+        told.add(record.getMessage())
+        return len(told) > before
+
+    logger = logging.getLogger(TRAFFIC_LOG)
+    logger.addFilter(is_new)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_new)
 
 
 def _driven(options: Options) -> list[str]:

@@ -160,7 +160,8 @@ def _table(name: str, facts: TrafficFacts) -> Table:
     table.add_row("simulated", f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time")
     table.add_row("vehicles in the street", str(facts.vehicles))
     table.add_row("persons in the street", str(facts.persons))
-    table.add_row("taken out of a jam by SUMO", str(facts.teleports))
+    warming = f", {facts.teleports_warming} while the traffic warmed up" if facts.teleports_warming else ""
+    table.add_row("taken out of a jam by SUMO", f"{facts.teleports}{warming}")
     table.add_row("collisions that SUMO saw among its own", str(facts.collisions))
     if facts.episodes:
         table.add_row("mirrored near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
