@@ -70,26 +70,35 @@ def _of_drive(path: Path, steps: int) -> RecordedRide:
 
 
 def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
-    header = read_header(path)
-    config = parse_json(RunConfig, header.config, "the configuration in the journal")
-    points, seen, actions = action_set(config.env.actions), list[Observation](), list[int]()
-    over = False
-
-    def look(world: World | None, record: JournalRecord) -> None:
-        nonlocal over
-        given = [each for each in record.commands if each.seat == seat] if isinstance(record, Ticked) else []
-        over = over or (bool(actions) and not given and isinstance(record, Ticked | Respawned))
-        if world is None or over or not given or len(actions) == steps:
-            return
-        client = next(each for each in world.snapshot.clients if each.seat == seat)
-        if client.first is not None and actions:  # the episode before has ended
-            over = True
-            return
-        seen.append(observation_of(client.first or client, config))
-        actions.append(points.nearest((given[0].joystick.x, given[0].joystick.y)))
-
-    with closing(replayed(path, None, None, "", look)) as records:
+    config = parse_json(RunConfig, read_header(path).config, "the configuration in the journal")
+    watch = _SeatWatch(config, seat, steps)
+    with closing(replayed(path, None, None, "", watch.look)) as records:
         for _ in records:
-            if over or len(actions) == steps:
+            if watch.over:
                 break
-    return RecordedRide(seen=tuple(seen), actions=tuple(actions), delay_ticks=config.world.action_delay_ticks)
+    delay = config.world.action_delay_ticks
+    return RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
+
+
+class _SeatWatch:
+    """Keeps what one seat sees and is given in its first episode."""
+
+    def __init__(self, config: RunConfig, seat: int, steps: int) -> None:
+        self._config, self._seat, self._steps = config, seat, steps
+        self._points = action_set(config.env.actions)
+        self.seen: list[Observation] = []
+        self.actions: list[int] = []
+        self.over = False
+
+    def look(self, world: World | None, record: JournalRecord) -> None:
+        """Is shown the world before each record."""
+        given = [each for each in record.commands if each.seat == self._seat] if isinstance(record, Ticked) else []
+        if world is None or not given:
+            self.over = self.over or (bool(self.actions) and isinstance(record, Ticked | Respawned))
+            return
+        client = next(each for each in world.snapshot.clients if each.seat == self._seat)
+        self.over = self.over or len(self.actions) == self._steps or (client.first is not None and bool(self.actions))
+        if self.over:
+            return
+        self.seen.append(observation_of(client.first or client, self._config))
+        self.actions.append(self._points.nearest((given[0].joystick.x, given[0].joystick.y)))

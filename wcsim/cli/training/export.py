@@ -9,10 +9,12 @@ from typing import Annotated
 
 import tyro
 
+from wcsim.agents.policy_api import Observation
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError
 
 
@@ -25,8 +27,8 @@ class Options:
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder to make."""
     town: str = "helsinki"
-    """Where the reference steps are driven: a town's name, its folder, or anybody's .sumocfg. The stick is the user's and
-    one that is pushed, by turns."""
+    """Where the reference steps are driven, by turns with the user's stick and with one that is pushed: a town's name,
+    its folder, or anybody's .sumocfg."""
     ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """A recorded drive, or the journal of a run, whose first episode gives the reference steps and actions instead."""
     seat: int = 0
@@ -53,19 +55,9 @@ def run(words: list[str]) -> int:
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
-    from wcsim.agents.evaluation.suite.named_policy import open_named
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
-    from wcsim.agents.rounds.recorded_ride import recorded_ride
-    from wcsim.agents.rounds.reference_ride import reference_ride
 
-    held = None if options.ride is None else recorded_ride(options.ride, options.steps, options.seat)
-    delay = options.delay_ticks if held is None or options.delay_ticks is not None else held.delay_ticks
-    own = () if delay is None else (f"world.action_delay_ticks={delay}",)
-    config = config_of(options.policy, "laptop", own)
-    if held is None:
-        ride, actions = reference_ride(options.town, config, options.steps, open_named(options.policy, config, 0)), None
-    else:
-        ride, actions = list(held.seen), held.actions
+    config, ride, actions = _ride(options)
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
     facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1], actions)
     small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
@@ -87,3 +79,19 @@ def run(words: list[str]) -> int:
     if options.json is not None:
         write_json(options.json, asdict(facts))
     return Exit.DONE
+
+
+def _ride(options: Options) -> tuple[RunConfig, list[Observation], tuple[int, ...] | None]:
+    """The settings, the reference steps, and the actions of a recording."""
+    from wcsim.agents.evaluation.suite.named_policy import open_named
+    from wcsim.agents.rounds.recorded_ride import recorded_ride
+    from wcsim.agents.rounds.reference_ride import reference_ride
+
+    held = None if options.ride is None else recorded_ride(options.ride, options.steps, options.seat)
+    delay = options.delay_ticks if held is None or options.delay_ticks is not None else held.delay_ticks
+    own = () if delay is None else (f"world.action_delay_ticks={delay}",)
+    config = config_of(options.policy, "laptop", own)
+    if held is not None:
+        return config, list(held.seen), held.actions
+    policy = open_named(options.policy, config, 0)
+    return config, reference_ride(options.town, config, options.steps, policy), None
