@@ -66,6 +66,21 @@ def test_a_beam_leaves_a_triangle_to_stand_on():
     assert tip_rad(replace(chair, feet=tuple(high)), LEFT_DOWN) > triangle + 0.02
 
 
+@pytest.mark.parametrize("gap_m", [0.02, 0.05, 0.1, 0.13])
+def test_antitips_hold_a_chair_that_has_to_lean_far_to_reach_them(gap_m):
+    raised = tuple(
+        Foot(name=f"antitip_0_{side}", centre_m=(0.8, y, 0.1 + gap_m), radius_m=0.1)
+        for side, y in (("l", 0.3), ("r", -0.3))
+    )
+    chair = cart(height_m=0.6)
+    lean = math.atan(gap_m / 0.3)  # about the front wheels, at 0.5 m and 0.1 m up
+    ahead_m, up_m = -0.4 * math.cos(lean) + 0.5 * math.sin(lean), 0.5 * math.cos(lean) + 0.4 * math.sin(lean) + 0.1
+    expected = math.atan2(math.hypot(0.3, gap_m) - ahead_m, up_m)
+    found = tip_rad(replace(chair, feet=(*chair.feet, *raised)), FORWARD_DOWN)
+    assert found == pytest.approx(expected, abs=2e-3)
+    assert found > tip_rad(chair, FORWARD_DOWN) + 0.01
+
+
 def test_the_rigid_plant_tips_on_its_tip_lines():
     spec = plant_spec(ChairConfig())
     spec = replace(spec, casters=tuple(pair.model_copy(update={"beam": None}) for pair in spec.casters))

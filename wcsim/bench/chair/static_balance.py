@@ -36,6 +36,8 @@ _MOST_ROUNDS: Final = 60
 _STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
 _PRESSED: Final = np.array([-5e-5, 0.0, 0.0])  # every wheel touches: one that just does not gives Newton no slope
 _LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)  # downhill, where it may come to lean on an anti-tip or a stop
+_LANDING_RAD: Final = 0.05  # apart: leans between which it may fall from one pair of feet onto another
+_LANDED_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,9 +159,10 @@ def _rest(
 ) -> F64 | None:
     """The pose in which it stands with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
     least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
-    for lean in leans_rad:
-        table = _Table(stand, tilt_rad, downhill)
-        found = table.settle(pose - lean * np.array([0.0, *downhill]))
+    table = _Table(stand, tilt_rad, downhill)
+    guesses = [pose - lean * np.array([0.0, *downhill]) for lean in leans_rad]
+    for guess in [*guesses, *(table.landings() if len(leans_rad) > 1 else [])]:
+        found = table.settle(guess)
         if found is not None and sum(load for name, load in table.loads(found).items() if name in upper) > least_N:
             return found
     return None
@@ -244,6 +247,26 @@ class _Table:
         hanging = np.maximum(-(self._preload + self._unsprung * hangs) / self._stiff, self._least)
         in_air = pushed < hanging
         return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(in_air, hanging, pushed)
+
+    def landings(self) -> list[F64]:
+        """The poses in which it has fallen downhill from its lowest feet onto others, as onto anti-tips."""
+        found = []
+        for start in np.arange(0.0, _MOST_LEAN_RAD, _LANDING_RAD):
+            low, high = float(start), float(start + _LANDING_RAD)
+            first = self._lowest(low)[0]
+            if self._lowest(high)[0] == first:
+                continue
+            while high - low > _LANDED_RAD:
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if self._lowest(middle)[0] == first else (low, middle)
+            found.append(_PRESSED + np.array([self._lowest(low)[1], *(-low * self._down)]))
+        return found
+
+    def _lowest(self, lean_rad: float) -> tuple[float, float]:
+        """Of the edge that a chair leaning downhill stands on: its place downhill, and how far it lifts the chair."""
+        height = self._contacts(np.array([0.0, *(-lean_rad * self._down)]))[0][:, 2]
+        lowest = int(np.argmin(height))
+        return round(float(self._centre[lowest, :2] @ self._down), 3), -float(height[lowest])
 
     def settle(self, pose: F64) -> F64 | None:
         """The stable rest that Newton's method finds from a pose, damped where it would overshoot; None if none."""

@@ -67,7 +67,10 @@ def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
 def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
     yield "tip_forward", FORWARD_DOWN, True
     yield "tip_rear", REAR_DOWN, True
-    if plant_spec(setup.chair).antitips:
+    antitips_x_m = [pair.p_m[0] for pair in plant_spec(setup.chair).antitips]
+    if any(x_m > 0.0 for x_m in antitips_x_m):
+        yield "tip_forward_no_antitips", FORWARD_DOWN, False
+    if any(x_m < 0.0 for x_m in antitips_x_m):
         yield "tip_rear_no_antitips", REAR_DOWN, False
     yield "tip_lateral", LEFT_DOWN, True
 
