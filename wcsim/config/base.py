@@ -9,6 +9,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field
 
 from wcsim.core.reading import shown
+from wcsim.errors import meant
 
 _LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
@@ -27,6 +28,9 @@ _UNITS = {
 _OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
 
 
+_MOST_KEYS = 16  # of a table that are all named where one is unknown
+
+
 class Model(BaseModel):
     """Base of all models: frozen, and unknown keys are refused."""
 
@@ -37,7 +41,7 @@ def fault(model: type[BaseModel], item: Any) -> str:
     """One error of pydantic in words: the key, what is wrong, what was got with its unit, and its bounds."""
     key = shown(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
-        return f"unknown key {key!r}: remove it or correct its name"
+        return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
         return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"
@@ -50,8 +54,27 @@ def fault(model: type[BaseModel], item: Any) -> str:
     return f"{key}: {item['msg']}, got {got} {unit}".rstrip() + f"; expected {bounds} {unit}".rstrip()
 
 
+def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
+    """The keys of the table that an unknown key stands in: the one that it looks like, or all where they are few."""
+    keys = list(next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {}))
+    near = meant(str(loc[-1]), keys)
+    return near if near or not keys or len(keys) > _MOST_KEYS else f"; expected one of: {', '.join(keys)}"
+
+
 def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:
     """The bounds (their name in pydantic, the limit) of the number at `loc` of a model; empty when there are none."""
+    held = [note for kind in _parts(_at(model, loc)) for note in getattr(kind, "metadata", _notes(kind))]
+    notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
+    found = {name: getattr(note, name) for note in notes for name in _BOUNDS if getattr(note, name, None) is not None}
+    return list(found.items())
+
+
+def _notes(kind: Any) -> tuple[Any, ...]:
+    return getattr(kind, "__metadata__", ())
+
+
+def _at(model: type[BaseModel], loc: tuple[str | int, ...]) -> Any:
+    """The field or type at `loc` of a model."""
     here: Any = model
     for part in loc:
         if isinstance(part, int):
@@ -61,10 +84,7 @@ def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[st
         fields: dict[str, Any] = next((kind.model_fields for kind in _parts(here) if _is_model(kind)), {})
         if part in fields:
             here = fields[str(part)]
-    held = [note for kind in _parts(here) for note in getattr(kind, "metadata", getattr(kind, "__metadata__", ()))]
-    notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
-    found = {name: getattr(note, name) for note in notes for name in _BOUNDS if getattr(note, name, None) is not None}
-    return list(found.items())
+    return here
 
 
 def _parts(kind: Any) -> Iterator[Any]:

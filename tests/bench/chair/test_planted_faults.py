@@ -3,13 +3,15 @@
 import pytest
 
 from tests.physics.wheelchair.plant_faults import FAULTS
+from wcsim.bench.chair.row import Setup
 from wcsim.bench.chair.rows.table import table
+from wcsim.config import ChairConfig
 
 QUICK = ("wrong gravity", "damping left on")
 
 
 def row(name: str):
-    return next(row for row in table("rwd", 240, (name,)) if row.name == name)
+    return next(row for row in table(Setup(chair=ChairConfig(), hz=240), (name,)) if row.name == name)
 
 
 @pytest.mark.parametrize("fault", [f if f in QUICK else pytest.param(f, marks=pytest.mark.proof) for f in FAULTS])

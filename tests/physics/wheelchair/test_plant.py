@@ -76,7 +76,9 @@ def test_mass_and_height_of_the_config_go_before_those_of_the_file():
         ("user_kg = 80.0", "user_kg = 300.0", ["mass.user_kg", "300", "150"]),
         ("user_kg = 80.0", "", ["mass.user_kg"]),
         ("user_kg = 80.0", "user_kg = nan", ["user_kg", "nan", "finite"]),
-        ("user_kg = 80.0", "user_kg = 80.0\ncolour = 3", ["mass.colour", "unknown key"]),
+        ("user_kg = 80.0", "user_kg = 80.0\ncolour = 3", ["mass.colour", "unknown key", "chair_kg, user_kg, com_x_m"]),
+        ("trail_m = 0.06", "trial_m = 0.06", ["casters.0.trial_m", "did you mean 'trail_m'?"]),
+        ("pivot_z_m = 0.10", "pivot_m = 0.10", ["casters.0.beam.pivot_m", "did you mean 'pivot_z_m'?"]),
         ("com_x_m = 0.18", "com_x_m = 0.44", ["tips at rest", "0.44 m", "0.010 to 0.430 m"]),
         ("com_x_m = 0.18", "com_x_m = -0.05", ["tips at rest", "-0.05 m"]),
         ("p_m = [-0.30, 0.18, 0.07]", "p_m = [-0.30, 0.18, 0.03]", ["antitips.0", "-0.005 m", "0 m or more"]),
@@ -86,7 +88,7 @@ def test_mass_and_height_of_the_config_go_before_those_of_the_file():
         ("centre_m = [0.70, 0.0, 0.14]", "centre_m = [0.70, 0.0, 0.01]", ["frame.boxes.1", "above the ground"]),
         ("stall_torque_Nm = 90.0", "stall_torque_Nm = 5.0", ["motor.stall_torque_Nm", "5.0", "20"]),
         ("refused_m = [0.12]", "refused_m = [12]", ["climbs.refused_m.0", "12", "0.3"]),
-        ("[wheel]", "[whel]", ["whel"]),
+        ("[wheel]", "[whel]", ["whel", "did you mean 'wheel'?"]),
     ],
 )
 def test_a_plant_that_cannot_be_is_refused_with_value_unit_and_bounds(tmp_path, old, new, said):

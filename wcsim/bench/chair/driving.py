@@ -7,15 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.bench.chair.row import Setup
+from wcsim.bench.chair.row import Failed, Setup
 from wcsim.bench.chair.yard import FORWARD, NEUTRAL, Yard, plane_street
-from wcsim.types import Joystick
+from wcsim.types import Joystick, PlantState
 
 START_S: Final = 4.0  # after these a chair drives steadily
 _ROUND_S: Final = 6.0
 _HEADING_RAD: Final = 0.3  # not along the edges of the ground
 _STRAIGHT_M: Final = 10.0
 _BACK_M: Final = 12.0
+_ACROSS_M: Final = 8.0
+_LOST_RAD: Final = 0.5  # off the heading that the stick was held for
 
 
 def straight_drift_m(setup: Setup) -> float:
@@ -83,8 +85,17 @@ def creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
     return math.dist(start, end)
 
 
-def cross_slope_drift_m(setup: Setup, slope_rad: float) -> float:
-    """How far downhill it is after 8 m straight ahead across a slope, the stick held straight."""
+def cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Failed:
+    """How far downhill it is after 8 m straight ahead across a slope, the stick held straight, if it gets there."""
+
+    def ends(state: PlantState) -> bool:
+        return float(state.p_WB_m[0]) > _ACROSS_M or abs(state.yaw_rad) > _LOST_RAD
+
     with Yard(setup, plane_street(left_rad=slope_rad)) as yard:
-        way = yard.drive(FORWARD, 30.0, lambda state: float(state.p_WB_m[0]) > 8.0).p_m
-    return float(np.abs(way[:, 1]).max()) / math.cos(slope_rad)
+        ride = yard.drive(FORWARD, 30.0, ends)
+    aside_m = float(np.abs(ride.p_m[:, 1]).max()) / math.cos(slope_rad)
+    far_m, turned_rad = float(ride.p_m[-1, 0]), ride.states[-1].yaw_rad
+    if far_m > _ACROSS_M:
+        return aside_m
+    lost = "lost its heading" if abs(turned_rad) > _LOST_RAD else "stood still"
+    return Failed(value=aside_m, what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal
 
-from wcsim.config import ChairConfig
+from wcsim.config import ChairConfig, ImuConfig
 from wcsim.errors import PhysicsError
 
 SLOWEST_HZ: Final = 100
@@ -25,6 +25,7 @@ class Setup:
 
     chair: ChairConfig
     hz: int
+    imu: ImuConfig = field(default_factory=ImuConfig)
 
     def __post_init__(self) -> None:
         if not SLOWEST_HZ <= self.hz <= FASTEST_HZ or self.hz % 10:
@@ -46,10 +47,21 @@ class Setup:
         return self._with(com_height_m=com_height_m)
 
     def _with(self, **changed: float | str) -> Setup:
-        return Setup(chair=self.chair.model_copy(update=changed), hz=self.hz)
+        return replace(self, chair=self.chair.model_copy(update=changed))
 
 
-Measure = Callable[[Setup], float]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failed:
+    """What a trial answers that came to no end: how far it got, and what happened."""
+
+    value: float
+    what: str
+
+
+Measure = Callable[[Setup], float | Failed]
+Bound = Literal["norm", "file", "stick", "wcsim", "rwd, mwd", "trial"]
+"""Who says what is expected: a standard, the parameter file, the stick and the controller's settings, wcsim, what the
+plants that come with it felt, or an experiment with a rear-wheel drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,22 +71,28 @@ class Trial:
     Args:
         name: The row's name, unique in a table.
         unit: Unit of the value, "" for none.
+        bound: Who says what is expected.
         low: Smallest value that is expected.
         high: Largest value that is expected.
         method: How the value is taken, in a sentence.
         source: Where the expectation comes from.
         measure: A pure function from chair and rate to the value.
+        speed_mps: Top speed that the chair is set to; None keeps its own.
         impact: Whether the value is the peak of an impact, which depends on the step more than others do.
+        judged: Whether a value out of its range is a fault; it is none where the range is another kind of chair's.
     """
 
     name: str
     unit: str
+    bound: Bound
     low: float
     high: float
     method: str
     source: str
     measure: Measure
+    speed_mps: float | None = None
     impact: bool = False
+    judged: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,32 +102,39 @@ class Row:
     name: str
     value: float
     unit: str
+    bound: Bound
     low: float
     high: float
     method: str
     source: str
     ok: bool
+    note: str = ""  # what happened, where the value does not say it
     impact: bool = False
+    judged: bool = True
 
-
-def at_speed(setup: Setup, speed_mps: float, measure: Measure) -> float:
-    """A trial's value at another top speed."""
-    return measure(setup.at_speed(speed_mps))
+    @property
+    def red(self) -> bool:
+        """Whether it is a fault."""
+        return self.judged and not self.ok
 
 
 def measured(trial: Trial, setup: Setup) -> Row:
     """Do a trial. Raises PhysicsError when its value is not finite."""
-    value = float(trial.measure(setup))
+    found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
+    value, note = (found.value, found.what) if isinstance(found, Failed) else (float(found), "")
     if not math.isfinite(value):
         raise PhysicsError(f"trial {trial.name}: the value is {value}; expected a finite number: check the plant")
     return Row(
         name=trial.name,
         value=value,
         unit=trial.unit,
+        bound=trial.bound,
         low=trial.low,
         high=trial.high,
         method=trial.method,
         source=trial.source,
-        ok=trial.low <= value <= trial.high,
+        ok=not note and trial.low <= value <= trial.high,
+        note=note,
         impact=trial.impact,
+        judged=trial.judged,
     )

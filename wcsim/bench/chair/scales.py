@@ -16,7 +16,6 @@ _FLOAT_M: Final = 20.0  # above the ground
 _TORQUE_NM: Final = 20.0
 _PUSH_S: Final = 0.5
 _COAST_S: Final = 2.0
-_COAST_MPS: Final = 1.0
 _RAMP_NPS: Final = 200.0
 _SLIP_MPS: Final = 0.02
 _AXES: Final = np.eye(3)
@@ -67,8 +66,8 @@ def turning_loss_per_s(setup: Setup) -> float:
 
 
 def coasting_mps2(setup: Setup) -> float:
-    """How fast it slows down on level ground with its motors off, from 1 m/s."""
-    with Yard(setup.at_speed(_COAST_MPS)) as yard:
+    """How fast it slows down on level ground with its motors off, from its top speed."""
+    with Yard(setup) as yard:
         before = yard.drive(FORWARD, 4.0).speed_mps[-1]
         wheels = [index for name, index in yard.links().items() if name.startswith("wheel")]
         for _ in range(round(_COAST_S * setup.hz)):
@@ -83,22 +82,26 @@ def coasting_mps2(setup: Setup) -> float:
 
 
 def grip(setup: Setup) -> float:
-    """Pull on the chair along the ground, wheels held, at which it begins to slide, as a share of its weight."""
+    """Pull on the chair along the ground, wheels held, at which it begins to slide, as a share of its weight.
+
+    It is pulled towards its casters: wheels that are held hop before they slide where the chair is pulled away from them.
+    """
     with Yard(setup) as yard:
         yard.drive(NEUTRAL, 2.0)
         yard.lock("wheel", "caster", "swivel")
         spec = yard.chair.spec
+        way = -1.0 if all(pair.swivel_x_m < 0.0 for pair in spec.casters) else 1.0
         pull_N = 0.0
         while pull_N < 3.0 * spec.whole_kg * GRAVITY_MPS2:
             pull_N += _RAMP_NPS / setup.hz
             place = yard.chair.state().p_WB_m + np.array([spec.mass.com_x_m, 0.0, 0.0])
             yard.chair.before_step()
             pybullet.applyExternalForce(
-                yard.body, -1, (pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME, physicsClientId=yard.client
+                yard.body, -1, (way * pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME, physicsClientId=yard.client
             )
             yard.engine.step()
             yard.chair.after_step()
-            if float(yard.chair.state().v_B_mps[0]) > _SLIP_MPS:
+            if way * float(yard.chair.state().v_B_mps[0]) > _SLIP_MPS:
                 break
         return pull_N / (spec.whole_kg * GRAVITY_MPS2)
 

@@ -11,7 +11,6 @@ from typing import Final, Self
 import numpy as np
 
 from wcsim.bench.chair.row import TICK_S, Setup
-from wcsim.config import ImuConfig
 from wcsim.core.frames import forward
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import Engine
@@ -100,7 +99,7 @@ class Yard:
         self.engine: Final = Engine(1.0 / setup.hz, iterations)
         self.setup: Final = setup
         self.engine.add_street(plane_street() if street is None else street)
-        self.chair: Final = Wheelchair(self.engine, setup.chair, ImuConfig(), seat=0)
+        self.chair: Final = Wheelchair(self.engine, setup.chair, setup.imu, seat=0)
         self.place(0.0)
 
     def __enter__(self) -> Self:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,32 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from wcsim.bench.chair.compare import Change, changes
-from wcsim.bench.chair.row import FASTEST_HZ, SLOWEST_HZ, Row
-from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, some_words, words_of, write_json
+from wcsim.bench.chair.row import FASTEST_HZ, SLOWEST_HZ, Row, Setup
+from wcsim.cli.shared.common import (
+    OutFile,
+    OutFolder,
+    Repeated,
+    check_folder,
+    in_bounds,
+    some_words,
+    words_of,
+    write_json,
+)
+from wcsim.config import RunConfig, with_overrides
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 
 _WORKERS = 2
+_SECTIONS = ("chair.", "imu.")
+_MEANS = {
+    "norm": "this chair does not do what a standard asks (EN 12184)",
+    "file": "the file contradicts itself, or the simulation is wrong about it",
+    "stick": "motors or grip do not follow what the stick asks with these settings",
+    "wcsim": "a bound of wcsim's own, within which its streets and rewards are meant",
+    "rwd, mwd": "it feels impacts otherwise than when it was made",
+    "trial": "it does not fall off kerbs as the chair of the experiment",
+}
+_OTHER = "measured with another kind of chair; yours differs, which is no fault"
 
 
 @dataclass
@@ -35,6 +57,8 @@ class ChairOptions:
     """Processes that share the work."""
     pictures: OutFolder = None
     """Draw each plant into this folder instead."""
+    set: Repeated = ()
+    """Set a key of [chair] or [imu], such as chair.v_max_mps=1.2; may be repeated."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -45,22 +69,48 @@ def run(options: ChairOptions) -> int:
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
         return _draw(plants, options.pictures)
-    return _compare(plants, options) if options.compare_hz else _bench(plants, options)
+    config = _settings(options.set)
+    setups = {plant: _setup(config, plant, options) for plant in plants}
+    return _compare(setups, options) if options.compare_hz else _bench(setups, options)
 
 
-def _bench(plants: Sequence[str], options: ChairOptions) -> int:
-    _check_hz("--hz", options.hz)
-    found = {plant: _table(plant, options.hz, options) for plant in plants}
+def _settings(overrides: tuple[str, ...]) -> RunConfig:
+    for text in overrides:
+        if not text.strip().startswith(_SECTIONS) or text.partition("=")[0].strip() == "chair.plant":
+            raise ConfigError(f"--set {shown(text)}: expected a key of [chair] or [imu]; --plants names the plants")
+    return with_overrides(RunConfig(), overrides)
+
+
+def _setup(config: RunConfig, plant: str, options: ChairOptions) -> Setup:
+    """The chair at the first rate that is asked for; what is left out of its table is said before the work."""
+    from wcsim.bench.chair.rows.table import too_fast  # loads the engine, which --help must not
+
+    hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
+    _check_hz("--hz", hz)
+    setup = Setup(chair=config.chair.model_copy(update={"plant": plant}), imu=config.imu, hz=hz)
+    fast = too_fast(setup, words_of(options.rows))
+    if fast:
+        print(f"note: {plant} is slower than {', '.join(fast)} ask for: left out", file=sys.stderr)
+    return setup
+
+
+def _bench(setups: Mapping[str, Setup], options: ChairOptions) -> int:
+    found = {plant: _table(plant, setup, options) for plant, setup in setups.items()}
     for plant, rows in found.items():
         Console().print(_shown(plant, rows))
+        for line in _remarks(rows):
+            print(line)
     if options.json is not None:
         write_json(options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}})
-    return 0 if all(row.ok for rows in found.values() for row in rows) else 1
+    return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare(plants: Sequence[str], options: ChairOptions) -> int:
+def _compare(setups: Mapping[str, Setup], options: ChairOptions) -> int:
     rates = _rates(options.compare_hz)
-    found = {plant: changes({hz: _table(plant, hz, options) for hz in rates}) for plant in plants}
+    found = {
+        plant: changes({hz: _table(plant, replace(setup, hz=hz), options) for hz in rates})
+        for plant, setup in setups.items()
+    }
     for plant, rows in found.items():
         Console().print(_compared(plant, rates, rows))
     if options.json is not None:
@@ -78,17 +128,12 @@ def _draw(plants: Sequence[str], folder: Path) -> int:
     return 0
 
 
-def _table(plant: str, hz: int, options: ChairOptions) -> list[Row]:
+def _table(plant: str, setup: Setup, options: ChairOptions) -> list[Row]:
     from wcsim.bench.chair.rows.table import table  # loads the engine, which --help must not
 
-    with Console(stderr=True).status(f"{plant} at {hz} Hz") as status:
-        return table(
-            plant,
-            hz,
-            words_of(options.rows),
-            options.workers,
-            lambda name: status.update(f"{plant} at {hz} Hz: {name}"),
-        )
+    what = f"{plant} at {setup.hz} Hz"
+    with Console(stderr=True).status(what) as status:
+        return table(setup, words_of(options.rows), options.workers, lambda name: status.update(f"{what}: {name}"))
 
 
 def _rates(text: str) -> list[int]:
@@ -114,15 +159,29 @@ def _plain(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _shown(plant: str, rows: Sequence[Row]) -> Table:
-    out = _frame(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows as expected")
+    judged = [row for row in rows if row.judged]
+    out = _frame(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
     for heading in ("value", "low", "high"):
         out.add_column(heading, justify="right")
-    out.add_column("unit")
-    out.add_column("")
+    for heading in ("unit", "bound by", ""):
+        out.add_column(heading)
     for row in rows:
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        out.add_row(row.name, *numbers, row.unit, "" if row.ok else "[bold red]RED[/]")
+        verdict = "" if row.ok else "[bold red]RED[/]" if row.red else "other"
+        out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
     return out
+
+
+def _remarks(rows: Sequence[Row]) -> list[str]:
+    """What happened in rows whose value does not say it, and what a row out of its range means, by who bounds it."""
+    said = [f"{row.name}: {row.note}" for row in rows if row.note]
+    red = dict.fromkeys(row.bound for row in rows if row.red)
+    other = dict.fromkeys(row.bound for row in rows if not row.ok and not row.red)
+    return [
+        *said,
+        *(f"RED, bound by {bound}: {_MEANS[bound]}" for bound in red),
+        *(f"other, bound by {bound}: {_OTHER}" for bound in other),
+    ]
 
 
 def _compared(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table:

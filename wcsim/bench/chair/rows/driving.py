@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final
 
 from wcsim.bench.chair import driving
-from wcsim.bench.chair.row import Setup, Trial, at_speed
+from wcsim.bench.chair.row import Setup, Trial
 from wcsim.config import PROFILE_SPEED_MPS
 from wcsim.core.frames import rad
 from wcsim.core.joystick import yaw_rate_limit
@@ -27,6 +27,7 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="straight_drift_10m",
         unit="m",
+        bound="wcsim",
         low=0.0,
         high=0.05,
         method="largest distance from the straight line over 10 m at full stick from rest",
@@ -37,11 +38,13 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
         yield Trial(
             name=f"cruise_{name}",
             unit="m/s",
+            bound="stick",
             low=0.97 * speed,
             high=1.03 * speed,
             method=f"mean speed of 2 s straight ahead at full stick, set to {speed} m/s (ISO 7176-6)",
             source="speed that is asked for, within 3 %",
-            measure=partial(at_speed, speed_mps=speed, measure=driving.cruise_mps),
+            measure=driving.cruise_mps,
+            speed_mps=speed,
         )
     diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
     turn_radps = setup.chair.yaw_rate_max_radps
@@ -53,6 +56,7 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
         yield Trial(
             name=f"turn_{name}",
             unit="rad/s",
+            bound="stick",
             low=0.97 * rate,
             high=1.03 * rate,
             method="mean turn rate of 6 s, stick " + ("diagonal" if stick.y else "to the side"),
@@ -70,11 +74,13 @@ def _stopping(setup: Setup, kmh: int) -> Trial:
     return Trial(
         name=f"stopping_{kmh}kmh",
         unit="m",
+        bound="stick",
         low=0.9 * way,
         high=1.1 * way,
         method=f"way from letting go of the stick at {kmh} km/h (ISO 7176-3)",
         source="jerk-limited v2/2a + v a/2j within 10 %",
-        measure=partial(at_speed, speed_mps=speed, measure=driving.stopping_m),
+        measure=driving.stopping_m,
+        speed_mps=speed,
     )
 
 
@@ -83,26 +89,32 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="climb_10deg",
         unit="m/s",
+        bound="norm",
         low=0.97 * speed,
         high=1.03 * speed,
         method="steady speed straight up a slope of 10 degrees at full stick",
         source="rated slope (EN 12184 class C), speed held within 3 %",
         measure=partial(driving.climb_mps, slope_rad=_SLOPE_RAD),
     )
-    top = min(_top_speed_mps(plant_spec(setup.chair), _PULL_N), _ROAD_MPS)
+    spec = plant_spec(setup.chair)
+    asked = min(_ROAD_MPS, spec.limits.speed_mps)
+    top = min(_top_speed_mps(spec, _PULL_N), asked)
     yield Trial(
         name="pulling_400N",
         unit="m/s",
+        bound="file",
         low=0.92 * top,
         high=1.02 * top,
-        method=f"steady speed on level ground against a pull of {_PULL_N:g} N, full stick, set to {_ROAD_MPS} m/s",
+        method=f"steady speed on level ground against a pull of {_PULL_N:g} N, full stick, set to {asked} m/s",
         source="where the declared torque curve of two motors meets the pull, less what steering takes of it",
-        measure=partial(at_speed, speed_mps=_ROAD_MPS, measure=partial(driving.pulling_mps, pull_N=_PULL_N)),
+        measure=partial(driving.pulling_mps, pull_N=_PULL_N),
+        speed_mps=asked,
     )
     for name, ahead, left in (("up", _SLOPE_RAD, 0.0), ("down", -_SLOPE_RAD, 0.0), ("across", 0.0, _SLOPE_RAD)):
         yield Trial(
             name=f"parked_10deg_{name}",
             unit="m",
+            bound="norm",
             low=0.0,
             high=0.02,
             method=f"way in 5 s with the stick let go, facing {name} a slope of 10 degrees",
@@ -112,6 +124,7 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="cross_slope_10deg",
         unit="m",
+        bound="wcsim",
         low=0.0,
         high=0.1,
         method="way downhill in 8 m straight across a slope of 10 degrees, stick held straight",

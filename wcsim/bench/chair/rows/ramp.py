@@ -18,6 +18,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="twisted_ramp_load",
         unit="",
+        bound="wcsim",
         low=_LEAST_LOAD,
         high=1.2,
         method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, either way, over that on level ground",
@@ -27,6 +28,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="twisted_ramp_stop",
         unit="",
+        bound="wcsim",
         low=0.8,
         high=1.25,
         method=f"longest way to a stop from half stick, down a {_RAMP} to and fro, over that of a level",
@@ -36,6 +38,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     yield Trial(
         name="twisted_ramp_turn",
         unit="",
+        bound="wcsim",
         low=0.75,
         high=1.25,
         method=f"least turn in 1.5 s, stick to either side, down a {_RAMP} to and fro, over that on level ground",

@@ -14,7 +14,6 @@ from wcsim.bench.chair.rows.kerb import kerb_trials
 from wcsim.bench.chair.rows.ramp import ramp_trials
 from wcsim.bench.chair.rows.tip import falling_rows, tip_trials
 from wcsim.bench.chair.rows.weight import weight_trials
-from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 
@@ -27,31 +26,46 @@ def trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
 
     Raises ConfigError or PhysicsError for a plant that cannot be.
     """
-    plant_spec(setup.chair)
-    found = [trial for make in _MAKERS for trial in make(setup)]
-    return (*(trial for trial in found if not only or trial.name.startswith(tuple(only))), *tip_trials(setup, only))
+    most_mps = plant_spec(setup.chair).limits.speed_mps
+    slow_enough = (trial for trial in _made(setup, only) if trial.speed_mps is None or trial.speed_mps <= most_mps)
+    return (*slow_enough, *tip_trials(setup, only))
 
 
-def table(
-    plant: str, hz: int, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
-) -> list[Row]:
+def too_fast(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names of the rows that ask for more speed than the plant's `limits.speed_mps`, and are left out."""
+    most_mps = plant_spec(setup.chair).limits.speed_mps
+    return tuple(
+        trial.name for trial in _made(setup, only) if trial.speed_mps is not None and trial.speed_mps > most_mps
+    )
+
+
+def _made(setup: Setup, only: Sequence[str]) -> Iterator[Trial]:
+    for make in _MAKERS:
+        yield from (trial for trial in make(setup) if not only or trial.name.startswith(tuple(only)))
+
+
+def table(setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None) -> list[Row]:
     """The table of a plant.
 
     Args:
-        plant: Name of the plant, or the path of its file.
-        hz: Rate of the physics, a multiple of 10.
+        setup: The chair, its IMU and the rate.
         only: Beginnings of the names of the rows that are wanted; all if none.
         workers: Processes to share the work; 1 for none but this one.
         progress: Told the name of each row as it is done.
 
     Raises:
         ConfigError: The plant is unknown, its file is wrong, or no row begins so.
-        PhysicsError: The rate is out of bounds, or a trial gave no number.
+        PhysicsError: A trial gave no number.
     """
-    setup = Setup(chair=ChairConfig(plant=plant), hz=hz)
     chosen = trials(setup, only)
     if not chosen:
-        raise ConfigError(f"no row begins with {', '.join(only)!r}; expected the beginning of a row's name")
+        fast = too_fast(setup, only)
+        what = (
+            f"{', '.join(fast)}: faster than the plant's limits.speed_mps"
+            if fast
+            else (f"no row begins with {', '.join(only)!r}")
+        )
+        raise ConfigError(f"{what}; expected the beginning of a row's name")
     rows: dict[str, Row] = {}
     for row in _done(chosen, setup, workers):
         rows[row.name] = row

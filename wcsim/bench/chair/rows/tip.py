@@ -36,6 +36,7 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
             yield Trial(
                 name=_name(name, height_m),
                 unit="deg",
+                bound="file",
                 low=expected_deg - _TOLERANCE_DEG,
                 high=expected_deg + _TOLERANCE_DEG,
                 method=_METHOD,
@@ -56,6 +57,7 @@ def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
             name=f"{name}_falls",
             value=value,
             unit="",
+            bound="file",
             low=_LEAST_LEFT,
             high=_MOST_LEFT,
             method=f"tip angle at {high_m:.2f} m over that at {low_m:.2f} m",

@@ -13,6 +13,7 @@ from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 
 _FILE = "parameter file"
+_COAST_MPS = 1.0
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -28,6 +29,7 @@ def _loads(spec: PlantSpec) -> Iterator[Trial]:
     yield Trial(
         name="mass",
         unit="kg",
+        bound="file",
         low=0.995 * spec.whole_kg,
         high=1.005 * spec.whole_kg,
         method="normal loads of all wheels at rest, over 9.81 m/s2",
@@ -39,6 +41,7 @@ def _loads(spec: PlantSpec) -> Iterator[Trial]:
     yield Trial(
         name="drive_wheel_share",
         unit="",
+        bound="file",
         low=share - 0.02,
         high=share + 0.02,
         method="share of the weight that rests on the drive wheels",
@@ -52,6 +55,7 @@ def _inertias(spec: PlantSpec) -> Iterator[Trial]:
         yield Trial(
             name=f"inertia_{_AXES[axis]}",
             unit="kg m2",
+            bound="file",
             low=0.98 * float(inertia),
             high=1.02 * float(inertia),
             method="afloat, joints held: 20 Nm for 0.5 s, over the rate that comes of it",
@@ -64,6 +68,7 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
     yield Trial(
         name="turning_loss",
         unit="1/s",
+        bound="file",
         low=-0.001,
         high=0.001,
         method="share of its yaw rate that it loses afloat in a second",
@@ -73,11 +78,13 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
     yield Trial(
         name="coasting_loss",
         unit="m/s2",
+        bound="file",
         low=-0.01,
         high=0.01,
         method="slowing down on level ground from 1 m/s with the motors off, mean of 2 s",
         source="no rolling resistance is declared",
         measure=scales.coasting_mps2,
+        speed_mps=_COAST_MPS,
     )
     chair = stand(spec)
     loads = loads_N(chair)
@@ -86,6 +93,7 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
     yield Trial(
         name="grip",
         unit="",
+        bound="file",
         low=0.95 * grip,
         high=1.05 * grip,
         method="pull along the ground at which it slides with wheels held, over its weight",
