@@ -220,6 +220,16 @@ def test_bench_chair_gives_rows_beside_their_ranges(wcsim, folder):
             assert row["low"] <= row["value"] <= row["high"] and row["ok"]
 
 
+def test_bench_chair_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folder):
+    plant = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
+    words = ("--set", "chair.yaw_rate_max_radps=1.0", "--rows", "turn_in,cruise_road", "--workers", "1", "--json", "x")
+    told = wcsim("bench", "chair", "--plants", plant, *words)
+    assert told.code == 0 and fits(told.out.partition("\n")[2])
+    assert "left out" in told.err and "cruise_road" in told.err
+    (row,) = read("x")["plants"][plant]["rows"]
+    assert row["value"] == pytest.approx(1.0, rel=0.03) and row["bound"] == "stick"
+
+
 def test_bench_chair_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
     monkeypatch.setattr(engine, "GRAVITY_MPS2", 9.0)
     told = wcsim("bench", "chair", "--plants", "rwd", "--rows", "mass", "--workers", "1")

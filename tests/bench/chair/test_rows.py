@@ -1,6 +1,7 @@
 """The table of the plants: every row as expected, hardly moved by the step; a few rows of it in no time."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -8,8 +9,8 @@ from wcsim.bench.chair import kerbs
 from wcsim.bench.chair.compare import changes
 from wcsim.bench.chair.row import Row, Setup, Trial, measured
 from wcsim.bench.chair.rows.kerb import RUN_UP_M
-from wcsim.bench.chair.rows.table import table, trials
-from wcsim.config import ChairConfig
+from wcsim.bench.chair.rows.table import table, too_fast, trials
+from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -67,6 +68,50 @@ def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
     ]
     with pytest.raises(PhysicsError, match="trial x"):
         measured(Trial(**words, measure=lambda _: float("nan")), setup)
+
+
+FWD = str(Path(__file__).parents[3] / "examples" / "fwd.toml")
+SLOW = Setup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
+
+
+def test_rows_that_are_too_fast_for_a_plant_are_left_out():
+    assert too_fast(SLOW) == ("cruise_road", "stopping_10kmh")
+    assert too_fast(SLOW, ("stopping_6",)) == too_fast(Setup(chair=ChairConfig(), hz=120)) == ()
+    names = {trial.name for trial in trials(SLOW, ("cruise", "stopping", "pulling"))}
+    assert names == {"cruise_indoor", "cruise_pavement", "stopping_6kmh", "pulling_400N"}
+    with pytest.raises(ConfigError, match="stopping_10kmh: faster than the plant"):
+        table(SLOW, ("stopping_10",))
+
+
+def test_the_chairs_own_settings_are_driven():
+    (row,) = table(SLOW, ("climb",))
+    assert row.ok and row.value == pytest.approx(1.2, rel=0.03)
+    here, there = (dataclasses.replace(SLOW, imu=ImuConfig(p_BI_m=(x_m, 0.0, 0.5))) for x_m in (0.0, 0.8))
+    (near,), (far,) = (table(setup, ("event_driving",)) for setup in (here, there))
+    assert far.value > near.value + 0.1, "far from the axle it feels turns"
+
+
+@pytest.mark.parametrize(("plant", "judged"), [("rwd", True), ("mwd", True), (FWD, False)])
+def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
+    found = trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
+    assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}
+    assert all(trial.judged for trial in found if trial.bound not in ("rwd, mwd", "trial"))
+    words = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "high": 1.0, "method": "", "source": ""}
+    row = measured(Trial(**words, measure=lambda _: 0.0, judged=judged), SLOW)
+    assert not row.ok and row.red == judged
+
+
+def test_a_chair_too_weak_to_hold_its_heading_is_told_so(tmp_path):
+    weak = Path(FWD).read_text(encoding="utf-8").replace("stall_torque_Nm = 90.0", "stall_torque_Nm = 25.0")
+    (tmp_path / "weak.toml").write_text(weak, encoding="utf-8")
+    setup = Setup(chair=ChairConfig(plant=str(tmp_path / "weak.toml")), hz=120)
+    (row,) = table(setup, ("cross",))
+    assert row.red and row.note.startswith(("lost its heading after", "stood still after")) and row.value < 8.0
+
+
+def test_front_antitips_are_taken_off_to_the_front():
+    names = {trial.name for trial in trials(SLOW, ("tip",))}
+    assert "tip_forward_no_antitips_com_50cm" in names and "tip_rear_no_antitips_com_50cm" not in names
 
 
 def test_changes_compare_values_or_where_zero_is_expected_their_bound():

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.bench.chair.row import Failed, Setup
+from wcsim.bench.chair.row import Unfinished, Setup
 from wcsim.bench.chair.yard import FORWARD, NEUTRAL, Yard, plane_street
 from wcsim.types import Joystick, PlantState
 
@@ -85,7 +85,7 @@ def creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
     return math.dist(start, end)
 
 
-def cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Failed:
+def cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Unfinished:
     """How far downhill it is after 8 m straight ahead across a slope, the stick held straight, if it gets there."""
 
     def ends(state: PlantState) -> bool:
@@ -98,4 +98,4 @@ def cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Failed:
     if far_m > _ACROSS_M:
         return aside_m
     lost = "lost its heading" if abs(turned_rad) > _LOST_RAD else "stood still"
-    return Failed(value=aside_m, what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip")
+    return Unfinished(value=aside_m, what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip")

@@ -51,14 +51,14 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Failed:
+class Unfinished:
     """What a trial answers that came to no end: how far it got, and what happened."""
 
     value: float
     what: str
 
 
-Measure = Callable[[Setup], float | Failed]
+Measure = Callable[[Setup], float | Unfinished]
 Bound = Literal["norm", "file", "stick", "wcsim", "rwd, mwd", "trial"]
 """Who says what is expected: a standard, the parameter file, the stick and the controller's settings, wcsim, what the
 plants that come with it felt, or an experiment with a rear-wheel drive."""
@@ -121,7 +121,7 @@ class Row:
 def measured(trial: Trial, setup: Setup) -> Row:
     """Do a trial. Raises PhysicsError when its value is not finite."""
     found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
-    value, note = (found.value, found.what) if isinstance(found, Failed) else (float(found), "")
+    value, note = (found.value, found.what) if isinstance(found, Unfinished) else (float(found), "")
     if not math.isfinite(value):
         raise PhysicsError(f"trial {trial.name}: the value is {value}; expected a finite number: check the plant")
     return Row(

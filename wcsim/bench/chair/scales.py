@@ -84,7 +84,7 @@ def coasting_mps2(setup: Setup) -> float:
 def grip(setup: Setup) -> float:
     """Pull on the chair along the ground, wheels held, at which it begins to slide, as a share of its weight.
 
-    It is pulled towards its casters: wheels that are held hop before they slide where the chair is pulled away from them.
+    It is pulled towards its casters: pulled away from them, wheels that are held hop before they slide.
     """
     with Yard(setup) as yard:
         yard.drive(NEUTRAL, 2.0)
@@ -97,7 +97,12 @@ def grip(setup: Setup) -> float:
             place = yard.chair.state().p_WB_m + np.array([spec.mass.com_x_m, 0.0, 0.0])
             yard.chair.before_step()
             pybullet.applyExternalForce(
-                yard.body, -1, (way * pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME, physicsClientId=yard.client
+                yard.body,
+                -1,
+                (way * pull_N, 0.0, 0.0),
+                place.tolist(),
+                pybullet.WORLD_FRAME,
+                physicsClientId=yard.client,
             )
             yard.engine.step()
             yard.chair.after_step()

@@ -1,0 +1,42 @@
+"""The table of docs/chair.md holds every field of a plant's file, with its unit and the bounds that the model has."""
+
+import re
+import runpy
+from pathlib import Path
+
+from wcsim.config.base import _UNITS
+from wcsim.config.plant import PlantFile, known_plants, read_plant
+
+ROOT = Path(__file__).parents[2]
+SETTINGS = runpy.run_path(str(ROOT / "tools" / "settings_page.py"))
+PAGE = (ROOT / "docs" / "chair.md").read_text(encoding="utf-8")
+
+
+def fields(model=PlantFile, before=""):
+    """Of every plain value of the file, its dotted name and how its row of the table begins."""
+    for name, field in model.model_fields.items():
+        inner = SETTINGS["_model_of"](field)
+        if inner is not None:
+            many = SETTINGS["_is_list"](field) or before + name in ("casters", "antitips", "frame.boxes")
+            yield from fields(inner, f"{before}{name}{'.*' if many else ''}.")
+            continue
+        unit = _UNITS.get(name.rpartition("_")[2], "")
+        yield before + name, f"| `{before}{name}` | {unit} | {SETTINGS['_bounds'](field)} |"
+
+
+def test_every_field_stands_in_the_table_with_unit_and_bounds():
+    lines = PAGE.splitlines()
+    missing = [row for _, row in fields() if not any(line.startswith(row + " ") for line in lines)]
+    assert missing == [], "write them into docs/chair.md"
+
+
+def test_the_table_has_no_field_that_the_file_lacks():
+    table = PAGE.partition("### Every field")[2].partition("###")[0]
+    told = re.findall(r"^\| `([\w.*]+)` \|", table, re.MULTILINE)
+    assert sorted(told) == sorted(name for name, _ in fields())
+
+
+def test_the_example_is_a_plant_of_another_kind():
+    plant = read_plant(str(ROOT / "examples" / "fwd.toml"))
+    assert max(pair.swivel_x_m for pair in plant.casters) < 0.0 and plant.mass.com_x_m < 0.0
+    assert all(max(pair.swivel_x_m for pair in read_plant(name).casters) > 0.0 for name in known_plants())
