@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.bench.chair.row import Unfinished, Setup
+from wcsim.bench.chair.row import Setup, Unfinished
 from wcsim.bench.chair.yard import FORWARD, NEUTRAL, Yard, plane_street
 from wcsim.types import Joystick, PlantState
 
