@@ -98,6 +98,17 @@ def test_assistance_and_level_are_switched_while_driving(session: DriveSession, 
         session.set_level(2.5)
 
 
+def test_a_new_start_faces_its_way_or_six_more_did_not(session: DriveSession, noted: Noted) -> None:
+    tries = []
+    for _ in range(12):
+        before = len(noted.kinds())
+        session.new_place()
+        faces = abs(session.bearing_rad) < math.radians(100.0)
+        tries.append(noted.kinds()[before:].count(EventKind.RESPAWN))
+        assert faces or tries[-1] == 7
+    assert len(set(tries)) > 1, "some faced away at first"
+
+
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:
     first = session.tick(Wish()).p_WB_m
     session.new_place()

@@ -28,6 +28,8 @@ from wcsim.users.hand import on_disc
 AT_REST = Joystick(0.0, 0.0)
 NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
 _LOOK_AHEAD_M = 3.0
+_FACES_RAD: Final = math.radians(100.0)  # a way within this to either side is one that a start faces
+_START_TRIES: Final = 6  # of a start that is asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,10 +151,17 @@ class DriveSession(Closing):
         self.say(EventKind.LEVEL, f"{level:g}")
 
     def new_place(self) -> None:
-        """Begin another episode in the same street; where the start is fixed, at that."""
+        """Begin another episode in the same street, at a start that faces its way if one is found in a few tries.
+
+        Where the start is fixed, at that. Each try is an event of its own, so a recording makes them again.
+        """
         if not self._ended:
-            self.world.respawn(0)
-            self.say(EventKind.RESPAWN)
+            self._respawn()
+        for _ in range(0 if self.place.spec.start else _START_TRIES):
+            self._begin()
+            if abs(self.bearing_rad) < _FACES_RAD:
+                break
+            self._respawn()
         self._next("asked for")
 
     def change_user(self, profile: str) -> None:
@@ -319,6 +328,10 @@ class DriveSession(Closing):
     def _note_way(self) -> None:
         seat = self.world.seats[0]
         self._route, self._done_m = seat.route, seat.user.route_progress_m
+
+    def _respawn(self) -> None:
+        self.world.respawn(0)
+        self.say(EventKind.RESPAWN)
 
     def _next(self, why: str) -> None:
         self.tally.end_episode()
