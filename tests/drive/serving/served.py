@@ -35,9 +35,11 @@ def serving(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
         signal.signal(signal.SIGINT, before)
     try:
         assert process.stdout is not None
-        line = process.stdout.readline()
-        found = re.search(r"http://([^/]+)/", line)
-        assert found is not None, line + process.stdout.read()
+        found, line = None, " "
+        while found is None and line:
+            line = process.stdout.readline()
+            found = re.search(r"http://([^/]+)/", line)
+        assert found is not None, "it ended without an address"
         yield found[1], process
     finally:
         if process.poll() is None:

@@ -21,6 +21,7 @@ class PageKind:
     page: str  # its file
     of_page: Callable[[str | bytes], m.PageMessage]  # raises ProtocolError for what is no message of it
     run: Callable[[Connection, Any], None]  # what its process does, with what it begins with
+    begins: str  # what is done once the address is known, for whoever started it
     ended: str  # what a page says when that process has ended
 
 
@@ -29,6 +30,7 @@ DRIVE: Final = PageKind(
     page="index.html",
     of_page=m.of_page,
     run=run_drive,
+    begins="the simulator starts, then the street is opened: seconds, the first time in a town up to a minute",
     ended="The drive's process has ended. Start wcsim drive again.",
 )
 PLAY: Final = PageKind(
@@ -36,5 +38,6 @@ PLAY: Final = PageKind(
     page="play.html",
     of_page=of_play_page,
     run=run_play,
+    begins="the player starts, then the recording is read",
     ended="The player's process has ended. Start the command again.",
 )

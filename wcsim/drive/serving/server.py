@@ -157,9 +157,12 @@ class DriveServer:
             )
         except OSError as error:
             where = f"{self._order.host}:{self._order.port}"
-            raise ConfigError(f"{where}: cannot be served ({error.strerror}); choose another --port") from None
+            raise ConfigError(
+                f"{where}: cannot be served ({error.strerror}); choose another --port, 0 takes a free one"
+            ) from None
         try:
             self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C ends it)")
+            self._order.say(self._order.kind.begins)
             self._process = _Process(
                 self._order,
                 lambda data: loop.call_soon_threadsafe(self._told, data),
