@@ -124,6 +124,49 @@ def test_a_finger_on_the_disc_moves_the_chair(page: Any) -> None:
     at_rest(page)
 
 
+def test_a_hint_says_what_to_press_until_the_person_has_set_out(page: Any) -> None:
+    at_rest(page)
+    page.click("#new-place")
+    wait(page, "document.getElementById('hint').checkVisibility()")
+    behind = "behind you" in page.inner_text("#lamp-way")
+    assert ("The way is behind you" if behind else "follow the green dots") in page.inner_text("#hint")
+    wait(page, "document.getElementById('live').textContent === document.getElementById('hint').textContent")
+    wait(page, "document.getElementById('live').textContent === ''")
+    page.keyboard.down("ArrowUp")
+    wait(page, "document.getElementById('hint').hidden || document.getElementById('big').textContent !== ''")
+    page.keyboard.up("ArrowUp")
+    at_rest(page)
+    assert page.errors == []
+
+
+def test_the_simulated_user_is_not_called_you_and_the_level_of_what_is_off_is_off(page: Any) -> None:
+    wait(page, "document.querySelectorAll('#own-level b').length === 1 && !document.getElementById('level').disabled")
+    page.select_option("#driver", "simulated")
+    wait(page, "document.getElementById('legend-you').textContent === 'simulated user'")
+    page.select_option("#driver", "person")
+    wait(page, "document.getElementById('legend-you').textContent === 'you'")
+    page.click("#assist")
+    wait(page, "document.getElementById('level').disabled")
+    page.click("#assist")
+    wait(page, "!document.getElementById('level').disabled")
+
+
+DEEDS = (
+    ([0, 1], [0, 0], "stopped"),
+    ([0, 1], [0, 0.5], "slowed"),
+    ([0, 1], [-0.5, 0.5], "slowed, turned left"),
+    ([0.5, 0.5], [0.75, 0.5], "turned right"),
+    ([0, 0], [0, -0.5], "moved though your stick is at rest"),
+    ([0, 0.5], [0, -0.5], "went back"),
+)
+
+
+def test_what_the_assistance_did_is_told_in_words(page: Any) -> None:
+    for stick, commanded, told in DEEDS:
+        script = "async ([a, b]) => (await import('/panel.js')).deed(a, b)"
+        assert page.evaluate(script, [stick, commanded]) == told
+
+
 def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
     at_rest(page)
     page.keyboard.down("ArrowDown")
@@ -149,7 +192,7 @@ def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
     page.keyboard.press("e")
     wait(page, "document.getElementById('assist').getAttribute('aria-checked') === 'true'")
     page.evaluate("{const l = document.getElementById('level'); l.value = 100; l.dispatchEvent(new Event('input'))}")
-    wait(page, "document.getElementById('level-text').textContent === '2.00'")
+    wait(page, "document.getElementById('level-text').textContent === 'acts early: 2.00'")
 
 
 def test_a_second_page_looks_on_and_takes_over(page: Any, running: Served) -> None:
@@ -184,6 +227,8 @@ def test_nothing_runs_over_the_edge_of_a_telephone(page: Any) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     stop = page.locator("#stop").bounding_box()
+    disc = page.locator("#stick svg").bounding_box()
+    assert disc["y"] + disc["height"] <= page.locator(".big-row").bounding_box()["y"], "STOP covers nothing of the disc"
     assert stop["y"] >= 0 and stop["y"] + stop["height"] <= 844, "STOP is always in sight"
 
 

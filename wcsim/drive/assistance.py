@@ -36,6 +36,7 @@ class Assistance:
     def __init__(self, policy: Policy, actions: ActionSet) -> None:
         self.on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
         self._policy, self._actions = policy, actions
+        self.own_level = self.level  # the one that the policy came with
 
     @property
     def name(self) -> str:

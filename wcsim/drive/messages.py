@@ -226,6 +226,7 @@ class About(_Said, frozen=True):
     profiles: list[str]
     suites: dict[str, list[tuple[str, int]]]  # by set: part and town of each block, and its seats
     levels: tuple[float, float] | None  # that which assists least, and most
+    own_level: float | None  # the one that the policy came with
     tells_unsafe: bool
     tick_s: float
 

@@ -55,6 +55,7 @@ def about_of(session: DriveSession) -> m.About:
         profiles=list(profile_names()),
         suites=suites,
         levels=assistance.levels,
+        own_level=assistance.own_level,
         tells_unsafe=assistance.tells_unsafe,
         tick_s=session.tick_s,
     )

@@ -2,7 +2,7 @@
 
 import { Grid } from "./grid.js";
 import { Link } from "./link.js";
-import { Panel, tellKeeping } from "./panel.js";
+import { Hint, Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
 import { big, by, line, note, wireDialogs, wireDisplay } from "./shared.js";
@@ -10,6 +10,7 @@ import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
 const SEND_MS = 33;
+const SAID_MS = 5000;
 const LINES = { open: ["connected", "good"], lost: ["connection lost – the chair stops", "bad"] };
 
 let drives = false;
@@ -17,11 +18,15 @@ let overrules = false;
 let busy = "";
 let lastSaid = "";
 let crash = "";
+let sayTimer = 0;
 
+// Told to a screen reader, and gone before somebody reads the page and takes it for what is so now.
 function say(text) {
   if (text === lastSaid) by("live").textContent = "";
   lastSaid = text;
   by("live").textContent = text;
+  clearTimeout(sayTimer);
+  sayTimer = setTimeout(() => { by("live").textContent = ""; }, SAID_MS);
 }
 
 function overrule(on) {
@@ -46,7 +51,7 @@ const link = new Link({
     else { stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
-  about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); big(""); },
+  about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
   busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
   study(message) { study.tell(message.view); },
   notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) big(message.told); },
@@ -57,10 +62,12 @@ const link = new Link({
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
     if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. A new start follows.`);
+    if (crash && !state.crash) hint.begin();
     crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
     const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
     const standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
+    hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
     big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
@@ -68,6 +75,7 @@ const link = new Link({
 const scene = new Scene(link);
 const grid = new Grid(by("stick"), stick);
 const panel = new Panel(link, say);
+const hint = new Hint(say);
 const scan = new Scan(by("board"), stick, { help: askForHelp, overrule: () => overrule(!overrules), say });
 
 const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds });
@@ -148,5 +156,6 @@ by("steer-by").addEventListener("change", () => {
 });
 by("scan-s").addEventListener("change", () => { scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4)); scan.rest(); });
 
+for (const id of ["new-place", "again", "user"]) by(id).addEventListener(id === "user" ? "change" : "click", () => hint.begin());
 wireDialogs(stopNow);
 wireDisplay();

@@ -1,11 +1,9 @@
 // Lamps, numbers, and the controls of assistance, time and place.
 
 import { words } from "./grid.js";
-import { by, Numbers } from "./shared.js";
+import { by, Numbers, put } from "./shared.js";
 
 const KPIS = [
-  ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
-  ["kpi2", "KPI 2, steps", (k) => k.kpi2.toFixed(0)],
   ["speed", "Speed", (k, s) => `${Math.abs(s.speed_mps).toFixed(2)} m/s`],
   ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["left", "To go", (k, s) => `${s.left_m.toFixed(0)} m`],
@@ -13,7 +11,55 @@ const KPIS = [
   ["arrivals", "Arrivals", (k) => k.arrivals], ["crashes", "Crashes", (k) => k.crashes],
   ["warnings", "Warnings", (k) => k.warnings], ["interventions", "Interventions", (k) => k.interventions],
   ["helps", "Help calls", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],
+  ["kpi1", "Mean distance from your stick (KPI 1)", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
+  ["kpi2", "Steps survived (KPI 2)", (k) => k.kpi2.toFixed(0)],
 ];
+
+const FOLLOWS = 0.06; // farther, and the diamond is visibly beside the point: positions lie 0.25 apart
+const CALM_MS = 1200; // so long without an intervention ends it
+const TOLD_MS = 6000;
+
+// What the chair does otherwise than the stick, in words. Why is not known here, so it is not said.
+export function deed(stick, commanded) {
+  const [asked, given] = [Math.hypot(...stick), Math.hypot(...commanded)];
+  if (given < 0.15) return "stopped";
+  if (asked < 0.15) return "moved though your stick is at rest";
+  const told = [];
+  if (stick[1] * commanded[1] < 0 && Math.min(Math.abs(stick[1]), Math.abs(commanded[1])) > 0.1) told.push(commanded[1] > 0 ? "went ahead" : "went back");
+  else if (Math.abs(commanded[1]) < Math.abs(stick[1]) - 0.12) told.push("slowed");
+  else if (Math.abs(commanded[1]) > Math.abs(stick[1]) + 0.12) told.push("went faster");
+  if (Math.abs(commanded[0] - stick[0]) > 0.12) told.push(commanded[0] > stick[0] ? "turned right" : "turned left");
+  return told.join(", ") || "steered a little otherwise";
+}
+
+// One intervention after another: several with short gaps are one, of which the farthest from the stick is told.
+class Deeds {
+  constructor() {
+    this.now = ""; // of the intervention that goes on
+    this.far = 0;
+    this.last_ms = -1e9; // when a tick of it was
+    this.done = "";
+    this.until_ms = -1e9;
+  }
+
+  tell(state, now_ms) {
+    const far = Math.hypot(state.stick[0] - state.commanded[0], state.stick[1] - state.commanded[1]);
+    let begins = false, ended = "";
+    if (state.intervening) {
+      if (!this.now) { begins = true; this.far = 0; }
+      if (far > this.far) { this.far = far; this.now = deed(state.stick, state.commanded); }
+      this.last_ms = now_ms;
+    } else if (this.now && now_ms - this.last_ms > CALM_MS) {
+      ended = this.done = this.now;
+      this.now = "";
+      this.until_ms = now_ms + TOLD_MS;
+    }
+    const near = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "follows the stick" : "nearly follows";
+    const lamp = state.intervening ? "steers otherwise" : near;
+    const done = this.now || (now_ms < this.until_ms ? this.done : "");
+    return { begins, ended, lamp, line: done ? `The assistance ${done}${this.now ? " …" : "."}` : "" };
+  }
+}
 
 export class Panel {
   constructor(link, say) {
@@ -22,6 +68,7 @@ export class Panel {
     this.about = null;
     this.state = null;
     this.levels = null;
+    this.deeds = new Deeds();
     this.numbers = new Numbers(KPIS);
     this.wire();
   }
@@ -61,7 +108,7 @@ export class Panel {
     this.fill("town", same(towns), about.town);
     if (by("suite").options.length === 0) { this.fill("suite", same(Object.keys(about.suites)), "dev"); this.fillBlocks(); }
     this.levels = about.levels;
-    by("level").disabled = !about.levels;
+    this.tellOwn(about.own_level);
     by("legend-unsafe").hidden = !about.tells_unsafe;
   }
 
@@ -80,6 +127,25 @@ export class Panel {
     if (!this.levels) return null;
     const [least, most] = this.levels;
     return Number((least + (most - least) * share / 100).toFixed(3));
+  }
+
+  shareOf(level) {
+    const [least, most] = this.levels;
+    return Math.round(100 * (level - least) / (most - least));
+  }
+
+  // The mark below the slider; a thumb's middle never comes nearer to the ends than 8 px.
+  tellOwn(level) {
+    by("own-level").hidden = level === null || !this.levels;
+    if (by("own-level").hidden) return;
+    const share = this.shareOf(level);
+    const mark = by("own-level").firstElementChild;
+    mark.textContent = "▲";
+    mark.style.left = `calc(8px + (100% - 16px) * ${share / 100})`;
+    const words = document.createElement("b");
+    words.textContent = `the policy’s own: ${level.toFixed(2)}`;
+    by("own-level").replaceChildren(mark, words);
+    by("own-level").dataset.side = share > 50 ? "left" : "right";
   }
 
   lamp(id, on, text) {
@@ -103,7 +169,11 @@ export class Panel {
     by("user").value = state.profile;
     by("rate").textContent = state.rate ? `${state.rate.toFixed(1)} ticks/s` : "";
     this.tellLevel(state.level);
+    by("level").disabled = !this.levels || !state.assisted;
+    by("levels").dataset.on = String(state.assisted);
     const who = state.alone || state.driver === "simulated" ? "simulated user" : "you";
+    put(by("legend-you"), who);
+    put(this.numbers.cells.kpi1.previousSibling, `Mean distance from ${who === "you" ? "your" : "the user’s"} stick (KPI 1)`);
     const same = Math.hypot(state.stick[0] - state.commanded[0], state.stick[1] - state.commanded[1]) < 0.2;
     by("stick-text").textContent = same ? `${who}: ${words(state.stick)}` : `${who}: ${words(state.stick)} · chair: ${words(state.commanded)}`;
     document.body.dataset.tick = String(state.tick);
@@ -111,7 +181,10 @@ export class Panel {
 
   lamps(state, before) {
     if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "clear") && state.warning) this.say("Warning: danger ahead.");
-    if (this.lamp("lamp-intervening", state.intervening, state.intervening ? "steers otherwise" : "follows the stick") && state.intervening) this.say("The assistance intervenes.");
+    const told = this.deeds.tell(state, performance.now());
+    if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
+    if (told.ended) this.say(`The assistance ${told.ended}.`);
+    put(by("did"), told.line);
     this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
     const turn = state.bearing_deg;
@@ -123,9 +196,10 @@ export class Panel {
   tellLevel(level) {
     if (level === null || !this.levels) { by("level-text").textContent = "this policy has none"; return; }
     const [least, most] = this.levels;
-    const share = Math.round(100 * (level - least) / (most - least));
+    const share = this.shareOf(level);
     if (document.activeElement !== by("level")) by("level").value = String(share);
-    const text = least > most ? `dangers up to ${level.toFixed(2)} are allowed` : level.toFixed(2);
+    const acts = share > 66 ? "acts early" : share < 34 ? "acts late" : "acts in between";
+    const text = least > most ? `${acts}: at dangers above ${level.toFixed(2)}` : `${acts}: ${level.toFixed(2)}`;
     by("level-text").textContent = text;
     by("level").setAttribute("aria-valuetext", text);
   }
@@ -145,4 +219,45 @@ export function tellKeeping(message) {
   lamp.querySelector("strong").textContent = word;
   lamp.querySelector(".where").textContent = where;
   return before === said ? "" : `${said}.`;
+}
+
+// What to do first, over the picture, till the person has set out; aloud once a start.
+const SET_OUT_M = 1;
+const GONE_M = 6; // whoever has driven so far against the way knows what they do
+const BEHIND_DEG = 110;
+const SWITCHES = ["", "Pick “Ahead” with your switch", "Pick “Ahead” with Enter", "Hold 2", "Hold 2"];
+
+export class Hint {
+  constructor(say) {
+    this.say = say;
+    this.begin();
+  }
+
+  begin() {
+    this.from_m = null;
+    this.done = false;
+    this.said = new Set();
+    this.show("");
+  }
+
+  tell(state, may, switches) {
+    const driven_m = state.kpis.way_m;
+    if (this.from_m === null) this.from_m = driven_m;
+    const away_m = driven_m - this.from_m;
+    const behind = Math.abs(state.bearing_deg) > BEHIND_DEG;
+    if (away_m > GONE_M || (away_m > SET_OUT_M && !behind)) this.done = true;
+    const mine = may && state.driver === "person" && !state.alone && !state.crash && !state.let_go;
+    if (this.done || !mine) { this.show(""); return; }
+    if (behind) { this.show("The way is behind you: turn with left or right first."); return; }
+    const push = matchMedia("(pointer: coarse)").matches ? "Push the disc ahead" : "Press ↑ (up arrow), or push the disc";
+    this.show(`${switches ? SWITCHES[switches] : push}; follow the green dots.`);
+  }
+
+  show(text) {
+    by("hint").hidden = !text;
+    put(by("hint"), text);
+    if (!text || this.said.has(text)) return;
+    this.said.add(text);
+    this.say(text);
+  }
 }
