@@ -45,6 +45,7 @@ class Deeds {
   tell(state, now_ms) {
     const far = Math.hypot(state.stick[0] - state.commanded[0], state.stick[1] - state.commanded[1]);
     let begins = false, ended = "";
+    if (state.crash) { this.now = this.done = ""; }
     if (state.intervening) {
       if (!this.now) { begins = true; this.far = 0; }
       if (far > this.far) { this.far = far; this.now = deed(state.stick, state.commanded); }
@@ -57,7 +58,7 @@ class Deeds {
     const near = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "follows the stick" : "nearly follows";
     const lamp = state.intervening ? "steers otherwise" : near;
     const done = this.now || (now_ms < this.until_ms ? this.done : "");
-    return { begins, ended, lamp, line: done ? `The assistance ${done}${this.now ? " …" : "."}` : "" };
+    return { begins, ended, lamp, line: done ? `By the assistance, the chair ${done}${this.now ? " …" : "."}` : "" };
   }
 }
 
@@ -143,9 +144,9 @@ export class Panel {
     mark.textContent = "▲";
     mark.style.left = `calc(8px + (100% - 16px) * ${share / 100})`;
     const words = document.createElement("b");
-    words.textContent = `the policy’s own: ${level.toFixed(2)}`;
+    words.textContent = `its own: ${level.toFixed(2)}`;
     by("own-level").replaceChildren(mark, words);
-    by("own-level").dataset.side = share > 50 ? "left" : "right";
+    by("own-level").dataset.side = share >= 50 ? "left" : "right";
   }
 
   lamp(id, on, text) {
@@ -183,7 +184,7 @@ export class Panel {
     if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "clear") && state.warning) this.say("Warning: danger ahead.");
     const told = this.deeds.tell(state, performance.now());
     if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
-    if (told.ended) this.say(`The assistance ${told.ended}.`);
+    if (told.ended) this.say(`By the assistance, the chair ${told.ended}.`);
     put(by("did"), told.line);
     this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
