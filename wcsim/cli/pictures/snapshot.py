@@ -56,4 +56,4 @@ def keep_shot(out: Path, shot: Shot, place: str) -> None:
 
     picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
     write_whole(out, lambda part: write_png(part, picture))
-    print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actors in view")
+    print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view")

@@ -75,7 +75,7 @@ def require_pavement(street: Street, town: Town) -> None:
     if not street.walk.edges:
         raise TownError(
             f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there (its traffic "
-            f"alone runs with --chairs 0); {pave_cure(town)}"
+            f"alone runs: wcsim town run --chairs 0); {pave_cure(town)}"
         )
 
 

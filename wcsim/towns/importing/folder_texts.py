@@ -52,7 +52,7 @@ licence holds for them: name its source and follow its terms when you pass them 
 """
 
 _FOREIGN = """\
-The files in this folder, but for town.toml and this one, are copies of somebody's scenario ({config}). They are its
+The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
 author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
 """
 
