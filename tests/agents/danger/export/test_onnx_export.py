@@ -89,3 +89,13 @@ def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
     with pytest.raises(PolicyError, match="oldest_s"):
         guard_of(tmp_path)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("part", [{"imu": np.zeros(8)}, {"depth": np.zeros((1, 480, 640), np.uint8)}, {"seg": "sky"}])
+def test_what_ends_the_model_in_an_error_stops_the_chair_of_the_example(made, part):
+    driver = EXAMPLE["Driver"](made[0], clock=lambda: 0.0)
+    for seen in RIDE[:5]:
+        driver.step(dict(seen))
+    before = np.hypot(*driver.guard.stick)
+    sticks = [np.hypot(*driver.step({**RIDE[5], **part})) for _ in range(6)]
+    assert driver.guard.tripped and sticks[0] < before and sticks[-1] == 0.0
