@@ -7,7 +7,7 @@ from wcsim.config import RunConfig
 
 
 class Sb3Policy:
-    """The DQN of `sb3.zip` in the folder in which the command is typed; loading a zip runs what is in it."""
+    """The DQN of `sb3.zip` where the command is typed (for PPO import PPO); loading a zip runs what is in it."""
 
     name = "sb3"
 

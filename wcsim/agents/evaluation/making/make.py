@@ -93,7 +93,8 @@ def _crossing(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
     for number, settings in enumerate((USUAL_STREET, CARELESS_STREET)):
         wanted = Wanted(part="crossing", profiles=("competent", "inattentive"), settings=(settings,))
         attempts = (order.attempts + 1 - number) // 2
-        made += crossing_blocks(place, wanted, attempts, seeding.derive(order.seed, "crossing", number))
+        if attempts:
+            made += crossing_blocks(place, wanted, attempts, seeding.derive(order.seed, "crossing", number))
     return made
 
 
