@@ -53,6 +53,7 @@ class Driver:
     def reset(self) -> None:
         """Begin a drive."""
         self.guard, self.warning = Guard(self.meaning["guard"]), False
+        self.danger = np.zeros(len(self.meaning["actions_xy"]), np.float32)  # as last told
         self.forget()
 
     def forget(self) -> None:

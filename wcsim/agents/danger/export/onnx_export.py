@@ -103,9 +103,7 @@ def export_danger(
     def fill(target: Path) -> None:
         (target / MODEL).write_bytes(model)
         _quantised(target / MODEL, target / INT8)
-        facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions)))
-        if recorded is not None:
-            _keep_recorded(target / REFERENCE, recorded)
+        facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded))
         if facts[0].cost.p99_ms > limit_ms:
             raise PolicyError(
                 f"a decision takes {facts[0].cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
@@ -153,7 +151,12 @@ def _chosen(policy: DangerPolicy, ride: Sequence[Observation]) -> list[int]:
 
 
 def _write_reference(
-    target: Path, graph: DangerGraph, ride: Sequence[Observation], chosen: Sequence[int], points: ActionSet
+    target: Path,
+    graph: DangerGraph,
+    ride: Sequence[Observation],
+    chosen: Sequence[int],
+    points: ActionSet,
+    recorded: Sequence[int] | None,
 ) -> ExportFacts:
     dangers, actions, before = [], [], []
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
@@ -168,7 +171,8 @@ def _write_reference(
     told = run_model(target / MODEL, ride, graph.INPUTS)
     small = run_model(target / INT8, ride, graph.INPUTS)
     inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.INPUTS}
-    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": np.array(actions)}
+    to_compare = np.array(actions if recorded is None else recorded)
+    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": to_compare}
     np.savez_compressed(target / REFERENCE, **kept)
     own = points.nearest_many(inputs["joystick"])
     at_border = off > MOST_OFF
@@ -195,13 +199,6 @@ def _write_reference(
         bytes=(target / MODEL).stat().st_size,
         int8_bytes=(target / INT8).stat().st_size,
     )
-
-
-def _keep_recorded(reference: Path, recorded: Sequence[int]) -> None:
-    """Let the actions of the reference be those of the recording."""
-    with np.load(reference) as data:
-        kept = {**data, "action": np.array(recorded)}
-    np.savez_compressed(reference, **kept)
 
 
 def _off(told: F32, wanted: F32) -> F32:
