@@ -35,7 +35,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts]:
 
 def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     folder, facts = made
-    assert facts.steps == 200 and facts.most_off < MOST_OFF and facts.same_actions == 1.0
+    assert facts.steps == 200 and facts.border_off < MOST_OFF and facts.same_actions == 1.0
     assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
