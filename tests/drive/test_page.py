@@ -152,7 +152,7 @@ def test_the_simulated_user_is_not_called_you_and_the_level_of_what_is_off_is_of
 
 
 DEEDS = (
-    ([0, 1], [0, 0], "stopped"),
+    ([0, 1], [0, 0], "braked"),
     ([0, 1], [0, 0.5], "slowed"),
     ([0, 1], [-0.5, 0.5], "slowed, turned left"),
     ([0.5, 0.5], [0.75, 0.5], "turned right"),

@@ -93,10 +93,15 @@ class ObservationEncoder(BaseFeaturesExtractor):
 
         Channels last in memory train twice as fast.
         """
-        ids = observations[CLASS_KEY].to(torch.int32)
-        planes = nn.functional.embedding(ids, torch.as_tensor(self._planes))  # (B, T, H, W, G + 1)
-        planes[..., -1] = observations[DEPTH_KEY] / 255.0
-        planes = planes.permute(0, 1, 4, 2, 3)  # a movedim with -1 cannot be exported
+        ids, depth = observations[CLASS_KEY].to(torch.int32), observations[DEPTH_KEY] / 255.0
+        table = torch.as_tensor(self._planes)
+        if torch.onnx.is_in_onnx_export():  # ONNX Runtime writes one plane of many slowly, half of a decision's time
+            groups = nn.functional.embedding(ids, table[:, :-1].contiguous())
+            planes = torch.cat([groups.permute(0, 1, 4, 2, 3), depth[:, :, None]], dim=2)
+        else:
+            planes = nn.functional.embedding(ids, table)  # (B, T, H, W, G + 1)
+            planes[..., -1] = depth
+            planes = planes.permute(0, 1, 4, 2, 3)  # a movedim with -1 cannot be exported
         return planes if self.windowed else planes[:, 0]
 
     def vector(self, observations: Tensors) -> torch.Tensor:

@@ -167,7 +167,7 @@ def _shown(plant: str, rows: Sequence[Row]) -> Table:
         out.add_column(heading)
     for row in rows:
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        verdict = "" if row.ok else "[bold red]RED[/]" if row.red else "other"
+        verdict = ("" if row.judged else "not judged") if row.ok else "[bold red]RED[/]" if row.red else "other"
         out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
     return out
 

@@ -56,13 +56,24 @@ def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
     True
     """
     x_m, y_m, z_m = (float(value) for value in p_WB_m)
-    from_rad = yaw_rad + math.pi - orbit.turn_rad
     flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
     ahead_m = AHEAD_SHARE * flat_m * max(0.0, math.cos(orbit.turn_rad))
     aim = (x_m + ahead_m * math.cos(yaw_rad), y_m + ahead_m * math.sin(yaw_rad), z_m + AIM_M)
-    stands = (
+    return look_at(stand(p_WB_m, yaw_rad, orbit), aim)
+
+
+def stand(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> tuple[float, float, float]:
+    """Where that camera stands in W.
+
+    >>> import numpy as np
+    >>> [round(value, 3) for value in stand(np.zeros(3), 0.0, Orbit(tilt_rad=0.0, distance_m=6.0))]
+    [-6.0, 0.0, 0.9]
+    """
+    x_m, y_m, z_m = (float(value) for value in p_WB_m)
+    from_rad = yaw_rad + math.pi - orbit.turn_rad
+    flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
+    return (
         x_m + flat_m * math.cos(from_rad),
         y_m + flat_m * math.sin(from_rad),
         z_m + AIM_M + orbit.distance_m * math.sin(orbit.tilt_rad),
     )
-    return look_at(stands, aim)

@@ -15,6 +15,7 @@ import numpy as np
 
 from wcsim.config import CameraConfig
 from wcsim.core.frames import rad
+from wcsim.drive.drawing.arm import Arm
 from wcsim.drive.drawing.guidance import ground_points, mark_chair, mark_goal, mark_way
 from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.orbit import Orbit, eased, eye
@@ -75,6 +76,7 @@ class StreetPictures:
         store = GeometryStore(street.mesh)
         self._renderer, self._cast = RasterRenderer(store), Cast(street.signal_heads)
         self._map, self._grid = MapView(store, _MAP_PX, _MAP_SPAN_M), street.grid
+        self._arm = Arm(self._renderer)
         self._front, self._yaw_rad, self._number = front, 0.0, 0
 
     def draw(self, moment: Moment, looks: PageLooks, dt_s: float) -> bytes:
@@ -86,7 +88,7 @@ class StreetPictures:
             dt_s: Since the last pictures, for the camera that comes after the chair.
         """
         self._yaw_rad = moment.yaw_rad if moment.jumped else eased(self._yaw_rad, moment.yaw_rad, dt_s)
-        parts = [(b"S", self._scene(moment, looks))]
+        parts = [(b"S", self._scene(moment, looks, math.inf if moment.jumped else dt_s))]
         if looks.camera is not CameraKind.NOTHING and self._front is not None:
             parts.append((b"C", self._own(moment, looks.camera, self._front)))
         if looks.chart:
@@ -97,10 +99,12 @@ class StreetPictures:
     def behind(self, moment: Moment, looks: PageLooks) -> U8:
         """The street from behind the chair, (H, W, 3) RGB."""
         self._yaw_rad = moment.yaw_rad
-        return self._scene(moment, looks)
+        return self._scene(moment, looks, math.inf)
 
-    def _scene(self, moment: Moment, looks: PageLooks) -> U8:
-        camera, T_CW = _pinhole(looks), eye(moment.chair.p_WB_m, self._yaw_rad, looks.orbit)
+    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> U8:
+        here_W_m = moment.chair.p_WB_m
+        orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
+        camera, T_CW = _pinhole(looks), eye(here_W_m, self._yaw_rad, orbit)
         rows, shown = self._rows(moment)
         images = self._look(camera, T_CW, rows, shown)
         if moment.route is None:

@@ -19,6 +19,7 @@ let busy = "";
 let lastSaid = "";
 let crash = "";
 let sayTimer = 0;
+let busyTimer = 0;
 
 // Told to a screen reader, and gone before somebody reads the page and takes it for what is so now.
 function say(text) {
@@ -47,14 +48,14 @@ const link = new Link({
   line(what) {
     line(LINES[what]);
     say(LINES[what][0]);
-    if (what === "open") scene.tell();
-    else { stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
+    if (what === "open") { scene.tell(); by("place").textContent = "opening the street …"; }
+    else { setBusy(""); stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
-  about(about) { busy = ""; panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
-  busy(message) { busy = message.told; big(busy); say(busy); stick.stop(); scan.rest(); },
+  about(about) { setBusy(""); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
+  busy(message) { setBusy(message.told); say(busy); stick.stop(); scan.rest(); },
   study(message) { study.tell(message.view); },
-  notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) big(message.told); },
+  notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) { setBusy(message.told, false); } },
   role: setRole,
   keeping(message) { const told = tellKeeping(message); if (told) say(told); },
   state(state) {
@@ -88,6 +89,16 @@ function setRole(role) {
   if (role.told) say(role.told);
   if (!drives) { stick.stop(); overrule(false); } else scene.tell();
   study.setRole(drives);
+}
+
+// What is waited for, and for how long already: the server says nothing while it builds a street.
+function setBusy(told, counts = true) {
+  busy = told;
+  clearInterval(busyTimer);
+  big(busy);
+  if (!told || !counts) return;
+  const began = performance.now();
+  busyTimer = setInterval(() => big(`${busy} ${Math.round((performance.now() - began) / 1000)} s`), 1000);
 }
 
 function askForHelp() {

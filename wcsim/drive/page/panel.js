@@ -16,13 +16,14 @@ const KPIS = [
 ];
 
 const FOLLOWS = 0.06; // farther, and the diamond is visibly beside the point: positions lie 0.25 apart
+const STANDS_MPS = 0.05;
 const CALM_MS = 1200; // so long without an intervention ends it
 const TOLD_MS = 6000;
 
 // What the chair does otherwise than the stick, in words. Why is not known here, so it is not said.
 export function deed(stick, commanded) {
   const [asked, given] = [Math.hypot(...stick), Math.hypot(...commanded)];
-  if (given < 0.15) return "stopped";
+  if (given < 0.15) return "braked";
   if (asked < 0.15) return "moved though your stick is at rest";
   const told = [];
   if (stick[1] * commanded[1] < 0 && Math.min(Math.abs(stick[1]), Math.abs(commanded[1])) > 0.1) told.push(commanded[1] > 0 ? "went ahead" : "went back");
@@ -49,6 +50,7 @@ class Deeds {
     if (state.intervening) {
       if (!this.now) { begins = true; this.far = 0; }
       if (far > this.far) { this.far = far; this.now = deed(state.stick, state.commanded); }
+      if (this.now === "braked" && Math.abs(state.speed_mps) < STANDS_MPS) this.now = "stopped";
       this.last_ms = now_ms;
     } else if (this.now && now_ms - this.last_ms > CALM_MS) {
       ended = this.done = this.now;

@@ -53,23 +53,11 @@ class Drive:
         x, y = command[:, 0], command[:, 1]
         return y * limits[V_MAX] * torch.where(y < 0.0, limits[REVERSE], 1.0), -x * limits[YAW_MAX]
 
-    def follow(self, motion: Motion, wanted: tuple[torch.Tensor, torch.Tensor] | None, dt_s: float) -> Motion:
-        """The motion `dt_s` later, with what `wanted` gives; None lets the stick go."""
-        limits, (v, w, a) = self._limits, motion
-        jerk, most = limits[JERK], limits[YAW_ACCEL] * dt_s
-        if wanted is None:
-            gap, turn = -v, w - w.clamp(-most, most)
-        else:
-            gap = wanted[0] - v
-            slowed = 1.0 + YAW_SLOWDOWN_S_PER_M * torch.maximum(wanted[0].abs(), v.abs())
-            turn = w + (wanted[1] / slowed - w).clamp(-most, most)
-        limit = torch.where(v * gap < 0.0, limits[DECEL], limits[ACCEL])
-        ahead = gap - a * dt_s
-        a_wanted = torch.sign(ahead) * torch.minimum(limit, (ahead.abs() * (2.0 * jerk)).sqrt())
-        a = a + (a_wanted - a).clamp(-jerk * dt_s, jerk * dt_s)
-        move = a * dt_s
-        there = (gap.abs() <= move.abs() + STILL_MPS * dt_s) & (a.abs() <= 2.0 * jerk * dt_s + 0.1)
-        return v + torch.where(there, gap, move), turn, torch.where(there, 0.0, a)
+    def follow(self, motion: Motion, wanted: tuple[torch.Tensor, torch.Tensor], dt_s: float) -> Motion:
+        """The motion `dt_s` later, with what `wanted` gives."""
+        v, w, a = motion
+        faster, a = self._faster(v, a, wanted[0] - v, dt_s)
+        return faster, self._turned(w, self._turn(wanted, v), dt_s), a
 
     def roll(self, places: Places, motion: Motion, command: torch.Tensor, holds: list[bool], dt_s: float) -> Places:
         """Where shaped commands (B, 2) bring chairs that begin at `places` with `motion`, (T, B) after each step.
@@ -82,15 +70,43 @@ class Drive:
             dt_s: Of a step.
         """
         wanted = self.wanted(command)
-        motions = [(motion[0].expand(len(command)), motion[1].expand(len(command)), motion[2].expand(len(command)))]
-        for held in holds:
-            motions.append(self.follow(motions[-1], wanted if held else None, dt_s))
-        v, w = (torch.stack([each[part] for each in motions]) for part in (0, 1))
-        way, turn = 0.5 * dt_s * (v[:-1] + v[1:]), 0.5 * dt_s * (w[:-1] + w[1:])
-        yaw = places[2] + turn.cumsum(0)
-        heading = yaw - 0.5 * turn
+        v, w, a = (part.expand(1, len(command)) for part in motion)
+        speeds = [v]
+        for held in holds:  # rows (1, B), so that nothing has to be made one row afterwards
+            v, a = self._faster(v, a, wanted[0] - v if held else -v, dt_s)
+            speeds.append(v)
+        all_v = torch.cat(speeds)
+        held_now = torch.tensor(holds, device=command.device)[:, None]
+        turns = [w]
+        for turn in torch.split(torch.where(held_now, self._turn(wanted, all_v[:-1]), 0.0), 1):
+            turns.append(self._turned(turns[-1], turn, dt_s))
+        all_w = torch.cat(turns)
+        way, turned = 0.5 * dt_s * (all_v[:-1] + all_v[1:]), 0.5 * dt_s * (all_w[:-1] + all_w[1:])
+        yaw = places[2] + turned.cumsum(0)
+        heading = yaw - 0.5 * turned
         x, y = (way * torch.cos(heading)).cumsum(0), (way * torch.sin(heading)).cumsum(0)
         return places[0] + x, places[1] + y, yaw
+
+    def _faster(
+        self, v: torch.Tensor, a: torch.Tensor, gap: torch.Tensor, dt_s: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Speed and acceleration `dt_s` later, where `gap` is missing."""
+        limits, jerk = self._limits, self._limits[JERK]
+        limit = torch.where(v * gap < 0.0, limits[DECEL], limits[ACCEL])
+        ahead = gap - a * dt_s
+        a_wanted = torch.sign(ahead) * torch.minimum(limit, (ahead.abs() * (2.0 * jerk)).sqrt())
+        a = a + (a_wanted - a).clamp(-jerk * dt_s, jerk * dt_s)
+        move = a * dt_s
+        there = (gap.abs() <= move.abs() + STILL_MPS * dt_s) & (a.abs() <= 2.0 * jerk * dt_s + 0.1)
+        return v + torch.where(there, gap, move), torch.where(there, 0.0, a)
+
+    def _turn(self, wanted: tuple[torch.Tensor, torch.Tensor], v: torch.Tensor) -> torch.Tensor:
+        """The turn rate that is asked for at a speed."""
+        return wanted[1] / (1.0 + YAW_SLOWDOWN_S_PER_M * torch.maximum(wanted[0].abs(), v.abs()))
+
+    def _turned(self, w: torch.Tensor, asked: torch.Tensor, dt_s: float) -> torch.Tensor:
+        most = self._limits[YAW_ACCEL] * dt_s
+        return w + (asked - w).clamp(-most, most)
 
     def advance(self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float) -> tuple[Places, Motion]:
         """Places and motion (B,) `dt_s` later, with shaped commands (B, 2)."""

@@ -100,9 +100,11 @@ class MapGaps(nn.Module):
         # One long dimension last: libraries take rows of two numbers one by one.
         down, right = (row - i).reshape(1, -1), (column - j).reshape(1, -1)
         at = (i * SIDE + j).reshape(-1).to(torch.int64)
-        far = away_m.reshape(2, -1)  # what stands, what moves
-        above = (1.0 - right) * far.index_select(1, at) + right * far.index_select(1, at + 1)
-        below = (1.0 - right) * far.index_select(1, at + SIDE) + right * far.index_select(1, at + SIDE + 1)
+        flat, last = away_m.reshape(2, -1), SIDE * SIDE - SIDE - 1  # what stands, what moves
+        around = torch.cat([flat[:, first : first + last] for first in (0, 1, SIDE, SIDE + 1)]).t().contiguous()
+        left_above, right_above, left_below, right_below = torch.split(around.index_select(0, at).t(), 2)
+        above = (1.0 - right) * left_above + right * right_above
+        below = (1.0 - right) * left_below + right * right_below
         room = ((1.0 - down) * above + down * below).view(2, *row.shape) - self.discs[:, 2]
         return room.amin(3).transpose(0, 1)
 

@@ -52,7 +52,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
 
-_KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(7)
+_KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
+_KEYS: Final = 4096.0  # cells each way, after which keys come again: 410 m away, and float32 holds all of them
 _NOWHERE: Final = -1.0e6
 
 State = dict[str, tuple[int, ...]]
@@ -126,7 +127,7 @@ class DangerGraph(nn.Module):
             "state_waiting": (1, self.delay + 1, 2),  # sent, not yet measured; the oldest was obeyed last
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
-            "state_cells": (1, 7, RASTER * RASTER),
+            "state_cells": (1, 6, RASTER * RASTER),
             "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
         }
 
@@ -208,25 +209,25 @@ class DangerGraph(nn.Module):
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
         kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))  # the last one of a cell wins
         moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
-        said = torch.stack([ix, iy, moving, kinds, place[:, 2], -place[:, 2]])
-        begin = said.new_full((6 * cells_and_none,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
-        slots = torch.cat([slot + number * cells_and_none for number in range(6)])
-        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(6, -1)[:, :-1]
-        key_x, key_y, moving, kinds, high, low = (most[number] for number in range(6))
+        said = torch.stack([_key(ix, iy), moving, kinds, place[:, 2], -place[:, 2]])
+        begin = said.new_full((5 * cells_and_none,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
+        slots = torch.cat([slot + number * cells_and_none for number in range(5)])
+        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(5, -1)[:, :-1]
+        key, moving, kinds, high, low = (most[number] for number in range(5))
         old = cells[0]
         seen = high > 0.5 * _NOWHERE
-        same = (old[_KEY_X] == key_x) & (old[_KEY_Y] == key_y) & (old[_TICK] > 0.0)
+        same = (old[_KEY] == key) & (old[_TICK] > 0.0)
         now = tick[0].expand_as(high)
         mover = torch.where(moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high)))
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
-        return torch.where(seen, torch.stack([key_x, key_y, now, mover, kinds, high, -low]), old)[None]
+        return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
     def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
         """As `StreetMap.picture`, its own planes, (OWN_PLANES, SIDE, SIDE) in 0..255."""
         x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
         found = cells[0].index_select(1, _slot(ix, iy).to(torch.int64))
-        known = (found[_TICK] > 0.0) & (found[_KEY_X] == ix) & (found[_KEY_Y] == iy)
+        known = (found[_TICK] > 0.0) & (found[_KEY] == _key(ix, iy))
         tick = motion[0, 1]
         age, trail = tick - found[_TICK], tick - found[_MOVER]
         fresh = (known & (age <= KEEP_TICKS)).to(x.dtype)
@@ -291,6 +292,10 @@ def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch
 
 def _slot(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
     return (ix - RASTER * torch.floor(ix / RASTER)) * RASTER + (iy - RASTER * torch.floor(iy / RASTER))
+
+
+def _key(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
+    return (ix - _KEYS * torch.floor(ix / _KEYS)) * _KEYS + (iy - _KEYS * torch.floor(iy / _KEYS))
 
 
 def _height_code(height_m: torch.Tensor) -> torch.Tensor:

@@ -47,6 +47,7 @@ class LimitCrossing:
     step: int | None  # at which it first did; None where it never did
     last: float | None  # the last mean
     left: int | None = None  # the step since which it is above again
+    episodes: int = OVER  # with a KPI 1
 
     def told(self) -> str:
         """In words.
@@ -54,10 +55,13 @@ class LimitCrossing:
         >>> LimitCrossing(step=1200, last=0.4, left=9000).told()
         'KPI 1, mean of 20 episodes, below 0.1768 from step 1200 on, above again since step 9000'
         """
+        if self.episodes < LEAST:
+            return f"KPI 1, {self.episodes} episodes: too few for a mean that is told, {LEAST} at least"
+        mean = f"KPI 1, mean of {min(OVER, self.episodes)} episodes"
         if self.step is None:
-            return f"KPI 1, mean of {OVER} episodes, never below {KPI1_LIMIT}"
+            return f"{mean}, never below {KPI1_LIMIT}"
         after = f", above again since step {self.left}" if self.left is not None else ""
-        return f"KPI 1, mean of {OVER} episodes, below {KPI1_LIMIT} from step {self.step} on{after}"
+        return f"{mean}, below {KPI1_LIMIT} from step {self.step} on{after}"
 
 
 def read_training(folders: Sequence[Path]) -> Training:
@@ -125,9 +129,9 @@ def crossing(episodes: Sequence[TrainedEpisode]) -> LimitCrossing:
     within = [place for place, mean in enumerate(means) if mean <= KPI1_LIMIT and place + 1 >= LEAST]
     last = means[-1] if means else None
     if not within:
-        return LimitCrossing(step=None, last=last)
+        return LimitCrossing(step=None, last=last, episodes=len(means))
     left = told[within[-1] + 1][0] if within[-1] + 1 < len(told) else None
-    return LimitCrossing(step=told[within[0]][0], last=last, left=left)
+    return LimitCrossing(step=told[within[0]][0], last=last, left=left, episodes=len(means))
 
 
 def switch_step(episodes: Sequence[TrainedEpisode]) -> int | None:
