@@ -13,6 +13,7 @@ from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, sett
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
 from wcsim.agents.policy_api import Policy, SeesTruth
+from wcsim.bridge.drives.made_scene import MadeScene
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
@@ -54,7 +55,7 @@ class OpenPlace:
     handover_step: int = 0  # until here the simulated user drives alone, as in the suite
     told: str = ""  # what the place is, in words
     episode: str = ""  # of a suite: its set, block and seat
-    passing: bool = False  # the town is made for this drive alone, and gone after it
+    scene: str = ""  # of a generated street, which is gone after the drive: what makes it again
 
 
 def open_place(start: DriveStart, held: ExitStack) -> OpenPlace:
@@ -85,11 +86,6 @@ def require_kept(start: DriveStart) -> DriveStart:
         raise ConfigError(
             f"a drive beside {shown(start.profile, 80)} cannot be kept, as that file may be gone; expected a profile: "
             "choose another user"
-        )
-    if start.suite and _block(open_suite(start.suite), start).part == TIGHT:
-        raise ConfigError(
-            f"a drive in block {start.block} of {start.suite} cannot be kept, as its street is made for it "
-            "alone; expected a block in a town: choose another one"
         )
     return start
 
@@ -145,8 +141,12 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
         episode=f"{suite.file.set} {start.block}.{start.seat}",
-        passing=tight,
+        scene=_scene_of(block) if tight else "",
     )
+
+
+def _scene_of(block: BlockFile) -> str:
+    return MadeScene(family=block.town, seed=block.seed, sha256=str(block.scene_sha256)).told()
 
 
 def _block(suite: Suite, start: DriveStart) -> BlockFile:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from wcsim.bridge.drives import remake
+from wcsim.bridge.drives.made_scene import made_scene_of, town_of_scene
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
@@ -20,7 +21,7 @@ from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
 from wcsim.drive.keeping.kept_files import file_names, require_new
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, require_kept
-from wcsim.errors import ConfigError, DiskFullError
+from wcsim.errors import ConfigError, DiskFullError, TownError
 from wcsim.types import Joystick
 from wcsim.users.profile_file import profile_of_json
 from wcsim.users.profiles import profile
@@ -29,6 +30,7 @@ from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveRecording
 
+TIGHT_BLOCK = 25  # of dev: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]
 
 
@@ -219,17 +221,34 @@ def test_files_are_new_ones(tmp_path: Path) -> None:
     assert next(file_names(path)) == tmp_path / "a-3.drive"
 
 
-@pytest.mark.parametrize(
-    ("start", "told"),
-    [
-        (DriveStart(profile="recorded:a.csv"), "a drive beside recorded:a.csv cannot be kept"),
-        (DriveStart(suite="dev", block=25, profile=""), "made for it alone"),
-    ],
-)
-def test_what_cannot_be_made_again_is_refused(start: DriveStart, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
-        require_kept(start)
-    assert require_kept(DriveStart(suite="dev", block=16, profile="")).block == 16
+def test_what_cannot_be_made_again_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"a drive beside recorded:a\.csv cannot be kept"):
+        require_kept(DriveStart(profile="recorded:a.csv"))
+    assert require_kept(DriveStart(suite="dev", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
+
+
+@pytest.mark.parametrize("profile", ["", "competent"])
+def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str) -> None:
+    drive = Kept(DriveStart(suite="dev", block=TIGHT_BLOCK, profile=profile), tmp_path / "a.drive")
+    assert drive.session.place.scene
+    drive.session.assist(False)
+    for _ in range(30):
+        drive.session.tick(Wish(stick=Joystick(0.1, 0.8)))
+    drive.session.drive_by(DriverKind.SIMULATED)
+    drive.drive(10)
+    drive.session.close()
+    made = same_again(tmp_path / "a.drive")
+    family, seed, _ = made.header.scene.split()
+    assert made.header.town == f"{family}-{seed}" and made.header.accompanied
+    assert bool(made.header.beside) is bool(profile)
+
+
+def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
+    with pytest.raises(TownError, match="this wcsim draws another"):
+        town_of_scene(made_scene_of(f"car-door 7 {'0' * 64}"))
+    for text in ("car-door 7", f"../car 7 {'0' * 64}", f"car-doors 7 {'0' * 64}"):
+        with pytest.raises(TownError, match="which this wcsim does not know"):
+            made_scene_of(text)
 
 
 def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kept: Kept, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.drives.beside import by_person, let_wait
+from wcsim.bridge.drives.made_scene import made_scene_of, town_of_scene, user_of_scene
 from wcsim.bridge.drives.record_user import write_user
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
@@ -47,11 +48,14 @@ Remaking = Generator[tuple[RecordedTick, ClientSnapshot, ClientSnapshot], None, 
 
 
 def town_of_drive(header: DriveHeader) -> Town:
-    """The town of a drive, by its name or where it lay. Raises TownError when it is gone, or is not what it was."""
+    """The town of a drive, by its name or where it lay, or made again where it is a scene.
+
+    Raises TownError when it is gone, or is not what it was.
+    """
     refused: TownError | None = None
-    for place in (header.town, header.town_address):
+    for place in (header.scene,) if header.scene else (header.town, header.town_address):
         try:
-            town = find_town(place)
+            town = town_of_scene(made_scene_of(place)) if header.scene else find_town(place)
         except TownError as error:
             refused = refused or error
             continue
@@ -92,7 +96,7 @@ def remade(
             for tick in drive.ticks:
                 while asked and asked[0].tick <= world.snapshot.tick:
                     _do_again(world, asked.popleft(), spec, Path(work))
-                if header.beside:
+                if header.accompanied:
                     let_wait(world.seats[0].user, patient=by_person(tick))
                 before_tick(world)
                 client = world.snapshot.clients[0]
@@ -108,9 +112,9 @@ def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lamb
     result = DriveCheck()
     with closing(remade(drive)) as steps:
         for tick, before, after in steps:
-            persons = bool(drive.header.beside) and by_person(tick)
+            persons = drive.header.accompanied and by_person(tick)
             same = persons or before.user == tick.stick
-            if drive.header.user or drive.header.beside:
+            if drive.header.user or drive.header.accompanied:
                 same = same and _ended_so(tick, after)
             result = _compared(result, tick, same, after)
             progress(result.ticks)
@@ -119,6 +123,8 @@ def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lamb
 
 def _user_of(drive: DriveRecording, work: Path) -> str:
     there = drive.header.user or drive.header.beside
+    if not there and drive.header.scene:
+        return user_of_scene(made_scene_of(drive.header.scene))
     if not there:
         return f"{RECORDED}{drive.name}"
     return write_user(work, profile_of_json(there, "the user in the drive"))

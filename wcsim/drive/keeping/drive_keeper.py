@@ -16,7 +16,6 @@ from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 
 _NO_NAME = "no name is left for another file; expected fewer worlds in one drive: start wcsim drive again"
-_PASSING = "the street of this episode is made for it alone, so its drive could not be made again"
 _RECORDED = "a recorded user sits beside the person, and its file may be gone; choose one of the profiles"
 
 
@@ -79,8 +78,8 @@ class DriveKeeper:
         session = self._session
         beside = session.world.seats[0].profile
         self._file, self._waiting, self._kept = "", [], 0
-        if session.place.passing or beside is None:
-            self._stop(_PASSING if session.place.passing else _RECORDED)
+        if beside is None and not self._sits_in_scene():
+            self._stop(_RECORDED)
             return
         header = drive_header(
             session.place.town,
@@ -91,9 +90,15 @@ class DriveKeeper:
             policy=session.assistance.name,
             level="" if session.assistance.level is None else f"{session.assistance.level:g}",
             episode=session.place.episode,
+            scene=session.place.scene,
         )
-        self._header = replace(header, beside=profile_json(beside))
+        self._header = replace(header, beside="" if beside is None else profile_json(beside))
         self._tell(KeptNews(on=True, told="Kept from the first tick on."))
+
+    def _sits_in_scene(self) -> bool:
+        """Whether the recorded user beside the person is the one of a generated scene, which is made again with it."""
+        place = self._session.place
+        return bool(place.scene) and not place.start.profile and self._session.profile == place.spec.profile
 
     def _open(self, header: DriveHeader) -> DriveRecorder:
         path = next(self._names, None)

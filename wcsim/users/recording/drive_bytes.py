@@ -35,7 +35,7 @@ _ON_STICK = 1.0 + 1e-6  # of an axis, with what rounding adds
 _KIND_LETTERS, _DETAIL_LETTERS, _HEADER_LETTERS = 40, 1000, 1 << 20
 _TEXTS = (
     *("wcsim", "fingerprint", "town", "town_address", "town_sha256", "config"),
-    *("profile", "user", "beside", "policy", "level", "episode"),
+    *("profile", "user", "beside", "policy", "level", "episode", "scene"),
 )
 
 

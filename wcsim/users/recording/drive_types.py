@@ -45,8 +45,14 @@ class DriveHeader:
     policy: str = ""  # who assisted; "" for nobody
     level: str = ""  # of the assistance
     episode: str = ""  # of a suite: its name, block and seat
+    scene: str = ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
     max_steps: int = 10_000
     start: StartSpec | None = None  # of every episode; None where it was drawn
+
+    @property
+    def accompanied(self) -> bool:
+        """Whether a person drove beside somebody who says where the way goes: a profile, or a scene's recorded user."""
+        return bool(self.beside or (self.scene and not self.user))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

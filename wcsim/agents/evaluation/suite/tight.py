@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene, scene_of
+from wcsim.towns.scene_folders.digest import scene_digest
 from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
 from wcsim.towns.scene_folders.seats import scene_config, seat_specs
 
@@ -43,15 +43,6 @@ def in_scene(order: BlockOrder, work: Path) -> BlockOrder:
     folder = work / _SCENE
     scene = scene_of(folder)
     return replace(order, config=scene_config(scene, order.config), recordings=folder, world_seed=scene.seed)
-
-
-def scene_digest(folder: Path) -> str:
-    """SHA-256 (hex) over the names and bytes of a scene's files."""
-    said = hashlib.sha256()
-    for path in sorted(folder.iterdir()):
-        data = path.read_bytes()
-        said.update(f"{path.name} {len(data)}\n".encode() + data)
-    return said.hexdigest()
 
 
 def _block(family: str, seed: int) -> BlockFile:
