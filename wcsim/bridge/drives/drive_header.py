@@ -20,7 +20,6 @@ def drive_header(
     policy: str = "",
     level: str = "",
     episode: str = "",
-    scene: str = "",
 ) -> DriveHeader:
     """The header of a drive.
 
@@ -33,7 +32,6 @@ def drive_header(
         policy: Who assists; "" for nobody.
         level: Of the assistance, where it has levels.
         episode: Of a suite, its name, block and seat; "" for none.
-        scene: Of a generated street, see `MadeScene.told`; "" for a town.
     """
     return DriveHeader(
         wcsim=wcsim_version(),
@@ -49,7 +47,6 @@ def drive_header(
         policy=policy,
         level=level,
         episode=episode,
-        scene=scene,
         max_steps=spec.max_steps,
         start=spec.start,
     )

@@ -90,9 +90,9 @@ class DriveKeeper:
             policy=session.assistance.name,
             level="" if session.assistance.level is None else f"{session.assistance.level:g}",
             episode=session.place.episode,
-            scene=session.place.scene,
         )
-        self._header = replace(header, beside="" if beside is None else profile_json(beside))
+        company = "" if beside is None else profile_json(beside)
+        self._header = replace(header, beside=company, scene=session.place.scene)
         self._tell(KeptNews(on=True, told="Kept from the first tick on."))
 
     def _sits_in_scene(self) -> bool:
