@@ -8,11 +8,10 @@ nor on what died on the way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
-from typing import Final
 
 import torch
 
@@ -31,6 +30,7 @@ from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.round_checkpoint import digest_of, load_round, newest_round, save_round
+from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.run_folder import METRICS, RunFolder
 from wcsim.config import RunConfig
@@ -38,8 +38,6 @@ from wcsim.core import files, seeding
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import find_town, streets_hash
-
-_COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +116,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             save_round(folder.checkpoints, number, learner, segments)
             _save(rounds, learner, f"round-{number:03d}")
             row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
-            _note(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
+            note_round(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
             many = len(now)
             progress(
                 RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)
@@ -180,10 +178,3 @@ class _Told:
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
     rule, sha256 = rule_of(rounds.config.danger), rounds.folder.manifest_sha256()
     save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)
-
-
-def _note(path: Path, row: Sequence[float]) -> None:
-    """Add a row to metrics.csv."""
-    old = path.read_text(encoding="utf-8").splitlines() if path.is_file() else [",".join(_COLUMNS)]
-    kept = [old[0], *(line for line in old[1:] if int(line.split(",")[0]) < row[0])]
-    files.write_bytes(path, "\n".join([*kept, ",".join(f"{value:.6g}" for value in row), ""]).encode())

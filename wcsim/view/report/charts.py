@@ -247,6 +247,7 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | N
         if all(value >= 0.0 for curve in curves for value in curve.values):
             axes.set_ylim(bottom=0.0)
         axes.set_xlim(left=0.0)
+        axes.locator_params(axis="x", nbins=6)  # of six digits no more stand beside each other
         axes.set_xlabel("steps of training")
         axes.set_ylabel(label)
         _legend(axes, len(curves) + (limit is not None))

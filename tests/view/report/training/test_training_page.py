@@ -7,6 +7,7 @@ import pytest
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.clients_folder import create_clients_folder
 from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile
+from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.errors import PolicyError
@@ -84,6 +85,25 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     assert found == {"run/a": "", "run/b": "", "alone": "50"}
     assert main(["report", "run", "alone", "--out", "other"]) == 0
     assert (tmp_path / "other" / "report" / "fig-7a-kpi1.svg").is_file()
+
+
+def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    danger, values = one(tmp_path / "danger"), one(tmp_path / "values")
+    for number, (steps, crashes) in enumerate(((2000, 8), (6000, 4))):
+        note_round(danger / "metrics.csv", (number, steps, 0.25, crashes, 50 * (number + 1), 0.5, 1.0, 2.0))
+    assert main(["report", "danger"]) == 0
+    told = "danger: 2 rounds, 6000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
+    assert told in capsys.readouterr().out
+    page = (danger / "report.html").read_text(encoding="utf-8")
+    assert "Rounds of driving and learning" in page and "Fig. 7a" not in page
+    with (danger / "report" / "round-crashes.csv").open() as file:
+        rates = [float(found["crashes per 1,000 steps"]) for found in csv.DictReader(file)]
+    assert rates == [4.0, 1.0]
+    log(values, row(10), row(20))
+    assert main(["report", "danger", "values"]) == 0
+    both = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Rounds of driving and learning" in both and "Fig. 7a" in both
 
 
 def test_an_episode_whose_greedy_choice_was_not_looked_at_is_no_point_of_its_curve(tmp_path):

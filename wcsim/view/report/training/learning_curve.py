@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.learning.watching.metrics import read_metrics
+from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
 from wcsim.core.reading import is_file, shown_value
 from wcsim.errors import PolicyError
@@ -38,6 +39,7 @@ class Training:
 
     manifests: Mapping[str, Mapping[str, Any]]  # by the run's folder
     clients: Mapping[str, tuple[TrainedEpisode, ...]]  # in seat order
+    rounds: Mapping[str, tuple[TrainedRound, ...]] = field(default_factory=dict)  # of runs of danger networks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,14 +72,18 @@ def read_training(folders: Sequence[Path]) -> Training:
     Raises:
         PolicyError: One is no run, or damaged.
     """
-    manifests, clients = {}, {}
+    manifests, clients, rounds = {}, {}, {}
     for folder in folders:
         manifest = read_json(folder, MANIFEST)
         manifests[str(folder)] = manifest
         for name, home in _homes(folder, manifest):
             label = name if len(folders) == 1 or "clients" not in manifest else f"{folder.resolve().name}/{name}"
-            clients[str(home) if label in clients else label] = _episodes(home / METRICS)
-    return Training(manifests=manifests, clients=clients)
+            label = str(home) if label in clients or label in rounds else label
+            if is_file(home / METRICS) and logs_rounds(home / METRICS):
+                rounds[label] = read_rounds(home / METRICS)
+            else:
+                clients[label] = _episodes(home / METRICS)
+    return Training(manifests=manifests, clients=clients, rounds=rounds)
 
 
 def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Path]]:

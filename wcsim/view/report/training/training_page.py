@@ -1,4 +1,4 @@
-"""The page of a training: how each client came to follow its user, and to stay alive (Fig. 7a and 7b of the paper)."""
+"""The page of a training: how each client came to follow its user, and to stay alive (Fig. 7a, 7b), or its rounds."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from wcsim.view.report.training.learning_curve import (
     running_means,
     switch_step,
 )
+from wcsim.view.report.training.round_figures import round_sections
 
 _KPI1_SAYS: Final = (
     f"Joystick distance of user and agent, mean over an episode: KPI 1, with its limit {KPI1_LIMIT}; in the first "
@@ -51,28 +52,35 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
         more: Sections between curves and clients.
 
     Raises:
-        PolicyError: No client has finished an episode.
+        PolicyError: No client has finished an episode, and no round is done.
         DiskFullError: It cannot be written.
     """
-    if not any(training.clients.values()):
+    episodes, rounds = any(training.clients.values()), round_sections(training.rounds)
+    if not episodes and not rounds:
         raise PolicyError(f"{folder}: no client has finished an episode; expected some: train on with --resume")
+    parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
+    if episodes:
+        clients = _table(training)
+        parts.append((Section(name="clients", title="Clients", body=shown(clients)), (clients,)))
+    intro = facts([("clients", ", ".join((*training.clients, *training.rounds))), *_runs(training)])
+    title = f"Training {folder.resolve().name}"
+    exhibits = [exhibit for _, held in parts for exhibit in held]
+    return write_page(folder, page(title, intro, [section for section, _ in parts]), exhibits)
+
+
+def _curves(training: Training) -> list[tuple[Section, Sequence[Exhibit]]]:
     drawn = [found for each in _FIGURES if (found := _figure(training, *each)) is not None]
-    clients = _table(training)
-    intro = facts([("clients", ", ".join(training.clients)), *_runs(training)])
-    sections = (
-        Section(name="curves", title="Curves", body=el("div", *map(shown, drawn), class_="charts")),
-        *(section for section, _ in more),
-        Section(name="clients", title="Clients", body=shown(clients)),
-    )
-    exhibits = (*drawn, *(exhibit for _, exhibit in more), clients)
-    return write_page(folder, page(f"Training {folder.resolve().name}", intro, sections), exhibits)
+    body = el("div", *map(shown, drawn), class_="charts")
+    return [(Section(name="curves", title="Curves", body=body), drawn)]
 
 
 def _runs(training: Training) -> list[tuple[str, object]]:
     """Of one run all that is to be said of it, of several a line each."""
     said: list[tuple[str, object]] = []
     for name, manifest in training.manifests.items():
-        state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} steps"
+        by_rounds = {name, Path(name).resolve().name} & set(training.rounds)
+        counted = "updates" if by_rounds else "steps"
+        state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} {counted}"
         town, seed = manifest.get("town", ""), manifest.get("seed", "")
         if len(training.manifests) == 1:
             return [("town", town), ("seed", seed), ("status", state)]

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from wcsim.agents.rounds.round_log import logs_rounds, note_round, read_rounds
+from wcsim.errors import PolicyError
+
+FIRST = (0, 2000, 0.25, 4, 50, 0.5, 1.25, 2.5)
+SECOND = (1, 4500, 0.3, 3, 100, 0.25, 0.0, 3.0)
+
+
+def test_rows_come_back_and_a_round_that_is_done_again_stands_once(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    for row in (FIRST, (1, 9999, *SECOND[2:]), SECOND):
+        note_round(path, row)
+    first, second = read_rounds(path)
+    assert logs_rounds(path)
+    assert (first.steps, first.tight_share, first.wait_s) == (2000, 0.25, 1.25)
+    assert (second.round, second.steps, second.crashes, second.updates, second.learn_s) == (1, 4500, 3, 100, 3.0)
+
+
+def test_a_round_in_which_nothing_was_learned_has_no_loss(tmp_path: Path) -> None:
+    note_round(tmp_path / "metrics.csv", (*FIRST[:5], math.nan, *FIRST[6:]))
+    assert math.isnan(read_rounds(tmp_path / "metrics.csv")[0].loss)
+
+
+@pytest.mark.parametrize("row", ["0,1", "0,x,0,0,0,0,0,0", "1,2,0,0,0,0,0,0", "0,-5,0,0,0,0,0,0", "0,nan,0,0,0,0,0,1"])
+def test_a_damaged_row_is_refused(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "metrics.csv"
+    note_round(path, FIRST)
+    path.write_text(path.read_text().splitlines()[0] + f"\n{row}\n")
+    with pytest.raises(PolicyError, match="row 1 is damaged"):
+        read_rounds(path)
+
+
+def test_another_log_is_none_of_rounds(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_text("step,episode\n")
+    assert not logs_rounds(path)
+    with pytest.raises(PolicyError, match="expected those of this version"):
+        read_rounds(path)

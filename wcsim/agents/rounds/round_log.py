@@ -1,0 +1,78 @@
+"""metrics.csv of a danger network's run: one row a round, written when it is done."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from wcsim.core import files
+from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.errors import PolicyError
+
+_COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
+_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
+_MOST: Final = 1e15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedRound:
+    """A row of it."""
+
+    round: int
+    steps: int  # that can be learned from, of this round and those before
+    tight_share: float  # of these, in which something is unsafe
+    crashes: int  # of whoever drove in this round
+    updates: int  # in all
+    loss: float  # mean of this round; NaN where nothing was learned
+    wait_s: float  # wall clock, for the worlds
+    learn_s: float  # wall clock
+
+
+def note_round(path: Path, row: Sequence[float]) -> None:
+    """Add a row to metrics.csv; rows from its round on belong to work that was lost. Raises DiskFullError."""
+    old = path.read_text(encoding="utf-8").splitlines() if path.is_file() else [",".join(_COLUMNS)]
+    kept = [old[0], *(line for line in old[1:] if int(line.split(",")[0]) < row[0])]
+    files.write_bytes(path, "\n".join([*kept, ",".join(f"{value:.6g}" for value in row), ""]).encode())
+
+
+def logs_rounds(path: Path) -> bool:
+    """Whether a metrics.csv is one of rounds."""
+    return read_text(path, _KIND).startswith(",".join(_COLUMNS[:2]) + ",")
+
+
+def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
+    """All rows of it. Raises PolicyError when it is damaged, or of another version."""
+    rows = list(csv.reader(io.StringIO(read_text(path, _KIND), newline="")))
+    if not rows or tuple(rows[0]) != _COLUMNS:
+        got = shown(", ".join(rows[0])) if rows else "none"
+        raise PolicyError(f"{shown(path)} has columns {got}; expected those of this version: {', '.join(_COLUMNS)}")
+    return tuple(_round(row, number, path) for number, row in enumerate(rows[1:]))
+
+
+def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError:
+        values = []
+    usable = len(values) == len(_COLUMNS) and all(
+        0.0 <= value <= _MOST or (name == "loss" and math.isnan(value))
+        for name, value in zip(_COLUMNS, values, strict=True)
+    )
+    if not usable or values[0] != number:
+        raise PolicyError(f"{shown(path)}: row {number + 1} is damaged; expected {len(_COLUMNS)} numbers of a round")
+    at = dict(zip(_COLUMNS, values, strict=True))
+    return TrainedRound(
+        round=number,
+        steps=int(at["steps"]),
+        tight_share=at["tight_share"],
+        crashes=int(at["crashes"]),
+        updates=int(at["updates"]),
+        loss=at["loss"],
+        wait_s=at["wait_s_wall"],
+        learn_s=at["learn_s_wall"],
+    )

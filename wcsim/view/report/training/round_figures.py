@@ -1,0 +1,99 @@
+"""How danger networks were trained: their loss, and how often those crashed who drove for them, round by round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Final
+
+from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.view.report.charts import Curve, curve_chart
+from wcsim.view.report.figures import figure
+from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
+from wcsim.view.report.page import Section, shown
+
+Runs = Mapping[str, tuple[TrainedRound, ...]]
+_THOUSAND: Final = 1000.0
+_LOSS_SAYS: Final = (
+    "Mean loss of a round's updates, all 81 positions together. Each round adds driving, so it need not fall; a test "
+    "says what the network is worth"
+)
+_CRASH_SAYS: Final = (
+    "Crashes per 1,000 new steps of whoever drove in a round: users and oracle, and from the third round on, for a "
+    "share of the episodes, the network of the round before the last"
+)
+
+
+def round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
+    """The section of the page with what belongs to it; none where no run has rounds."""
+    if not any(runs.values()):
+        return []
+    drawn = [
+        _figure(runs, "round-loss", "loss", _LOSS_SAYS, lambda rounds: [each.loss for each in rounds]),
+        _figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, crash_rates),
+    ]
+    rows = _table(runs)
+    body = el("div", el("div", *map(shown, drawn), class_="charts"), shown(rows))
+    return [(Section(name="rounds", title="Rounds of driving and learning", body=body), (*drawn, rows))]
+
+
+def crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
+    """Crashes per 1,000 steps that each round added; NaN where it added none."""
+    steps = [0, *(each.steps for each in rounds)]
+    return [
+        _THOUSAND * each.crashes / (after - before) if after > before else math.nan
+        for each, (before, after) in zip(rounds, pairwise(steps), strict=True)
+    ]
+
+
+def told_of(rounds: Sequence[TrainedRound]) -> str:
+    """A run's rounds in a line.
+
+    >>> one = TrainedRound(round=0, steps=2000, tight_share=0.2, crashes=4, updates=50, loss=0.25, wait_s=1, learn_s=2)
+    >>> told_of((one,))
+    '1 rounds, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
+    """
+    last, rate = rounds[-1], crash_rates(rounds)[-1]
+    told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
+    return f"{len(rounds)} rounds, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+
+
+def _figure(
+    runs: Runs, name: str, label: str, says: str, of: Callable[[Sequence[TrainedRound]], Iterable[float]]
+) -> Exhibit:
+    curves, plain = [], list[list[Cell]]()
+    for run, rounds in runs.items():
+        known = [(each, value) for each, value in zip(rounds, of(rounds), strict=True) if math.isfinite(value)]
+        values = [value for _, value in known]
+        curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
+        plain += [[run, each.round, each.steps, round(value, 6)] for each, value in known]
+    svg = curve_chart(name, label, curves)
+    return figure(name, label[0].upper() + label[1:], f"{says}.", csv_of(("run", "round", "steps", label), plain), svg)
+
+
+def _table(runs: Runs) -> Exhibit:
+    headings = (
+        *("run", "round", "steps", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
+        *("waited for worlds, s", "learned, s"),
+    )
+    rows: list[list[Cell]] = [
+        [
+            run, each.round, each.steps, f"{100.0 * each.tight_share:.0f} %", each.crashes, _number(rate, 1),
+            each.updates, _number(each.loss, 3), round(each.wait_s), round(each.learn_s),
+        ]
+        for run, rounds in runs.items()
+        for each, rate in zip(rounds, crash_rates(rounds), strict=True)
+    ]  # fmt: skip
+    return Exhibit(
+        name="rounds",
+        title="Rounds",
+        says="Steps that can be learned from so far, and in how many of them some position ends badly; crashes of this "
+        "round; updates so far; the clock on the wall.",
+        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
+        csv=csv_of(headings, rows),
+    )
+
+
+def _number(value: float, digits: int) -> Cell:
+    return round(value, digits) if math.isfinite(value) else None
