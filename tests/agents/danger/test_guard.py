@@ -6,10 +6,14 @@ import math
 import runpy
 from pathlib import Path
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
 from wcsim.agents.danger.guard import FAULTS, GuardRule, GuardState, GuardTick, fault_of, guarded
+from wcsim.supervisor.actions import action_set
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
 RULE = GuardRule()
@@ -77,3 +81,39 @@ def test_each_fault_has_its_name():
         {}, {"wanted": None}, {"inputs_finite": False}, {"age_s": 0.31}, {"took_s": 0.2}, {"outputs_finite": False},
     )]  # fmt: skip
     assert tuple(found) == FAULTS
+
+
+class Fails:
+    """Answers, but for one call, which ends in an error of a library."""
+
+    name, warning = "fails", True
+
+    def __init__(self, at: int) -> None:
+        self.calls, self.resets, self.at = 0, 0, at
+
+    def begin(self) -> None:
+        """Nothing."""
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def act(self, observation):
+        self.calls += 1
+        if self.calls == self.at:
+            raise RuntimeError("the runtime has no memory left")
+        return 40 + 9
+
+
+def test_a_model_that_ends_in_an_error_stops_the_chair_and_drives_again_later():
+    frames, actions = {"joystick": np.array([0.0, 1.0], np.float32)}, action_set("square81")
+    policy = Fails(at=3)
+    guard = GuardedPolicy(policy, actions, clock=lambda: 0.0)
+    wanted = tuple(actions.points[49].tolist())
+    told = [guard.drive(frames) for _ in range(2)]
+    assert told == [wanted, wanted] and guard.warning
+    told = [guard.drive(frames) for _ in range(RULE.good_ticks)]  # the bad one and those that do not count yet
+    assert all(math.hypot(*stick) < math.hypot(*wanted) for stick in told) and told[-1] == (0.0, 0.0)
+    assert policy.resets == 1
+    assert guard.drive(frames) == wanted
+    with pytest.raises(RuntimeError):
+        GuardedPolicy(Fails(at=1), actions).act(frames)

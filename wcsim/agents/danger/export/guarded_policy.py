@@ -44,18 +44,30 @@ class GuardedPolicy:
         self.state, self.warning = GuardState(), False
 
     def act(self, observation: Observation) -> int:
-        """The action nearest to the guarded command; the same frames give the same action, however long it takes."""
-        return self._actions.nearest(self._step(observation, 0.0, lambda: 0.0))
+        """The action nearest to the guarded command; the same frames give the same action, however long it takes.
+
+        Raises what the policy does: in a simulation a fault of a policy is to be seen.
+        """
+        return self._actions.nearest(self._step(observation, 0.0, lambda: 0.0, (NotFinite,)))
 
     def drive(self, frames: Observation | None, age_s: float = 0.0) -> Stick:
-        """The command for the frames of a tick, x right and y ahead; None where no frames came."""
-        return self._step(frames, age_s, self._clock)
+        """The command for the frames of a tick, x right and y ahead; None where no frames came.
 
-    def _step(self, frames: Observation | None, age_s: float, clock: Callable[[], float]) -> Stick:
+        Whatever the policy raises stops the chair.
+        """
+        return self._step(frames, age_s, self._clock, (Exception,))
+
+    def _step(
+        self,
+        frames: Observation | None,
+        age_s: float,
+        clock: Callable[[], float],
+        outlived: tuple[type[Exception], ...],
+    ) -> Stick:
         began_s, wanted, answered = clock(), None, True
         whole = frames is not None and all(np.isfinite(frame).all() for frame in frames.values())
         if frames is not None and whole and age_s <= self.rule.oldest_s:
-            wanted = self._asked(frames)
+            wanted = self._asked(frames, outlived)
             answered = wanted is not None
         self.state = guarded(
             self.rule,
@@ -73,14 +85,14 @@ class GuardedPolicy:
             self._policy.reset()
         return self.state.stick
 
-    def _asked(self, frames: Observation) -> Stick | None:
-        """What the policy wants; None where it has no finite answer."""
+    def _asked(self, frames: Observation, outlived: tuple[type[Exception], ...]) -> Stick | None:
+        """What the policy wants; None where it has no finite answer, or raises one of `outlived`."""
         seen: dict[str, Any] = dict(frames)
         if self.state.tripped:
             seen[JOYSTICK_KEY] = np.zeros_like(frames[JOYSTICK_KEY])
         try:
             x, y = self._actions.points[self._policy.act(seen)].tolist()
-        except NotFinite:
+        except outlived:
             return None
         self.warning = bool(getattr(self._policy, "warning", False))
         return x, y
