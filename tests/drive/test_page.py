@@ -222,6 +222,22 @@ def test_axe_finds_nothing(page: Any, dress: str) -> None:
         assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
 
 
+WORDS_OUTSIDE = """[...document.querySelectorAll(".lamp strong, .lamp span")].filter((word) => {
+  const lamp = word.closest(".lamp").getBoundingClientRect(), text = document.createRange();
+  text.selectNodeContents(word);
+  const box = text.getBoundingClientRect();
+  return box.left < lamp.left || box.right > lamp.right;
+}).map((word) => word.textContent)"""
+
+
+@pytest.mark.proof
+def test_words_of_lamps_stay_inside_them(page: Any) -> None:
+    for width in (390, 820, 1024, 1280, 1440):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate(WORDS_OUTSIDE) == [], width
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("height", [844, 664])
 def test_nothing_runs_over_the_edge_of_a_telephone(page: Any, height: int) -> None:
