@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.pictures.snapshot import keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, write_whole
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made, write_whole
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
 
@@ -40,6 +40,7 @@ def run(words: list[str]) -> int:
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
+    missing = missing_folder(video)
 
     from wcsim.drive.drawing.still import StillPictures  # these load the simulators, which --help must not
     from wcsim.view.filming import BusiestMoment, open_stage
@@ -58,6 +59,7 @@ def run(words: list[str]) -> int:
             if busiest.look(done * film.tick_s):
                 seen = stills.draw()
             bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+    tell_made(missing)
     place = f"{options.town}, seed {options.seed}"
     write_whole(street, lambda part: write_png(part, seen))
     print(f"{street}: {place}, the chair from behind")
