@@ -174,7 +174,7 @@ def test_what_a_world_says_of_its_order_is_not_tried_again(tmp_path, words):
 
 
 def test_a_client_that_lost_its_seat_and_hangs_is_ended(tmp_path):
-    rules = replace(QUICK, joining_s=8.0)  # it is told late at times that its seat is lost, and hangs on its way to another
+    rules = replace(QUICK, joining_s=8.0)  # at times it hears late that its seat is lost
     outcome = launcher(tmp_path, {"a": "steps=30 hang=10x1"}, world="evict=9", rules=rules).run()
     assert outcome.code == 0
     assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["a"]
