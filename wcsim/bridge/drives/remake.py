@@ -53,9 +53,10 @@ def town_of_drive(header: DriveHeader) -> Town:
     Raises TownError when it is gone, or is not what it was.
     """
     refused: TownError | None = None
-    for place in (header.scene,) if header.scene else (header.town, header.town_address):
+    find, places = (find_town, (header.town, header.town_address)) if not header.scene else (_made, (header.scene,))
+    for place in places:
         try:
-            town = town_of_scene(made_scene_of(place)) if header.scene else find_town(place)
+            town = find(place)
         except TownError as error:
             refused = refused or error
             continue
@@ -67,6 +68,10 @@ def town_of_drive(header: DriveHeader) -> Town:
             f"({here[:12]}); expected the same town: restore its files"
         )
     raise refused or TownError("the drive names no town; record it again")
+
+
+def _made(scene: str) -> Town:
+    return town_of_scene(made_scene_of(scene))
 
 
 def config_of_drive(header: DriveHeader) -> RunConfig:

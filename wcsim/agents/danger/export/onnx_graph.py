@@ -291,11 +291,16 @@ def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch
 
 
 def _slot(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
-    return (ix - RASTER * torch.floor(ix / RASTER)) * RASTER + (iy - RASTER * torch.floor(iy / RASTER))
+    return _number(ix, iy, RASTER)
 
 
 def _key(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
-    return (ix - _KEYS * torch.floor(ix / _KEYS)) * _KEYS + (iy - _KEYS * torch.floor(iy / _KEYS))
+    return _number(ix, iy, _KEYS)
+
+
+def _number(ix: torch.Tensor, iy: torch.Tensor, side: float) -> torch.Tensor:
+    """Of a cell, row by row, in a square of so many each way that comes again and again."""
+    return (ix - side * torch.floor(ix / side)) * side + (iy - side * torch.floor(iy / side))
 
 
 def _height_code(height_m: torch.Tensor) -> torch.Tensor:
