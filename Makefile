@@ -44,7 +44,7 @@ lint: $(STAMP)
 	$(BIN)/lint-imports --no-cache
 
 test: $(STAMP) lint
-	$(BIN)/pytest -n 3 --dist loadfile -m 'not proof'
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not proof'
 
 proof: $(STAMP)
 	$(BIN)/pytest -n 2 --dist worksteal -m proof $(if $(GROUP),tests/$(GROUP))

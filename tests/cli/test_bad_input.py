@@ -80,7 +80,7 @@ OPTIONS = {
     "test --town ,": ("--town ','", "joined by commas"),
     "test nobody": ("nobody is not a run", "wcsim train"),
     "test nobody:final": ("nobody is not a run",),
-    "test follow:early": ("'early'", "phase1"),
+    "test follow:early": ("module 'follow' was not found", "follow.py"),
     "bench tick --chairs two": ("'two'", "whole numbers"),
     "bench tick --chairs 0": ("--chairs 0",),
     "bench tick --ticks 0": ("--ticks 0",),

@@ -202,8 +202,8 @@ def policy_path(name: str) -> Path:
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(
-            f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known} (a policy of your own, "
-            "module:Class, is tested with --suite)"
+            f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}, or module:Class "
+            "of your own"
         )
     if not is_folder(Path(head)):
         raise PolicyError(

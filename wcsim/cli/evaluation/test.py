@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
+from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_own_class, is_plain, open_named, settings_of
 from wcsim.agents.networks.names import is_own, require_named
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, is_baseline
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
@@ -23,6 +24,7 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.core.plugins import find_class
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
@@ -38,7 +40,7 @@ UNEVENTFUL = "no danger was met: all who follow the user did the same; drive lon
 
 @dataclass
 class Options:
-    """Test policies: run folders (RUN, RUN:phase1), policy folders, shipped, or names of baselines.
+    """Test policies: run folders (RUN, RUN:phase1), policy folders, shipped, module:Class of your own, or baselines.
 
     --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`),
     --make-suite TOWN makes one.
@@ -121,10 +123,10 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
     from wcsim.agents.envs.wheelchair_env import (
         WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
     )
-    from wcsim.agents.evaluation.matrix import TestPlan, open_policy, run_test, window_for
+    from wcsim.agents.evaluation.matrix import TestPlan, run_test, window_for
 
     names = _driven(options)
-    policies = [open_policy(name, config, options.seed, options.network or None) for name in names]
+    policies = [open_named(name, config, options.seed, options.network or None) for name in names]
     config = with_overrides(config, (f"env.window={window_for(policies)}",))
 
     def make_env(town: str, profile: str, senses: tuple[str, ...]) -> WheelchairEnv:
@@ -201,12 +203,14 @@ def _require_policies(options: Options) -> None:
     """Look at what is to be tested before torch is loaded for it.
 
     Raises:
-        PolicyError: There is no such policy, or it has a network of somebody's own that is not named.
+        PolicyError: There is no such policy or class, or it has a network of somebody's own that is not named.
         HookError: The step hook is none.
     """
     require_known(options.network, hook=options.hook)
     for name in options.policies:
-        if not is_baseline(name):
+        if is_own_class(name):
+            find_class(name, "policy")
+        elif not is_plain(name):
             path = policy_path(name)
             network = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
             if is_own(network):
@@ -233,7 +237,7 @@ def checked_town(name: str, options: Options) -> Town:
     digest = streets_hash(town)
     _refuse_school(town, digest)
     for policy in options.policies:
-        if not is_baseline(policy) and digest in _schools(policy):
+        if not is_plain(policy) and digest in _schools(policy):
             raise TownError(
                 f"{policy} was trained in {town.name} itself; expected a town it has never seen. "
                 "Choose another --town, or say --allow-train-town"
@@ -270,8 +274,10 @@ def _schools(policy: str) -> set[str]:
 
 
 def _config(options: Options) -> RunConfig:
-    """The settings of the first run that is tested, or of the preset; overrides apply to both."""
+    """The settings of the first run or model that is tested, or of the preset; overrides apply to both."""
     for policy in options.policies:
-        if not is_baseline(policy):
+        if not is_plain(policy):
             return config_of(policy, options.preset, options.set)
+        if is_onnx(policy):
+            return settings_of(policy, options.preset, options.set)
     return load_run_config(options.preset, options.set)

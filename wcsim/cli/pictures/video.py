@@ -10,9 +10,7 @@ from typing import Annotated, Protocol
 
 import tyro
 
-from wcsim.agents.policies.baseline_names import is_baseline
-from wcsim.agents.policies.onnx_policy import is_onnx_folder
-from wcsim.agents.policies.served_policy import is_served
+from wcsim.agents.evaluation.suite.named_policy import is_plain
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made
 from wcsim.cli.shared.run_config import require_user
@@ -71,7 +69,7 @@ def run(words: list[str]) -> int:
 
 def require_policy(name: str) -> None:
     """Refuse what names no policy before the simulators are loaded. Raises PolicyError."""
-    if not is_baseline(name) and not is_served(name) and not is_onnx_folder(Path(name)):
+    if not is_plain(name):
         policy_path(name)
 
 

@@ -16,10 +16,11 @@ from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
+from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.plugins import find_class
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 
@@ -50,7 +51,13 @@ def is_onnx(name: str) -> bool:
 def is_own_class(policy: str) -> bool:
     """Whether a policy is named as module:Class: opening it runs somebody's code."""
     a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
-    return a_class and not Path(policy.rpartition(":")[0]).exists()
+    head, _, last = policy.rpartition(":")
+    return a_class and last not in STAGES and not Path(head).exists()
+
+
+def is_plain(name: str) -> bool:
+    """Whether a policy is nobody's run: a baseline, a class, an ONNX folder, a process on a socket."""
+    return is_baseline(name) or is_served(name) or is_own_class(name) or is_onnx(name)
 
 
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
@@ -62,11 +69,21 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
         return alone if rule is None else GuardedPolicy(alone, actions, rule)
     if is_own_class(name):
-        policy: Policy = find_class(name, "policy")(config)
-        return policy
+        return _own_policy(name, config)
     from wcsim.agents.evaluation.matrix import open_policy  # torch is loaded here
 
     return open_policy(name, config, seed, network)
+
+
+def _own_policy(name: str, config: RunConfig) -> Policy:
+    policy: Policy = find_class(name, "policy")(config)
+    missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
+    if missing:
+        raise PolicyError(
+            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), reset() and "
+            "act(observation), see docs/suites.md"
+        )
+    return policy
 
 
 def sensing(config: RunConfig, policy: Policy) -> RunConfig:
