@@ -126,13 +126,17 @@ def _whole(name: str, title: str) -> str:
 
 
 def _examples() -> str:
-    said = "# Examples\n\nThe files of `examples/`, as they are; tests run each of them.\n"
-    parts = (f"\n## {path.name}\n\n```python\n{path.read_text(encoding='utf-8')}```\n" for path in _example_files())
-    return said + "".join(parts)
+    said = "# Examples\n\nThe files of `examples/`, as they are; tests use each of them.\n"
+    return said + "".join(_shown(path) for path in _example_files())
+
+
+def _shown(path: Path) -> str:
+    language = "python" if path.suffix == ".py" else path.suffix[1:]
+    return f"\n## {path.name}\n\n```{language}\n{path.read_text(encoding='utf-8')}```\n"
 
 
 def _example_files() -> list[Path]:
-    return sorted((ROOT / "examples").glob("*.py"))
+    return sorted(path for path in (ROOT / "examples").iterdir() if path.suffix in (".py", ".toml"))
 
 
 def _from(uri: str, there: str) -> str:
