@@ -31,7 +31,7 @@ class Options:
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name, its folder, or anybody's .sumocfg."""
     policy: str = "dwa"
-    """Who assists: a run, a policy folder, shipped, or a baseline; follow gives the stick as it is."""
+    """Who assists: a run, shipped, a baseline, module:Class of your own; follow gives the stick as it is."""
     profile: str = "competent"
     """The simulated user who drives where the page says so."""
     seed: int = 21

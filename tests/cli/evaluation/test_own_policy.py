@@ -6,9 +6,13 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.conftest import QUICK
+from wcsim.config import load_run_config
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "own_policy.py"
 
 OWN = """
 class Still:
@@ -57,3 +61,21 @@ def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
 def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, said):
     told = wcsim("test", f"{own}:{name}", "--town", corner, "--only", "--allow-train-town", *QUICK)
     assert told.code == 2 and said in told.err
+
+
+def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, folder, corner, monkeypatch):
+    """As a user does it, beside the file."""
+    (folder / EXAMPLE.name).write_bytes(EXAMPLE.read_bytes())
+    monkeypatch.delitem(sys.modules, "own_policy", raising=False)
+    words = ("--town", corner, "--only", "--allow-train-town", "--episodes", "1", "--max-steps", "10", *QUICK)
+    assert wcsim("test", "own_policy:Careful", *words, "--json", "rows.json").code == 0
+    assert {row["policy"] for row in json.loads((folder / "rows.json").read_text())["rows"]} == {"careful", "follow"}
+
+    policy = sys.modules["own_policy"].Careful(load_run_config("quick"))
+    seen = {"depth": np.zeros((1, 24, 32), np.uint8), "joystick": np.array([0.0, 1.0], np.float32)}
+    given, warned = [], []
+    for code in (0, 255, 60):  # nothing measured, far, near
+        seen["depth"][:] = code
+        given.append(policy.actions.points[policy.act(seen)].tolist())
+        warned.append(policy.warning)
+    assert (given, warned) == ([[0.0, 1.0], [0.0, 1.0], [0.0, 0.25]], [False, False, True])

@@ -38,7 +38,7 @@ class Options:
     width: int = 480
     """Width of the camera image in pixels."""
     policy: str = ""
-    """Who drives: a run, a policy folder, shipped, or a baseline; "" gives the user what the stick says."""
+    """Who drives: a run, shipped, a baseline, module:Class of your own; "" gives the user what the stick says."""
     profile: str = "inattentive"
     """The simulated user whose stick a policy sees."""
     set: Repeated = ()

@@ -35,7 +35,7 @@ class DangerConfig(Model):
     weight_decay: NotNegative = 1e-3  # Adam's
     tight_share: Share = 0.5  # of a batch, from steps in which something is unsafe
     ahead: Annotated[int, Field(ge=0, le=20)] = 1  # an action is unsafe already, so many steps before it is
-    teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = "visible"  # the oracle: blinded, or all-knowing
+    teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = "visible"  # oracle: blinded, or (truth) all-knowing
     threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2  # the assistance level: what is more dangerous is out
     keep: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: Positive = 1.3  # times the threshold for the last action
