@@ -25,6 +25,8 @@ from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.networks import registry
 from wcsim.bridge.sumo.step_hook import StepHook
 from wcsim.server.specs import Patience, SeatRequest
+from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.observation import decode_depth
 from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.towns.making.maker import Wishes, make_town
 
@@ -43,7 +45,7 @@ def page() -> str:
         ("What an environment is made with", "`EnvOptions`, beside the town: all three take the same.", _options()),
         ("`wcsim.types`: what is observed, judged and commanded", "", _door(wcsim.types, _shown(wcsim.types))),
         ("`wcsim.config`: settings", "Keys are fields of these.", _door(wcsim.config, _shown(wcsim.config))),
-        ("`wcsim.agents.policy_api`: what can drive", "", _own(policy_api)),
+        ("`wcsim.agents.policy_api`: what can drive", "`examples/own_policy.py`, `docs/suites.md`.", _policies()),
         ("A network", "`examples/own_network.py`; the contract is the text of its module.", _named(registry.register)),
         ("A reward term", "`examples/own_reward.py`.", _with_methods(RewardTerm)),
         ("A step hook", "`examples/own_signals.py`; either method may be missing.", _with_methods(StepHook)),
@@ -77,6 +79,13 @@ def _own(module: ModuleType) -> Iterator[tuple[str, str]]:
     for kind in vars(module).values():
         if inspect.isclass(kind) and kind.__module__ == module.__name__:
             yield from _with_methods(kind)
+
+
+def _policies() -> Iterator[tuple[str, str]]:
+    """What a policy is, and what one of one's own needs to read an observation and name an action."""
+    yield from _own(policy_api)
+    yield from _with_methods(ActionSet)
+    yield from _named(action_set, decode_depth)
 
 
 def _with_methods(kind: type) -> Iterator[tuple[str, str]]:
