@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.intervals import at_most, garwood
+from wcsim.agents.evaluation.intervals import at_most, bootstrapped, garwood, mcnemar
 from wcsim.errors import ConfigError
 
 
@@ -33,3 +33,22 @@ def test_probabilities_of_all_numbers_add_up():
 def test_what_is_no_count_is_refused(events, confidence):
     with pytest.raises(ConfigError, match="expected 0 or more"):
         garwood(events, confidence)
+
+
+def test_pairs_that_differ_decide_by_their_number_however_many_there_are():
+    assert mcnemar(0, 0) == mcnemar(3, 3) == 1.0
+    assert mcnemar(0, 5) == mcnemar(5, 0) == 2 / 2**5
+    assert mcnemar(500, 520) == pytest.approx(0.5519, abs=1e-4)
+    assert mcnemar(5000, 5000) == 1.0
+    assert mcnemar(4900, 5100) == pytest.approx(0.0466, abs=1e-3)  # as the normal distribution has it
+    assert mcnemar(0, 3000) == 0.0
+
+
+def test_a_weighted_mean_lies_in_its_interval_which_shrinks_with_more_episodes():
+    values, weights = [0.2, 0.9, 0.4, 0.6] * 10, [1.0, 3.0, 0.0, 2.0] * 10
+    low, high = bootstrapped(values, weights)
+    assert 0.2 <= low < (0.2 + 2.7 + 1.2) / 6.0 < high <= 0.9
+    assert bootstrapped(values, weights) == (low, high)
+    more_low, more_high = bootstrapped(values * 9, weights * 9)
+    assert more_high - more_low == pytest.approx((high - low) / 3.0, rel=0.15)
+    assert bootstrapped([0.5], [0.0]) is None and bootstrapped([]) is None

@@ -79,6 +79,8 @@ def mcnemar(only_first: int, only_second: int) -> float:
     pairs = only_first + only_second
     if pairs == 0:
         return 1.0
-    fewer = min(only_first, only_second)
-    tail = math.fsum(math.comb(pairs, k) for k in range(fewer + 1)) / 2.0**pairs
-    return min(1.0, 2.0 * tail)
+    ways, term = 0, 1  # whole numbers: no float holds the powers of two of a long list
+    for k in range(min(only_first, only_second) + 1):
+        ways += term
+        term = term * (pairs - k) // (k + 1)
+    return min(1.0, 2 * ways / 2**pairs)

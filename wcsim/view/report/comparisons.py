@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from wcsim.agents.evaluation.intervals import bootstrapped, mcnemar
-from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
@@ -69,8 +69,7 @@ def paired(result: KeptResult, policy: str, rival: str, part: str) -> Paired | N
     interval = bootstrapped([mine.score - other.score for mine, other in both])
     if interval is None:
         return None
-    saved = sum(other.own and not mine.own for mine, other in both)
-    lost = sum(mine.own and not other.own for mine, other in both)
+    saved, lost = saved_and_lost((mine for mine, _ in both), (other for _, other in both))
     return Paired(
         policy=policy,
         rival=rival,

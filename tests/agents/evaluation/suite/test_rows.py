@@ -42,6 +42,13 @@ def test_twins_say_who_was_saved_and_who_was_lost():
     assert (found["saved"], found["lost"]) == (9, 1) and found["mcnemar_p"] == pytest.approx(0.0215, abs=1e-3)
 
 
+@pytest.mark.parametrize("changes", [{"status": "refused", "steps": 0}, {"status": "policy_failed"}])
+def test_a_policy_that_did_not_drive_to_the_end_saves_nobody(changes):
+    found = row([replace(GOOD, **changes)] * 9 + [CRASH], [CRASH] * 9 + [GOOD])
+    assert (found["unaided_crashes_own"], found["saved"], found["lost"]) == (9, 0, 1)
+    assert found["mcnemar_p"] == 1.0
+
+
 @pytest.mark.parametrize(
     ("fool", "column", "worse"),
     [

@@ -1,6 +1,7 @@
 """A whole list: the same bytes with one process and with two, kept pieces are used, and changes are told."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -14,7 +15,7 @@ from wcsim.agents.evaluation.suite.list_file import (
     write_list,
 )
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, judged_blocks, policy_digest, read_kept, run_suite
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, TownError
 
@@ -38,6 +39,34 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
         path.write_text("{", encoding="utf-8")
     with pytest.raises(ConfigError, match="remove it"):
         run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: None)
+
+
+@pytest.mark.parametrize("kept", ["{}", '{"records": 3}', '{"records": [{"block": 0}]}', '{"records": [3]}'])
+def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
+    (tmp_path / "a.json").write_text(kept, encoding="utf-8")
+    with pytest.raises(ConfigError, match="remove it"):
+        read_kept(tmp_path / "a.json")
+
+
+def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():
+    blocks = open_suite("dev").file.blocks
+    counts = [sum(len(blocks[at].episodes) for at in judged_blocks(blocks, wanted)) for wanted in (0, 40, 1 << 30)]
+    assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("dev").episodes
+
+
+def test_what_is_kept_is_of_the_files_that_settings_and_a_network_name(corner, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    chair, net = tmp_path / "chair.toml", tmp_path / "own_net_of_suites.py"
+    chair.write_text("a = 1")
+    net.write_text("class Net:\n    pass\n")
+    plain = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path)
+    order = replace(plain, settings=(f"chair.plant={chair}",), network="own_net_of_suites:Net")
+    seen = {policy_digest("follow", plain), policy_digest("follow", replace(order, network=""))}
+    seen |= {policy_digest("follow", order)}
+    for path in (chair, net):
+        path.write_text(path.read_text() + "\n")
+        seen.add(policy_digest("follow", order))
+    assert len(seen) == 5 and policy_digest("follow", order) in seen
 
 
 def test_what_is_kept_is_of_the_code_that_drives(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,9 @@ from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, with_overrides
+from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
+from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -34,13 +37,25 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_onnx(name):
         return ["onnx", _files(Path(name))]
     if is_own_class(name):
-        return ["class", name, preset, _file_digest(Path(str(_source_of(name))))]
+        return ["class", name, preset, file_digest(Path(_source_of(name, "policy")))]
     level = split_level(name)[1]
     return ["folder", _files(policy_path(name)), *([] if level is None else [level])]
 
 
+def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
+    """The user's own files that settings and a network's name lead to, by the word that names each.
+
+    >>> own_files(("world.action_delay_ticks=2",), "fig6")
+    {}
+    """
+    values = (word.partition("=")[2].strip("'\"") for setting in settings for word in setting.split())
+    paths = {value: Path(value.removeprefix(RECORDED)) for value in values}
+    found = {value: path for value, path in paths.items() if is_file(path)}
+    return {**found, network: Path(_source_of(network, "network"))} if ":" in network else found
+
+
 def _files(folder: Path) -> list[list[str]]:
-    return [[path.name, _file_digest(path)] for path in sorted(folder.iterdir()) if path.is_file()]
+    return [[path.name, file_digest(path)] for path in sorted(folder.iterdir()) if path.is_file()]
 
 
 def is_onnx(name: str) -> bool:
@@ -106,11 +121,12 @@ def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfi
     return config
 
 
-def _source_of(name: str) -> str:
+def _source_of(name: str, what: str) -> str:
     import inspect
 
-    return inspect.getsourcefile(find_class(name, "policy")) or ""
+    return inspect.getsourcefile(find_class(name, what)) or ""
 
 
-def _file_digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

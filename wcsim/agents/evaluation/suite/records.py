@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
@@ -94,11 +94,26 @@ class EpisodeRecord:
     @property
     def driven(self) -> bool:
         """Whether the policy drove, and crashed by no fault of its own."""
-        return not self.own and self.status not in (POLICY_FAILED, REFUSED) and self.steps > 0
+        return not self.own and self.held and self.steps > 0
+
+    @property
+    def held(self) -> bool:
+        """Whether the policy could be used to the end, however that was."""
+        return self.status not in (POLICY_FAILED, REFUSED)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
         return asdict(self)
+
+
+def saved_and_lost(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]) -> tuple[int, int]:
+    """Own crashes that the others have in the same episodes and these have not, and the other way round.
+
+    Where a policy failed or was refused nobody drove to the end, and nothing was saved.
+    """
+    pairs = [(mine, other) for mine, other in zip(records, others, strict=True) if mine.own is not other.own]
+    saved = sum(other.own and mine.held for mine, other in pairs)
+    return saved, sum(mine.own and other.held for mine, other in pairs)
 
 
 def record_of(data: Mapping[str, Any]) -> EpisodeRecord:

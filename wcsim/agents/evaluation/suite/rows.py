@@ -18,6 +18,7 @@ from wcsim.agents.evaluation.suite.records import (
     POLICY_FAILED,
     STATUSES,
     EpisodeRecord,
+    saved_and_lost,
 )
 from wcsim.config.suite import SuiteFile
 from wcsim.supervisor.kpi import DROP
@@ -147,8 +148,7 @@ def result_of(file: SuiteFile, sha256: str, rows: Sequence[Row], pooled: Sequenc
 
 def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> Row:
     """What became of the same episodes with the user alone; crashes that are the chair's own, and falls."""
-    saved = sum(twin.own and not record.own for record, twin in zip(records, unaided, strict=True))
-    lost = sum(record.own and not twin.own for record, twin in zip(records, unaided, strict=True))
+    saved, lost = saved_and_lost(records, unaided)
     return {
         "unaided_crashes_own": sum(twin.own for twin in unaided),
         "saved": saved,

@@ -14,10 +14,12 @@ from typing import Any, Final
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
 from wcsim.agents.evaluation.suite.named_policy import (
+    file_digest,
     identity_of,
     is_onnx,
     is_own_class,
     open_named,
+    own_files,
     sensing,
     settings_of,
 )
@@ -32,7 +34,7 @@ from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
-from wcsim.core.reading import FileKind, read_json
+from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
@@ -103,7 +105,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     file = order.suite.file
     require_towns(file)
     towns = town_addresses(order)
-    judged = _judged(file.blocks, order.forks)
+    judged = judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
     asked = [NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
@@ -111,7 +113,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
         for index in range(len(file.blocks)):
             path = _kept_path(order, index, policy.digest)
             if path.is_file():
-                kept[policy.name, index] = _read_kept(path)
+                kept[policy.name, index] = read_kept(path)
             else:
                 left.append((piece_of(order, index, policy.name, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
@@ -165,7 +167,7 @@ def _drive_all(
             for key in sorted(crew.come(waiting, _LOOK_S)):
                 waiting.remove(key)
                 piece, path = asked[key]
-                kept[piece.policy, piece.index] = _read_kept(path)
+                kept[piece.policy, piece.index] = read_kept(path)
                 done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
             order.look(crew.now())
 
@@ -241,16 +243,19 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
-    """What a policy's result depends on besides the list: its weights or name, the settings, wcsim's own code."""
-    said = [order.settings, order.forks, code_digest(), *identity_of(name, order.preset)]
+    """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
+    own = {word: file_digest(path) for word, path in own_files(order.settings, order.network).items()}
+    said = [order.settings, order.forks, order.network, own, code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
-def _judged(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
+def judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
     """The blocks whose interventions are judged: evenly spread, as many as hold so many episodes."""
     total = sum(len(block.episodes) for block in blocks)
     if episodes >= total:
         return frozenset(range(len(blocks)))
+    if episodes <= 0:
+        return frozenset()
     wanted = max(1, round(len(blocks) * episodes / total))
     return frozenset((number * len(blocks)) // wanted for number in range(wanted))
 
@@ -259,6 +264,10 @@ def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
     return order.out / "kept" / f"{block_key(order.suite, index, digest)}.json"
 
 
-def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
+def read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
+    """The records of a block that was driven before. Raises ConfigError."""
     data = read_json(path, _KEPT)
-    return tuple(record_of(record) for record in data["records"])
+    try:
+        return tuple(record_of(record) for record in data["records"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{shown(path)}: is damaged ({error}); expected {_KEPT.what}") from None
