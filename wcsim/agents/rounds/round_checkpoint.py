@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +15,8 @@ from wcsim.core import files
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
-_KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=1 << 20, error=PolicyError)
+_SEGMENT: Final = re.compile(r"[0-9]+-[0-9]{3,}-[0-9]{4,}\.npz\.zst", re.ASCII)
+_KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
 def checkpoint_path(folder: Path, number: int) -> Path:
@@ -55,9 +58,22 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     state = read_json(path / STATE, _KIND)
     try:
         read_learner(path, learner, int(state["updates"]), float(state["loss"]))
-        return {str(name): str(sha256) for name, sha256 in state["segments"].items()}
+        segments = {str(name): str(sha256) for name, sha256 in state["segments"].items()}
     except (RuntimeError, KeyError, ValueError, TypeError) as error:
         raise PolicyError(f"{shown(path)} does not fit this run ({error}); expected its own checkpoint") from None
+    other = next((name for name in segments if _SEGMENT.fullmatch(name) is None), None)
+    if other is not None:
+        raise PolicyError(f"{shown(path)} names the segment {shown(other)!r}; expected its own checkpoint")
+    return segments
+
+
+def in_order(segments: Iterable[str]) -> list[str]:
+    """Names of segments in the order in which a run learns from them: round by round.
+
+    >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
+    ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
+    """
+    return sorted(segments, key=lambda name: (int(name.split("-")[1]), name))
 
 
 def _is_whole(path: Path) -> bool:

@@ -29,7 +29,7 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.rounds.round_checkpoint import digest_of, load_round, newest_round, save_round
+from wcsim.agents.rounds.round_checkpoint import digest_of, in_order, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.run_folder import METRICS, RunFolder
@@ -94,7 +94,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
         require_same_settings(data, file, config)
         for name, sha256 in sorted(file.segments.items()):
             lectures.add(lessons_of(read_segment(data / SEGMENTS / name, sha256), config))
-    for name in sorted(segments):
+    for name in in_order(segments):
         lectures.add(lessons_of(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
     with _drivers(rounds).open() as workers:
         for number in range(first, total):
@@ -113,10 +113,10 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             lectures.begin(seeding.generator(seed, "agent", "lectures", number))
             loss = learner.learn(lectures, config.danger.updates, told.learned)
             segments |= came
-            save_round(folder.checkpoints, number, learner, segments)
             _save(rounds, learner, f"round-{number:03d}")
             row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
             note_round(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
+            save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             many = len(now)
             progress(
                 RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)

@@ -1,0 +1,96 @@
+"""When a round counts as done: whatever fails before, it is done again to the same weights. Nobody drives here."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.agents.danger.sights import a_segment, small_config
+from tests.agents.rounds.small_runs import outcome, run_in
+from wcsim.agents.collecting.data_folder import segment_path, write_segment
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.segment_places import SegmentOrder
+from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.rounds import train_rounds
+from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
+from wcsim.agents.rounds.round_log import read_rounds
+from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.errors import DiskFullError, PolicyError
+from wcsim.towns.scenario.town import find_town
+
+SETTINGS = ("danger.width=8", "collect.segments=1")
+
+
+class NoiseCrew:
+    """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
+
+    def __init__(self, drivers: SegmentDrivers) -> None:
+        self._folder = drivers.data
+
+    def __enter__(self) -> NoiseCrew:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nobody works."""
+
+    def ask(self, orders: Sequence[SegmentOrder]) -> None:
+        assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
+
+    def take(
+        self, orders: Sequence[SegmentOrder], done: Callable[[SegmentKey], object], watch: object
+    ) -> dict[str, str]:
+        self.ask(orders)
+        paths = {segment_path(self._folder, order.key): order.key for order in orders}
+        return {path.name: write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
+
+
+@pytest.fixture(autouse=True)
+def noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SegmentDrivers, "open", lambda drivers: NoiseCrew(drivers))
+
+
+def a_learner() -> DangerLearner:
+    learner = DangerLearner(small_config(), 1, 2)
+    learner.loss = 0.5
+    return learner
+
+
+@pytest.mark.parametrize("step", ["_save", "note_round", "save_round"])
+def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    town = find_town(str(corner))
+    train_danger(run_in(corner, tmp_path / "straight", *SETTINGS), town)
+
+    def full(*words: object) -> None:
+        raise DiskFullError("no room")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_rounds, step, full)
+        with pytest.raises(DiskFullError):
+            train_danger(run_in(corner, tmp_path / "full", *SETTINGS), town)
+    train_danger(run_in(corner, tmp_path / "full", *SETTINGS, resume=True), town)
+    assert outcome(tmp_path / "full") == outcome(tmp_path / "straight")
+    assert [row.round for row in read_rounds(tmp_path / "full" / "metrics.csv")] == [0, 1, 2]
+
+
+def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> None:
+    learner = a_learner()
+    segments = {f"3-{number // 4000:03d}-{number % 4000:04d}.npz.zst": "a" * 64 for number in range(12_000)}
+    save_round(tmp_path, 0, learner, segments)
+    assert newest_round(tmp_path) == 0
+    assert load_round(tmp_path, 0, learner) == segments
+
+
+@pytest.mark.parametrize("name", ["../../3-000-0000.npz.zst", "3-000.npz.zst", "a-b-c.npz.zst"])
+def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, name: str) -> None:
+    learner = a_learner()
+    save_round(tmp_path, 0, learner, {})
+    path = checkpoint_path(tmp_path, 0) / "state.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "segments": {name: "a" * 64}}))
+    with pytest.raises(PolicyError, match="names the segment"):
+        load_round(tmp_path, 0, learner)
