@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
 from tests.support.worlds import dqn_config
+from wcsim.agents.collecting import data_folder
 from wcsim.agents.collecting.data_folder import (
     data_digest,
     read_manifest,
@@ -82,6 +86,69 @@ def test_numbers_that_are_none_are_refused(tmp_path: Path):
     write_segment(path, segment)
     with pytest.raises(PolicyError, match="not finite"):
         read_segment(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"action": np.full(7, 81, np.uint8)},
+        {"action": np.full(7, 3.5)},
+        {"action": np.array(["x"] * 7)},
+        {"driver": np.full(7, 4, np.uint8)},
+        {"reward": np.float32(1.0)},
+        {"imu": np.zeros(7, np.float32)},
+        {"wish": np.zeros((7, 1), np.float32)},
+        {"seg": np.zeros((7, 24, 31), np.uint8)},
+        {"depth": np.zeros((7, 24, 32), np.uint16)},
+        {"truth": np.full((7, 69), 255, np.uint8)},
+        {"ended": np.zeros(6, np.bool_)},
+    ],
+    ids=lambda changes: f"{next(iter(changes))}-{next(iter(changes.values())).dtype}",
+)
+def test_columns_that_fit_nothing_are_refused(tmp_path: Path, changes: dict[str, np.ndarray]):
+    path = tmp_path / "a.npz.zst"
+    path.write_bytes(packed(**{**a_segment().arrays(), **changes}))
+    with pytest.raises(PolicyError, match=r"another form|do not fit|rows"):
+        read_segment(path)
+
+
+def test_a_segment_without_a_row_is_refused(tmp_path: Path):
+    path = tmp_path / "a.npz.zst"
+    path.write_bytes(packed(**{name: column[:0] for name, column in a_segment().arrays().items()}))
+    with pytest.raises(PolicyError, match="do not fit"):
+        read_segment(path)
+
+
+def test_a_segment_that_says_it_is_larger_than_memory_is_refused(tmp_path: Path):
+    path, claim = tmp_path / "a.npz.zst", io.BytesIO()
+    np.lib.format.write_array_header_1_0(claim, {"descr": "<f4", "fortran_order": False, "shape": (10**14,)})
+    path.write_bytes(packed(**a_segment().arrays() | {"reward": claim.getvalue()}))
+    with pytest.raises(PolicyError, match="cannot be read"):
+        read_segment(path)
+
+
+@pytest.mark.parametrize("way", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_path: Path, monkeypatch, way: int):
+    path = tmp_path / "a.npz.zst"
+    black = {name: np.zeros((2000, 24, 32), np.uint8) for name in ("depth", "seg")}
+    path.write_bytes(packed(way, **a_segment(2000).arrays() | black))
+    read_segment(path)
+    monkeypatch.setattr(data_folder, "_MOST_BYTES", 1 << 20)
+    assert path.stat().st_size < 1 << 19
+    with pytest.raises(PolicyError, match="more than"):
+        read_segment(path)
+
+
+def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> bytes:
+    """A segment's file of any columns."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", way) as held:
+        for name, column in columns.items():
+            array = io.BytesIO(column if isinstance(column, bytes) else b"")
+            if not isinstance(column, bytes):
+                np.lib.format.write_array(array, np.asarray(column))
+            held.writestr(f"{name}.npy", array.getvalue())
+    return zstandard.ZstdCompressor().compress(out.getvalue())
 
 
 def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):

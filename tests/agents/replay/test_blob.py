@@ -34,3 +34,10 @@ def test_a_blob_of_another_frame_is_refused(size):
         BlobCodec(size, 50).unpack(blob)
     with pytest.raises(ValueError, match="3 bytes"):
         BlobCodec(100, 50).unpack(blob[:3])
+
+
+def test_a_blob_that_would_be_larger_than_its_frame_is_refused_before_it_is():
+    blob = BlobCodec(1 << 20, 50).pack(np.zeros(1 << 20, np.uint8))
+    assert len(blob) < 300
+    with pytest.raises(ValueError, match="more than 50 bytes"):
+        BlobCodec(100, 50).unpack(blob)

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import zstandard
 
-from wcsim.agents.collecting.segment import Segment, SegmentKey
+from wcsim.agents.collecting.segment import DRIVERS, Segment, SegmentKey
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DataFile
 from wcsim.core import files
@@ -36,6 +36,15 @@ _ALSO: Final = (  # of the world that was seen; not in the digest, so that older
     *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m", "cameras.0.yaw_deg", "cameras.0.pitch_deg"),
     "world.tick_s",
 )
+_FORMS: Final = {  # of the columns: what a number is, and how many a row has each way, 0 for any number
+    **dict.fromkeys(("depth", "seg"), ("u1", 0, 0)),
+    **dict.fromkeys(("visible", "truth"), ("u1", 0)),
+    **dict.fromkeys(("action", "driver", "delay"), ("u1",)),
+    **dict.fromkeys(("crashed", "ended"), ("b1",)),
+    **dict.fromkeys(("odometry", "stick", "wish"), ("f4", 2)),
+    "imu": ("f4", 0),
+    "reward": ("f4",),
+}
 _KIND: Final = FileKind(what="a segment of recorded driving", limit_bytes=_MOST_BYTES, error=PolicyError)
 _MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
@@ -67,10 +76,8 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
             "collect it again"
         )
     try:
-        plain = zstandard.ZstdDecompressor().decompress(data, max_output_size=_MOST_BYTES)
-        with np.load(io.BytesIO(plain), allow_pickle=False) as held:
-            columns = {field.name: np.asarray(held[field.name]) for field in fields(Segment)}
-    except (zstandard.ZstdError, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+        columns = _columns(data)
+    except (zstandard.ZstdError, ValueError, KeyError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         raise PolicyError(
             f"{shown(path)} cannot be read ({error}); expected a segment as `wcsim collect` writes it"
         ) from None
@@ -137,13 +144,42 @@ def _part(dumped: dict[str, Any], name: str) -> Any:
     return here
 
 
+def _columns(data: bytes) -> dict[str, np.ndarray]:
+    """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
+    if zstandard.frame_content_size(data) > _MOST_BYTES:  # zstd takes what a frame says for the limit
+        raise ValueError(f"more than {_MOST_BYTES} bytes")
+    plain = zstandard.ZstdDecompressor().decompress(data, max_output_size=_MOST_BYTES)
+    with zipfile.ZipFile(io.BytesIO(plain)) as held:
+        if sum(item.file_size for item in held.infolist()) > _MOST_BYTES:
+            raise ValueError(f"more than {_MOST_BYTES} bytes")
+        names = {field.name: f"{field.name}.npy" for field in fields(Segment)}
+        return {name: np.lib.format.read_array(io.BytesIO(held.read(file))) for name, file in names.items()}
+
+
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
+    wrong = [name for name, (kind, *wide) in _FORMS.items() if not _fits(columns[name], kind, wide)]
+    if wrong:
+        raise PolicyError(f"{shown(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}
     finite = all(np.isfinite(column).all() for column in columns.values() if column.dtype.kind == "f")
     if len(lengths) != 1 or not finite:
         raise PolicyError(
             f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers that are not finite; collect it again"
         )
+    pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
+    acted = columns["action"].max(initial=0) < said == columns["truth"].shape[1]
+    if 0 in lengths or not (pictures and acted) or columns["driver"].max() >= len(DRIVERS):
+        raise PolicyError(f"{shown(path)} has columns that do not fit each other; collect it again")
+
+
+def _fits(column: np.ndarray, kind: str, wide: list[int]) -> bool:
+    """Whether a column is of that kind, and its rows of that form; 0 is any number."""
+    rows = column.shape[1:]
+    return (
+        column.dtype.str.lstrip("<|") == kind
+        and len(column.shape) == 1 + len(wide)
+        and all(want in (0, got) for want, got in zip(wide, rows, strict=True))
+    )
 
 
 def _packed(segment: Segment) -> bytes:

@@ -17,6 +17,7 @@ from wcsim.agents.danger.street_map import PLANES, SIDE
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.replay.frame_store import pack_each, unpack_each
 from wcsim.config import DangerConfig, RunConfig
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8, Bool
 
@@ -44,7 +45,10 @@ class Lessons:
 
 
 def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
-    """Look at a segment again, step by step, as a chair that drives would."""
+    """Look at a segment again, step by step, as a chair that drives would. Raises PolicyError for other actions."""
+    actions = len(action_set(config.env.actions))
+    if segment.truth.shape[1] != actions:
+        raise PolicyError(f"a segment tells of {segment.truth.shape[1]} actions; expected {actions}: collect it again")
     looks = spec_of(config).looks
     sights: list[KeptSight] = []
     eyes: dict[int, Eye] = {}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from wcsim.agents.collecting.data_folder import (
     MANIFEST,
@@ -16,10 +18,16 @@ from wcsim.agents.collecting.data_folder import (
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import orders_of
 from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.agents.runs.parcels import folder_parcel
 from wcsim.config import RunConfig
+from wcsim.core.files import sha256, sha256_text, write_json
+from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import HERE, LOGS, Machines
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
+
+ORDERS: Final = "orders.json"  # by seed, what its segments are driven with
+_ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,14 +46,14 @@ class DataOrder:
 def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda done, of: None) -> str:
     """Drive what is not there yet, and say in `data.json` what is; the SHA-256 of all.
 
-    A folder that holds segments of the same settings is added to.
+    A folder that holds segments of the same settings is added to: more of the same seed, or those of another one.
 
     Args:
         order: What to drive.
         told: Called with the number of segments that are there, of how many.
 
     Raises:
-        PolicyError: The folder holds data of other settings.
+        PolicyError: The folder holds data of other settings, or of this seed from other towns or another driver.
         ConfigError: The cluster cannot be used, or what the order needs does not travel to it.
         WorkersError: Worlds died too often, or there is no machine left.
         TownError: A town is missing.
@@ -57,11 +65,11 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
         file = read_manifest(order.folder)
         require_same_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
-    elif order.folder.is_dir() and any(path.name not in (SEGMENTS, LOGS) for path in order.folder.iterdir()):
+    elif order.folder.is_dir() and any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir()):
         raise PolicyError(f"{order.folder} holds something else than recorded driving; choose another --out")
-    for name in order.towns:
-        town = find_town(name)
-        towns[town.name] = streets_hash(town)
+    found = [find_town(name) for name in order.towns]
+    _require_same_order(order, found)
+    towns |= {town.name: streets_hash(town) for town in found}
     first = SegmentKey(run=order.seed, round=0, index=0)
     orders = orders_of(order.config, order.towns, first, order.segments, order.policy)
     done = 0
@@ -75,3 +83,22 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     with drivers.open() as workers:
         kept |= workers.take(orders, back)
     return write_manifest(order.folder, order.config, towns, kept)
+
+
+def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
+    """Note of a seed what its segments are driven with, before any is; raises PolicyError where that was otherwise.
+
+    A segment is known by its seed and number alone: one that is there would be taken for one of another order.
+    """
+    path, seed = order.folder / ORDERS, str(order.seed)
+    begun = read_json(path, _ORDERS) if is_file(path) else {}
+    driver = folder_parcel(Path(order.policy)) if order.policy else None
+    policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
+    said = [order.config.model_dump(mode="json"), [content_hash(town) for town in towns], policy]
+    digest = sha256_text(json.dumps(said, sort_keys=True))
+    if begun.get(seed, digest) != digest:
+        raise PolicyError(
+            f"{shown(order.folder)} holds segments of seed {seed} that were driven with other settings, in other towns "
+            "or by another policy; expected the same: choose another --seed, or another --out"
+        )
+    write_json(path, {**begun, seed: digest})

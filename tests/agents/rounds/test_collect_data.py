@@ -1,0 +1,84 @@
+"""A data folder is added to with what its segments were driven with, and with nothing else. Nobody drives here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.agents.danger.sights import a_segment, small_config
+from wcsim.agents.collecting.data_folder import read_manifest, segment_path, write_segment
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.segment_places import SegmentOrder
+from wcsim.agents.rounds.collect_data import DataOrder, collect_data
+from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.errors import PolicyError
+
+
+class OneDies:
+    """Drives noise, and dies at the second segment where it is told to."""
+
+    dies = False
+
+    def __init__(self, drivers: SegmentDrivers) -> None:
+        self._folder = drivers.data
+
+    def __enter__(self) -> OneDies:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nobody works."""
+
+    def take(self, orders: Sequence[SegmentOrder], back: Callable[[SegmentKey], object]) -> dict[str, str]:
+        found = {}
+        for number, order in enumerate(orders):
+            if self.dies and number == 1:
+                raise KeyboardInterrupt
+            path = segment_path(self._folder, order.key)
+            found[path.name] = write_segment(path, a_segment(seed=order.key.index))
+        return found
+
+
+@pytest.fixture
+def order(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DataOrder:
+    monkeypatch.setattr(SegmentDrivers, "open", lambda drivers: OneDies(drivers))
+    return DataOrder(folder=tmp_path / "data", config=small_config(), towns=(str(corner),), seed=1, segments=2)
+
+
+def test_a_folder_is_added_to_with_more_of_a_seed_and_with_other_seeds(order: DataOrder) -> None:
+    collect_data(order)
+    collect_data(replace(order, segments=3))
+    collect_data(replace(order, seed=2, config=small_config("collect.follow_share=0.1")))
+    assert len(read_manifest(order.folder).segments) == 5
+
+
+@pytest.mark.parametrize("words", ["collect.follow_share=0.1", "collect.ticks=11", "cameras.0.noise=typical"])
+def test_a_seed_that_was_driven_with_other_settings_is_refused(order: DataOrder, words: str) -> None:
+    sha256 = collect_data(order)
+    with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
+        collect_data(replace(order, config=small_config(words), segments=3))
+    assert read_manifest(order.folder).data_sha256 == sha256
+
+
+def test_a_seed_that_another_policy_drove_is_refused(order: DataOrder, tmp_path: Path) -> None:
+    collect_data(order)
+    policy = tmp_path / "policy"
+    policy.mkdir()
+    (policy / "policy.json").write_text("{}")
+    with pytest.raises(PolicyError, match="another policy"):
+        collect_data(replace(order, policy=str(policy)))
+
+
+def test_a_drive_that_died_goes_on_with_its_own_settings_alone(
+    order: DataOrder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(OneDies, "dies", True)
+        with pytest.raises(KeyboardInterrupt):
+            collect_data(order)
+    with pytest.raises(PolicyError, match="another --seed"):
+        collect_data(replace(order, config=small_config("cameras.0.width_px=40")))
+    collect_data(order)
+    assert len(read_manifest(order.folder).segments) == 2
