@@ -24,13 +24,13 @@ class DriveTally:
     warnings: int = 0  # stretches of ticks, as the next
     interventions: int = 0
     episode_steps: list[int] = field(default_factory=list)  # of those that have ended
-    steps: int = 0  # of the episode that is on
+    steps: int = 0  # of the episode that is on, from a handover on
     _before: tuple[bool, bool, bool] = (False, False, False)
 
     def add(self, driven: DrivenTick, tick_s: float) -> None:
         """One tick."""
         self.ticks += 1
-        self.steps = driven.step
+        self.steps += 1
         self.distance_sum += driven.joystick_distance
         self.way_m += abs(driven.speed_mps) * tick_s
         self.moving_ticks += abs(driven.speed_mps) > STANDS_MPS

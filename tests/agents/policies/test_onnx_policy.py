@@ -89,6 +89,7 @@ def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:
     assert read_about(tmp_path).preset == "quick"
     (tmp_path / "policy.toml").write_text('settings = ["env.actions=paper"]\n')
     assert read_about(tmp_path).settings == ("env.actions=paper",)
-    (tmp_path / "policy.toml").write_text("settings = 3\n")
-    with pytest.raises(PolicyError, match=r"policy\.toml"):
-        read_about(tmp_path)
+    for text in ("settings = 3\n", "settings = " + 2000 * "[", "x" * (2 << 20)):
+        (tmp_path / "policy.toml").write_text(text)
+        with pytest.raises(PolicyError, match=r"policy\.toml"):
+            read_about(tmp_path)

@@ -8,7 +8,6 @@ above 0.5 warns the user. ONNX: https://onnx.ai; the `onnx` extra brings its run
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,11 +16,12 @@ import numpy as np
 from wcsim.agents.policy_api import NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
-from wcsim.core.reading import is_file, shown
+from wcsim.core.reading import FileKind, is_file, read_toml, shown
 from wcsim.errors import ConfigError, PolicyError
 
 MODEL_FILE: Final = "policy.onnx"
 ABOUT_FILE: Final = "policy.toml"
+_ABOUT: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=1 << 20)
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
 _LIMIT_BYTES: Final = 1 << 30
 
@@ -37,9 +37,9 @@ def read_about(path: Path) -> OnnxPolicyFile:
     if not is_file(file):
         return OnnxPolicyFile()
     try:
-        return parse(OnnxPolicyFile, tomllib.loads(file.read_text(encoding="utf-8")), shown(file))
-    except (ConfigError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PolicyError(f"{shown(file)}: {error}; expected the keys preset and settings") from None
+        return parse(OnnxPolicyFile, read_toml(file, _ABOUT), shown(file))
+    except ConfigError as error:
+        raise PolicyError(f"{error}; expected the keys preset and settings") from None
 
 
 class OnnxPolicy:

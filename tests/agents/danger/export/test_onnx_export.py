@@ -12,6 +12,7 @@ import pytest
 
 from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
 from tests.agents.danger.test_guard import EXAMPLE
+from wcsim.agents.danger.export import onnx_export
 from wcsim.agents.danger.export.guard_file import guard_of
 from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
 from wcsim.agents.danger.export.onnx_export import MEANING, MOST_OFF, ExportFacts, export_danger
@@ -19,6 +20,9 @@ from wcsim.agents.danger.guard import GuardRule
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
+from wcsim.agents.policies.onnx_policy import read_about
+from wcsim.agents.runs.policy_file import SIGHT_KEYS
+from wcsim.config import load_run_config
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -48,6 +52,21 @@ def test_what_it_costs_is_measured_in_a_process_of_its_own(made):
     assert 0.0 < cost.p50_ms <= cost.p99_ms and 0.0 < cost.quota_p50_ms <= cost.quota_p99_ms
     assert cost.cpu_p50_ms > 0.0 and 20.0 < cost.peak_mb < 400.0, "Python and ONNX Runtime, without torch"
     assert (facts.quota_share, facts.quota_by) == (0.5, "SIGSTOP and SIGCONT")
+
+
+def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(tmp_path):
+    own = (
+        *("cameras.0.hfov_deg=70", "cameras.0.p_BC_m=[0.3,0.0,1.1]", "chair.plant=mwd", "chair.v_max_mps=2.5"),
+        *("env.classes=wcsim", "env.actions=disc69", "world.action_delay_ticks=1"),
+    )
+    config = load_run_config("laptop", own)
+    (tmp_path / "policy.toml").write_text(onnx_export._about(config), encoding="utf-8")
+    about = read_about(tmp_path)
+    tested = load_run_config(about.preset, about.settings)
+    assert tested.chair == config.chair and tested.env.classes == "wcsim" and tested.env.actions == "disc69"
+    keys = ("width_px", "height_px", *SIGHT_KEYS)
+    assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)
+    assert tested.world.action_delay_ticks == 1
 
 
 @pytest.mark.proof

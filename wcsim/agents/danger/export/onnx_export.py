@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 from collections.abc import Sequence
@@ -20,7 +21,8 @@ from wcsim.agents.danger.saved import load_net
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import open_session
 from wcsim.agents.policy_api import Observation
-from wcsim.config import RunConfig
+from wcsim.agents.runs.policy_file import SIGHT_KEYS
+from wcsim.config import RunConfig, load_run_config
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -33,6 +35,7 @@ MODEL, INT8, ABOUT, MEANING, REFERENCE = (
     "meaning.json",
     "reference.npz",
 )
+_PRESET: Final = "quick"  # that policy.toml begins with
 MOST_OFF: Final = 1e-4  # of a danger, between the model and the network it was made of
 BORDER_SHARE: Final = 0.02  # of the steps, in which a place may lie on the border of two cells and be read in the other
 BORDER_OFF: Final = 0.05  # of a danger, in such a step
@@ -230,13 +233,19 @@ def _quantised(path: Path, out: Path) -> None:
 
 
 def _about(config: RunConfig) -> str:
-    camera = config.cameras[0]
-    settings = [
-        f"cameras.0.width_px={camera.width_px}",
-        f"cameras.0.height_px={camera.height_px}",
-        f"world.action_delay_ticks={config.world.action_delay_ticks}",
-        "sensors.odometry=typical",
-        "env.observe_gyro=true",
+    """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
+    own, plain = config.model_dump(mode="json"), load_run_config(_PRESET).model_dump(mode="json")
+    camera, usual = own["cameras"][0], plain["cameras"][0]
+    told = [(f"cameras.0.{key}", camera[key]) for key in ("width_px", "height_px")]
+    told += [(f"cameras.0.{key}", camera[key]) for key in SIGHT_KEYS if camera[key] != usual[key]]
+    told += [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
+    told += [
+        (f"{section}.{key}", own[section][key])
+        for section, key in (("env", "actions"), ("env", "classes"), ("world", "tick_s"), ("imu", "tilt"))
+        if own[section][key] != plain[section][key]
     ]
-    lines = ",\n  ".join(f'"{setting}"' for setting in settings)
-    return f'preset = "quick"\nsettings = [\n  {lines},\n]\n'
+    told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
+    settings = [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told]
+    settings += ["sensors.odometry=typical", "env.observe_gyro=true"]
+    lines = ",\n  ".join(json.dumps(setting) for setting in settings)
+    return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'
