@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,30 @@ def test_a_spreadsheet_may_have_saved_it(tmp_path: Path) -> None:
     path.write_bytes(b"participant,block,answer\r\n1,a,7\r\n\r\n")
     append_row(path, COLUMNS, {"participant": "2"})
     assert [row["participant"] for row in read_rows(path, COLUMNS)] == ["1", "2"]
+
+
+def test_a_row_is_one_of_its_own_though_an_editor_left_out_the_end_of_the_last(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"participant,block,answer\n1,a,7")
+    append_row(path, COLUMNS, {"participant": "2"})
+    assert [(row["participant"], row["answer"]) for row in read_rows(path, COLUMNS)] == [("1", "7"), ("2", "")]
+
+
+def test_two_participants_who_end_at_the_same_time_lose_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, real = tmp_path / "a.csv", os.pwrite
+    append_row(path, COLUMNS, {"participant": "1"})
+    other = threading.Thread(target=append_row, args=(path, COLUMNS, {"participant": "3"}))
+
+    def meanwhile(handle: int, data: bytes, at: int) -> int:
+        if not other.ident:
+            other.start()
+            other.join(0.3)  # who has to wait is still there afterwards
+        return real(handle, data, at)
+
+    monkeypatch.setattr(os, "pwrite", meanwhile)
+    append_row(path, COLUMNS, {"participant": "2"})
+    other.join()
+    assert [row["participant"] for row in read_rows(path, COLUMNS)] == ["1", "2", "3"]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fcntl
 import io
 import os
 from collections.abc import Mapping, Sequence
@@ -88,8 +90,11 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
     except OSError as error:
         raise ConfigError(f"{shown(path)}: cannot be written on ({error.strerror}); choose another --out") from None
     try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)  # another participant's drive may write on it at the same time
         end = os.fstat(handle).st_size
-        data = (b"" if end else _line(columns)) + _line([row.get(name, "") for name in columns])
+        torn = end > 0 and os.pread(handle, 1, end - 1) != b"\n"  # somebody's editor has saved it without its end
+        data = (b"\n" if torn else b"" if end else _line(columns)) + _line([row.get(name, "") for name in columns])
         try:
             written = os.pwrite(handle, data, end)
             reason = "" if written == len(data) else "only a part was written"
