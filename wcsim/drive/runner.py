@@ -21,7 +21,7 @@ from wcsim.drive.keeping.study_lead import StudyHands, StudyLead
 from wcsim.drive.keeping.study_plan import StepKind
 from wcsim.drive.keeping.study_view import StudyView
 from wcsim.drive.session import DriveSession
-from wcsim.drive.starting import DriveStart, checked
+from wcsim.drive.starting import DriveStart, checked, require_offered
 from wcsim.drive.stating import about_of, state_of
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
@@ -264,6 +264,7 @@ class DriveRunner:
 
     def _set_user(self, said: m.SetUser) -> None:
         session = self._open_session()
+        require_offered(DriveStart(town=self._start.town, profile=said.profile), self._start)
         checked(DriveStart(town=session.place.start.town, profile=said.profile))
         self._begin_anew(lambda: session.change_user(said.profile))
         self._say(about_of(session))
@@ -289,7 +290,7 @@ class DriveRunner:
             block=said.block,
             seat=said.seat,
         )
-        self._open(checked(start))
+        self._open(checked(require_offered(start, self._start)))
 
     def _open(self, start: DriveStart) -> None:
         """Open a place in the stead of the one that is open; one that cannot be opened is told of."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, seat_of
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, made_town, open_suite, require_towns
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, made_town, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
@@ -21,8 +21,9 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
-from wcsim.towns.scenario.town import Town, content_hash, find_town
+from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns
 from wcsim.types import SeatSpec
+from wcsim.users.profiles import profile_names
 from wcsim.users.recorded import find_user
 
 PRESET = "quick"
@@ -77,6 +78,21 @@ def checked(start: DriveStart) -> DriveStart:
         _block(open_suite(start.suite), start)
     else:
         find_town(start.town)
+    return start
+
+
+def require_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
+    """The same start. Raises ConfigError where a page wants what no page offers: a file of its own choice.
+
+    Whoever has the page's address can ask; files are named by the person who starts the drive, in `begun`.
+    """
+    for what, wanted, own, names in (
+        ("town", start.town, begun.town, lambda: tuple(town.name for town in list_towns())),
+        ("user", start.profile, begun.profile, profile_names),
+        ("list", start.suite, begun.suite, shipped),
+    ):
+        if wanted and wanted != own and wanted not in names():
+            raise ConfigError(f"{what} {shown(wanted, 80)!r} is none of those that the page offers; choose one of them")
     return start
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -36,14 +37,14 @@ _ALSO: Final = (  # of the world that was seen; not in the digest, so that older
     *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m", "cameras.0.yaw_deg", "cameras.0.pitch_deg"),
     "world.tick_s",
 )
-_FORMS: Final = {  # of the columns: what a number is, and how many a row has each way, 0 for any number
-    **dict.fromkeys(("depth", "seg"), ("u1", 0, 0)),
-    **dict.fromkeys(("visible", "truth"), ("u1", 0)),
-    **dict.fromkeys(("action", "driver", "delay"), ("u1",)),
-    **dict.fromkeys(("crashed", "ended"), ("b1",)),
-    **dict.fromkeys(("odometry", "stick", "wish"), ("f4", 2)),
-    "imu": ("f4", 0),
-    "reward": ("f4",),
+_FORMS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: its kind; numbers in a row, 0 for any
+    **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
+    **dict.fromkeys(("visible", "truth"), ("u1", (0,))),
+    **dict.fromkeys(("action", "driver", "delay"), ("u1", ())),
+    **dict.fromkeys(("crashed", "ended"), ("b1", ())),
+    **dict.fromkeys(("odometry", "stick", "wish"), ("f4", (2,))),
+    "imu": ("f4", (0,)),
+    "reward": ("f4", ()),
 }
 _KIND: Final = FileKind(what="a segment of recorded driving", limit_bytes=_MOST_BYTES, error=PolicyError)
 _MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
@@ -157,7 +158,7 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
 
 
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
-    wrong = [name for name, (kind, *wide) in _FORMS.items() if not _fits(columns[name], kind, wide)]
+    wrong = [name for name, (kind, wide) in _FORMS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
         raise PolicyError(f"{shown(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}
@@ -172,7 +173,7 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
         raise PolicyError(f"{shown(path)} has columns that do not fit each other; collect it again")
 
 
-def _fits(column: np.ndarray, kind: str, wide: list[int]) -> bool:
+def _fits(column: np.ndarray, kind: str, wide: tuple[int, ...]) -> bool:
     """Whether a column is of that kind, and its rows of that form; 0 is any number."""
     rows = column.shape[1:]
     return (

@@ -83,4 +83,4 @@ def mcnemar(only_first: int, only_second: int) -> float:
     for k in range(min(only_first, only_second) + 1):
         ways += term
         term = term * (pairs - k) // (k + 1)
-    return min(1.0, 2 * ways / 2**pairs)
+    return min(1.0, 2 * ways / (1 << pairs))
