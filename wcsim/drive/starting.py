@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,11 +87,12 @@ def require_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
 
     Whoever has the page's address can ask; files are named by the person who starts the drive, in `begun`.
     """
-    for what, wanted, own, names in (
-        ("town", start.town, begun.town, lambda: tuple(town.name for town in list_towns())),
+    offered: tuple[tuple[str, str, str, Callable[[], Collection[str]]], ...] = (
+        ("town", start.town, begun.town, lambda: [town.name for town in list_towns()]),
         ("user", start.profile, begun.profile, profile_names),
         ("list", start.suite, begun.suite, shipped),
-    ):
+    )
+    for what, wanted, own, names in offered:
         if wanted and wanted != own and wanted not in names():
             raise ConfigError(f"{what} {shown(wanted, 80)!r} is none of those that the page offers; choose one of them")
     return start
