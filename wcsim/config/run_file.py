@@ -118,6 +118,8 @@ class RuleFile(Model):
     lenient: Positive
     shy: NotNegative
     warn: Share
+    doubt: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # files of before have no rival in the rule
+    caution: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
 
 
 class DangerFile(Model):

@@ -12,6 +12,7 @@ from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LEVELS, Alarm, DangerRule, choose, next_alarm, within
 from wcsim.agents.danger.sight import DangerSight, Eye
+from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
@@ -84,8 +85,17 @@ class DangerPolicy:
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         danger = self.dangers(observation)
         self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule)
-        self.unsafe = ~within(danger, self.rule, self._last)
-        return choose(danger, stick, self._actions, self.rule, self._last)
+        doubted = self._doubted()
+        self.unsafe = ~within(danger, self.rule, self._last, doubted)
+        return choose(danger, stick, self._actions, self.rule, self._last, doubted)
+
+    def _doubted(self) -> Bool | None:
+        """(A,) which actions the rival holds for unsafe; None where the rule, or the network's senses, leave it out."""
+        if self.rule.doubt >= 1.0 or not self._eye.looks.as_rival:
+            return None
+        around, care = self._eye.around, caution(self.rule.caution)
+        start, later_s = around.start()
+        return ~brakes_in_time(around, care, start, later_s, around.in_the_way(care.margin_m))[0]
 
     def watch(self, observation: Observation) -> None:
         """See what there is to see, and choose nothing."""

@@ -6,7 +6,7 @@ waver between two ways round. The threshold is the assistance level, and can be 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -30,6 +30,8 @@ class DangerRule:
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
     warn: float = 0.3  # of the user's own stick's danger, smoothed: above it, warn
+    doubt: float = 1.0  # times the threshold for what the rival holds for unsafe; with 1 it is not asked
+    caution: float = 1.0  # of the rival that is asked: a level of `dwa`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,21 +64,42 @@ def next_alarm(before: Alarm, danger: float, rule: DangerRule) -> Alarm:
 def rule_of(danger: DangerConfig) -> DangerRule:
     """The rule that a run's configuration asks for."""
     return DangerRule(
-        threshold=danger.threshold, keep=danger.keep, lenient=danger.lenient, shy=danger.shy, warn=danger.warn
+        threshold=danger.threshold,
+        keep=danger.keep,
+        lenient=danger.lenient,
+        shy=danger.shy,
+        warn=danger.warn,
+        doubt=danger.doubt,
+        caution=danger.caution,
     )
 
 
-def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
-    """(A,) which actions are safe enough; the arguments are those of `choose`."""
+def alone(rule: DangerRule) -> DangerRule:
+    """The rule without the rival: who drives to learn has to meet what the network gets wrong."""
+    return replace(rule, doubt=1.0)
+
+
+def limits(danger: F64, rule: DangerRule, doubted: Bool | None = None) -> F64:
+    """(A,) the danger from which on each action is out; the arguments are those of `choose`."""
     limit = np.full(len(danger), rule.threshold)
+    if doubted is not None:
+        limit[doubted] *= rule.doubt
+    return limit
+
+
+def within(danger: F64, rule: DangerRule, last: int = -1, doubted: Bool | None = None) -> Bool:
+    """(A,) which actions are safe enough; the arguments are those of `choose`."""
+    limit = limits(danger, rule, doubted)
     if last >= 0:
         limit[last] *= rule.lenient
     allowed: Bool = danger < limit
     return allowed
 
 
-def choose(danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: int = -1) -> int:
-    """The action.
+def choose(
+    danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: int = -1, doubted: Bool | None = None
+) -> int:
+    """The action. Where none is safe enough, the rival is not heard.
 
     Args:
         danger: (A,) in 0..1.
@@ -84,15 +107,18 @@ def choose(danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: 
         actions: The joystick positions.
         rule: See there.
         last: The action before, -1 for none.
+        doubted: (A,) which actions the rival holds for unsafe; None where it is not asked.
     """
     distance = actions.distances(stick[None])[0]
-    cost = distance + rule.shy * danger / rule.threshold
+    cost = distance + rule.shy * danger / limits(danger, rule, doubted)
     if last >= 0:
         cost[last] -= rule.keep
-    allowed = within(danger, rule, last)
+    allowed = within(danger, rule, last, doubted)
     own = int(np.argmin(distance))
     if allowed[own]:
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
+    if doubted is not None:
+        return choose(danger, stick, actions, rule, last)
     return int(np.argmin(danger + LESS_M * distance))

@@ -39,6 +39,11 @@ class Looks:
     memory: bool = True  # False: the street is forgotten every tick, and who moves in it
     odometry: bool = True  # False: speed is reckoned from the commands, and the motion that is told is zero
 
+    @property
+    def as_rival(self) -> bool:
+        """Whether the street is taken in as the rival does it, too."""
+        return self.street and (self.rival or self.gaps == "rival")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DangerSight:
@@ -112,11 +117,10 @@ class Eye:
             around.memory.forget()
             around.tracker.forget()
             self._map.forget()
-        with_rival = looks.rival or looks.gaps == "rival"
-        (around.observe if with_rival else around.move)(observation)
+        (around.observe if looks.as_rival else around.move)(observation)
         pose = around.ego.pose_O
         self._map.see(around.depth_m, around.classes(observation), pose)
-        points = around.in_the_way(0.0) if with_rival else np.zeros((0, 5))
+        points = around.in_the_way(0.0) if looks.as_rival else np.zeros((0, 5))
         self._map.picture(pose, around.memory.cells, points, picture)
         start, later_s = around.start()
         if looks.gaps == "rival":

@@ -9,13 +9,12 @@ are on their way will have brought the chair.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim.agents.policies.baseline_names import HIGHEST_LEVEL, USUAL_LEVEL
-from wcsim.agents.policies.dynamic_window.arcs import arcs, touches_after
-from wcsim.agents.policies.dynamic_window.backing import backs_blindly
+from wcsim.agents.policies.dynamic_window.arcs import touches_after
+from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, require_level
 from wcsim.config import RunConfig
@@ -25,26 +24,6 @@ from wcsim.types import F64, Bool, Outline
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Caution:
-    """How early, and how widely, a driver is kept from what is in the way."""
-
-    hold_s: float = 0.3  # each joystick position is held for so long before it is braked
-    margin_m: float = 0.07  # kept all around: half a cell, and what the reckoning is off
-    comfort_m: float = 0.25  # passing closer than this costs up to _COMFORT_COST
-
-
-LAST_MOMENT = Caution(hold_s=0.1, margin_m=0.03, comfort_m=0.1)
-EARLY = Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
-
-
-def caution(level: float) -> Caution:
-    """That of a level of assistance from 0 (LAST_MOMENT) over 1 (the usual one) to 2 (EARLY)."""
-    low, high, share = (LAST_MOMENT, Caution(), level) if level < 1.0 else (Caution(), EARLY, level - 1.0)
-    mixed = {key: (1.0 - share) * getattr(low, key) + share * getattr(high, key) for key in Caution.__slots__}
-    return Caution(**mixed)
 
 
 class DynamicWindow:
@@ -108,12 +87,8 @@ class DynamicWindow:
 
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
         """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
-        care, around = self._caution, self._around
-        commands, limits, box = around.commands, around.limits, around.box_B_m
-        gap_m, blind = np.empty(len(self._actions)), np.empty(len(self._actions), np.bool_)
-        free = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
-        backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
-        free &= ~blind
+        care = self._caution
+        free, gap_m = brakes_in_time(self._around, care, start, later_s, points)
         self.unsafe = ~free
         if not free.any():
             return self._actions.nearest((0.0, 0.0))

@@ -17,6 +17,7 @@ from wcsim.agents.danger.export.footprint import BAR_MS, PERIOD_S, SHARE, Footpr
 from wcsim.agents.danger.export.meaning import meaning_of
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.danger.rule import alone
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import open_session
@@ -93,7 +94,7 @@ def export_danger(
     """
     torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
     net, rule = load_net(policy)
-    rule = rule if level is None else replace(rule, threshold=level)
+    rule = alone(rule if level is None else replace(rule, threshold=level))
     chosen = _chosen(DangerPolicy("own", net, config, rule), ride)
     graph = DangerGraph(net, config, rule).train(False)
     shapes = graph.shapes()
