@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import observation, small_config
+from tests.agents.policies.test_baselines import box, looking_at
 from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import Alarm, DangerRule, next_alarm
@@ -48,6 +49,24 @@ def test_it_follows_where_nothing_is_dangerous_and_brings_down_danger_where_all_
     assert safe.act(seen) == ACTIONS.nearest(seen["joystick"])
     grim = policy_of(base=30.0)
     assert 0 <= grim.act(seen) < 81
+
+
+def test_the_rival_is_heard_before_a_wall_where_the_network_only_doubts():
+    """Every action has a danger of some 0.1; 15 cm ahead is a wall, behind which the rival takes nothing."""
+    config = small_config()
+    wall = looking_at(box(0.95, 3.0, -3, 3, 0, 3), camera=config.cameras[0])
+    seen = {**observation(config), "depth": wall["depth"], "imu": np.zeros(8, np.float32)}
+    seen["joystick"] = np.array([0.0, 1.0], np.float32)
+    chosen = []
+    for doubt in (1.0, 0.1):
+        policy = policy_of(base=-2.2)
+        policy.rule = DangerRule(doubt=doubt)
+        chosen.append(float(ACTIONS.points[policy.act(seen)][1]))
+        assert policy.unsafe[ACTIONS.nearest((0.0, 1.0))] == (doubt < 1.0)
+    assert chosen[0] == 1.0 and chosen[1] < 1.0
+    blind = policy_of("danger.gaps=map", "danger.rival=false", base=-2.2)
+    blind.rule = DangerRule(doubt=0.1)
+    assert ACTIONS.points[blind.act(seen)][1] == 1.0, "it has no senses that the rival could be asked with"
 
 
 def test_dangers_that_are_no_numbers_are_refused():

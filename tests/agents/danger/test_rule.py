@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import DangerRule, choose
+from wcsim.agents.danger.rule import DangerRule, alone, choose, within
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
@@ -59,6 +59,36 @@ def test_a_lower_level_is_never_more_dangerous(danger, stick):
     allowed = [danger.min() < rule.threshold for rule in rules]
     for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
         assert value < rule.threshold or not any_is
+
+
+HEEDING = DangerRule(doubt=0.1, keep=0.0, shy=0.0)
+
+
+def test_what_the_rival_holds_for_unsafe_must_be_safer():
+    wish = ACTIONS.nearest(STICK)
+    danger, doubted = np.full(81, 0.05), np.zeros(81, np.bool_)
+    doubted[wish] = True
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING) == wish
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING, doubted=doubted) != wish
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, alone(HEEDING), doubted=doubted) == wish
+    danger[wish] = 0.01
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING, doubted=doubted) == wish
+
+
+def test_where_the_rival_would_take_nothing_the_network_decides_alone():
+    danger, doubted = np.full(81, 0.1), np.ones(81, np.bool_)
+    assert not within(danger, HEEDING, doubted=doubted).any()
+    assert choose(danger, STICK, ACTIONS, HEEDING, doubted=doubted) == ACTIONS.nearest(STICK)
+
+
+@given(
+    hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)),
+    hnp.arrays(np.bool_, 81),
+    st.floats(0.01, 1.0),
+)
+def test_nothing_is_allowed_by_being_doubted(danger, doubted, doubt):
+    rule = DangerRule(doubt=doubt)
+    assert not (within(danger, rule, doubted=doubted) & ~within(danger, rule)).any()
 
 
 def test_levels_are_thresholds():
