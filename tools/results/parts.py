@@ -24,6 +24,7 @@ OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
     "no-rival": ("danger.rival=false",),
     "no-context": ("danger.context=false",),
     "all-knowing-teacher": ("danger.teacher=truth",),
+    "heeding": ("danger.doubt=0.01", "danger.caution=0.6"),
 }
 # These change the driving itself, in three of the five rounds: `three-rounds` is their row of comparison.
 OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
@@ -41,8 +42,9 @@ ON_TOP: Final = (
     *("learn.danger_weight=1", "learn.phase1_steps=0"),
     *("cameras.0.noise=typical", "world.action_delay_ticks=2"),
 )
-ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500")  # half of what the rounds have
-FEWER_ROUNDS: Final = ("collect.rounds=3",)
+# Half of the updates that the rounds have; and the network drives without the rival, which would hide what it loses.
+ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500", "danger.doubt=1.0")
+FEWER_ROUNDS: Final = ("collect.rounds=3", "danger.doubt=1.0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

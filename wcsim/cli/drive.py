@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # loads what --help must not
     from wcsim.drive.keeping.open_study import OpenStudy
     from wcsim.drive.starting import DriveStart
 
-_SET_BY_STUDY = ("--policy", "--profile", "--seed", "--suite", "--block", "--seat", "--record")
+_SET_BY_STUDY = ("--profile", "--seed", "--suite", "--block", "--seat", "--record")
 
 
 @dataclass
@@ -68,7 +68,7 @@ def run(words: list[str]) -> int:
     from wcsim.drive.runner import DriveOrder
     from wcsim.drive.serving.server import ServeOrder, serve_drive  # loads the simulators, which --help must not
 
-    start, keep = _studied(options) if options.study else _started(options, words)
+    start, keep = _studied(options, words) if options.study else _started(options, words)
     try:
         serve_drive(
             ServeOrder(
@@ -98,8 +98,12 @@ def _require_place(options: Options, words: list[str]) -> None:
         find_town(options.town)
 
 
+def _says(words: list[str], option: str) -> bool:
+    return any(word == option or word.startswith(f"{option}=") for word in words)
+
+
 def _require_alone(options: Options, words: list[str]) -> None:
-    given = [word for word in _SET_BY_STUDY if word in words or any(each.startswith(f"{word}=") for each in words)]
+    given = [word for word in _SET_BY_STUDY if _says(words, word)]
     given += ["TOWN"] if options.town != Options.town else []
     if given:
         raise ConfigError(f"--study with {', '.join(given)}; expected it alone: its file says who drives where")
@@ -124,10 +128,11 @@ def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | Non
     return checked(start), options.record
 
 
-def _studied(options: Options) -> tuple[DriveStart, OpenStudy]:
+def _studied(options: Options, words: list[str]) -> tuple[DriveStart, OpenStudy]:
     from wcsim.drive.keeping.open_study import open_study, start_of
 
     if options.participant is None:
         raise ConfigError("--study without --participant; expected a number from 1 on, another one for each person")
-    study = open_study(options.study, options.participant, options.out)
+    named = options.policy if _says(words, "--policy") else ""
+    study = open_study(options.study, options.participant, options.out, named)
     return start_of(study.file, study.file.places[0]), study

@@ -49,7 +49,7 @@ class Options:
     expected: int = 1
     """Clients without whom the first tick is not begun."""
     preset: str = "quick"
-    """Settings to begin with: quick or paper."""
+    """Settings to begin with: quick, laptop, best, dqn or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file laid over the preset."""
     set: Repeated = ()

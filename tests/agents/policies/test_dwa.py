@@ -13,8 +13,8 @@ from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, rectangle_gap, touches_after
+from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.dynamic_window.surroundings import up_in_body
 from wcsim.agents.policies.elevation_map import StepMap

@@ -219,6 +219,20 @@ def test_a_study_that_is_not_there_or_another_one_is_refused(corner: Path, tmp_p
         opened(corner, tmp_path, 3, STUDY.replace('name = "effort"', 'name = "work"'))
 
 
+def test_a_class_that_a_study_names_is_loaded_only_when_it_is_named_again(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stranger.py").write_text("raise RuntimeError('loaded')\n")
+    monkeypatch.chdir(tmp_path)
+    path = str(write_study(tmp_path, corner, STUDY.replace("pause_s = 5", 'pause_s = 5\npolicy = "stranger:Own"')))
+    with pytest.raises(ConfigError, match="loading it runs its code; expected that you name it"):
+        open_study(path, 1, tmp_path / "out")
+    with pytest.raises(ConfigError, match="says policy = 'stranger:Own'; leave it out"):
+        open_study(path, 1, tmp_path / "out", "follow")
+    with pytest.raises(Exception, match="loaded"):
+        open_study(path, 1, tmp_path / "out", "stranger:Own")
+
+
 def test_the_study_that_is_shipped_can_begin(tmp_path: Path) -> None:
     assert shipped_studies() == ("assistance",)
     study = open_study("assistance", 2, tmp_path)

@@ -50,7 +50,7 @@ class RunOptions:
     hook: str = ""
     """Your own step hook as module:Class; it gets the libsumo module, and before_step(time_s), after_step(time_s)."""
     preset: str = "quick"
-    """Settings to begin with: quick or paper."""
+    """Settings to begin with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
     """section.key=value, laid over the preset; may be given several times."""
     verbose: Verbose = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.named_policy import open_named, settings_of
+from wcsim.agents.evaluation.suite.named_policy import is_own_class, open_named, settings_of
 from wcsim.agents.policy_api import Levelled
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
@@ -51,13 +51,14 @@ def shipped_studies() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
-def open_study(name_or_path: str, participant: int, out: Path | None = None) -> OpenStudy:
+def open_study(name_or_path: str, participant: int, out: Path | None = None, named: str = "") -> OpenStudy:
     """Read a study's file and check all that can be checked before anybody drives.
 
     Args:
         name_or_path: One that comes with wcsim, or a file.
         participant: From 1 on.
         out: Where results go; studies/NAME where it is not said.
+        named: The policy of the file, named again by who starts it: one that is somebody's class runs as code.
 
     Raises:
         ConfigError: The file is none, something in it is not there, or the table is another study's.
@@ -73,6 +74,7 @@ def open_study(name_or_path: str, participant: int, out: Path | None = None) -> 
     text = read_text(path, CONFIG_FILE)
     file = parse(StudyFile, parse_toml(text, shown(path), CONFIG_FILE), shown(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
+    _require_named(file.policy, named, shown(path))
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=out or Path("studies") / file.name)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
         require_kept(checked(start_of(file, place)))
@@ -98,6 +100,18 @@ def start_of(file: StudyFile, place: StudyPlace) -> DriveStart:
     if place.suite:
         return DriveStart(policy=file.policy, profile="", suite=place.suite, block=place.block, seat=place.seat)
     return DriveStart(town=place.town, policy=file.policy, profile=file.profile, seed=place.seed)
+
+
+def _require_named(policy: str, named: str, where: str) -> None:
+    """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
+    if named and named != policy:
+        told = f"{where} says policy = {shown(policy)!r}"
+        raise ConfigError(f"--policy {shown(named)} beside --study: {told}; leave it out")
+    if is_own_class(policy) and not named:
+        raise ConfigError(
+            f"{where}: its policy is the class {shown(policy)}, and loading it runs its code; expected that you name "
+            f"it, if you trust it: --policy {shown(policy)}"
+        )
 
 
 def _require_levels(file: StudyFile, where: str) -> None:
