@@ -24,7 +24,7 @@ OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
     "no-rival": ("danger.rival=false",),
     "no-context": ("danger.context=false",),
     "all-knowing-teacher": ("danger.teacher=truth",),
-    "heeding": ("danger.doubt=0.01", "danger.caution=0.6"),
+    "heeding": ("danger.doubt=0.25", "danger.trust=1.25"),
 }
 # These change the driving itself, in three of the five rounds: `three-rounds` is their row of comparison.
 OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
@@ -42,9 +42,10 @@ ON_TOP: Final = (
     *("learn.danger_weight=1", "learn.phase1_steps=0"),
     *("cameras.0.noise=typical", "world.action_delay_ticks=2"),
 )
-# Half of the updates that the rounds have; and the network drives without the rival, which would hide what it loses.
-ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500", "danger.doubt=1.0")
-FEWER_ROUNDS: Final = ("collect.rounds=3", "danger.doubt=1.0")
+NETWORK_ALONE: Final = ("danger.doubt=1.0", "danger.trust=1.0")  # the rival in the rule would hide what it loses
+# Half of the updates that the rounds have.
+ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500", *NETWORK_ALONE)
+FEWER_ROUNDS: Final = ("collect.rounds=3", *NETWORK_ALONE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -119,6 +119,7 @@ class RuleFile(Model):
     shy: NotNegative
     warn: Share
     doubt: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # files of before have no rival in the rule
+    trust: Annotated[float, Field(ge=1.0, le=10.0)] = 1.0
     caution: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
 
 

@@ -85,10 +85,22 @@ def test_where_the_rival_would_take_nothing_the_network_decides_alone():
     hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)),
     hnp.arrays(np.bool_, 81),
     st.floats(0.01, 1.0),
+    st.floats(1.0, 3.0),
 )
-def test_nothing_is_allowed_by_being_doubted(danger, doubted, doubt):
-    rule = DangerRule(doubt=doubt)
-    assert not (within(danger, rule, doubted=doubted) & ~within(danger, rule)).any()
+def test_doubt_allows_nothing_and_trust_forbids_nothing(danger, doubted, doubt, trust):
+    rule = DangerRule(doubt=doubt, trust=trust)
+    heard, before = within(danger, rule, doubted=doubted), within(danger, rule)
+    assert not (heard & ~before & doubted).any()
+    assert not (before & ~heard & ~doubted).any()
+
+
+def test_what_the_rival_would_take_too_may_be_a_little_less_safe():
+    wish, nothing = ACTIONS.nearest(STICK), np.zeros(81, np.bool_)
+    danger = np.zeros(81)
+    danger[wish] = 1.1 * RULE.threshold
+    trusting = DangerRule(trust=1.25)
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting, doubted=nothing) == wish
+    assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting) != wish
 
 
 def test_levels_are_thresholds():

@@ -10,7 +10,7 @@ import torch
 
 from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, Alarm, DangerRule, choose, next_alarm, within
+from wcsim.agents.danger.rule import LEVELS, Alarm, DangerRule, choose, heeds, next_alarm, within
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
@@ -91,7 +91,7 @@ class DangerPolicy:
 
     def _doubted(self) -> Bool | None:
         """(A,) which actions the rival holds for unsafe; None where the rule, or the network's senses, leave it out."""
-        if self.rule.doubt >= 1.0 or not self._eye.looks.as_rival:
+        if not heeds(self.rule) or not self._eye.looks.as_rival:
             return None
         around, care = self._eye.around, caution(self.rule.caution)
         start, later_s = around.start()

@@ -18,6 +18,7 @@ from wcsim.types import F64, Bool
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 NEWEST: Final = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
+RIVAL_KEYS: Final = ("doubt", "trust", "caution")  # of `DangerRule`, what is about the rival
 CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 
 
@@ -30,7 +31,8 @@ class DangerRule:
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
     warn: float = 0.3  # of the user's own stick's danger, smoothed: above it, warn
-    doubt: float = 1.0  # times the threshold for what the rival holds for unsafe; with 1 it is not asked
+    doubt: float = 1.0  # times the threshold for what the rival holds for unsafe
+    trust: float = 1.0  # and for what it would take, too; with 1 and 1 it is not asked
     caution: float = 1.0  # of the rival that is asked: a level of `dwa`
 
 
@@ -70,20 +72,26 @@ def rule_of(danger: DangerConfig) -> DangerRule:
         shy=danger.shy,
         warn=danger.warn,
         doubt=danger.doubt,
+        trust=danger.trust,
         caution=danger.caution,
     )
 
 
 def alone(rule: DangerRule) -> DangerRule:
     """The rule without the rival: who drives to learn has to meet what the network gets wrong."""
-    return replace(rule, doubt=1.0)
+    return replace(rule, doubt=1.0, trust=1.0)
+
+
+def heeds(rule: DangerRule) -> bool:
+    """Whether the rival is asked."""
+    return not rule.doubt == rule.trust == 1.0
 
 
 def limits(danger: F64, rule: DangerRule, doubted: Bool | None = None) -> F64:
     """(A,) the danger from which on each action is out; the arguments are those of `choose`."""
     limit = np.full(len(danger), rule.threshold)
     if doubted is not None:
-        limit[doubted] *= rule.doubt
+        limit *= np.where(doubted, rule.doubt, rule.trust)
     return limit
 
 
@@ -99,7 +107,7 @@ def within(danger: F64, rule: DangerRule, last: int = -1, doubted: Bool | None =
 def choose(
     danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: int = -1, doubted: Bool | None = None
 ) -> int:
-    """The action. Where none is safe enough, the rival is not heard.
+    """The action. Where none is safe enough, it is as if the rival would take them all.
 
     Args:
         danger: (A,) in 0..1.
@@ -119,6 +127,6 @@ def choose(
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
-    if doubted is not None:
-        return choose(danger, stick, actions, rule, last)
+    if doubted is not None and doubted.any():
+        return choose(danger, stick, actions, rule, last, np.zeros_like(doubted))
     return int(np.argmin(danger + LESS_M * distance))

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.guard import GuardRule
+from wcsim.agents.danger.rule import RIVAL_KEYS
 from wcsim.agents.runs.policy_file import read_danger_file
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
@@ -68,7 +69,7 @@ def meaning_of(policy: Path, graph: DangerGraph, config: RunConfig) -> dict[str,
         "reset": _RESET,
         "outputs": _OUTPUTS,
         "actions_xy": actions.points.tolist(),
-        "rule": asdict(graph.rule),
+        "rule": {key: value for key, value in asdict(graph.rule).items() if key not in RIVAL_KEYS},
         "rule_meaning": _RULE,
         "classes": {kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded},
         "camera": file.camera.model_dump(mode="json"),
