@@ -158,6 +158,25 @@ def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {path.name.split(".1.")[0] for path in codes} == {path.stem for path in indices}
 
 
+FORKED = """
+import os
+from cold import plus
+child = os.fork()
+if child == 0:
+    os._exit(0 if plus(2.0) == 3.0 else 1)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+assert plus(3.0) == 4.0
+"""
+
+
+def test_a_forked_copy_of_a_process_compiles_what_nobody_has_compiled_yet(tmp_path: Path) -> None:
+    """Judges of a suite are forks of the world; on a new machine one of them is the first that needs a kernel."""
+    cold = "from wcsim.core.jit import exact_kernel\n\n\n@exact_kernel\ndef plus(x):\n    return x + 1.0\n"
+    (tmp_path / "cold.py").write_text(cold, encoding="utf-8")
+    done = subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_where_nothing_can_be_kept_kernels_still_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit._Copies, "_locator_classes", [])
     assert exact_kernel(inner.py_func)(1.0) == 4.0

@@ -12,6 +12,7 @@ processes that want the same copy at the same time one makes it, and the others 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -101,7 +102,7 @@ class _FrozenCache(FunctionCache):
         self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
         self._aimed = False
         # A caller's lock is taken before those of its callees, never the other way: so no two wait for each other.
-        self._lock = FileLock(Path(self._cache_path) / f"{self._stem}.lock")
+        self._made_lock, self._made_by = self._new_lock(), os.getpid()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
@@ -130,6 +131,16 @@ class _FrozenCache(FunctionCache):
         except (Timeout, OSError, NotImplementedError):
             return False
         return True
+
+    @property
+    def _lock(self) -> FileLock:
+        """This process's: one that came through a fork is the parent's, and refuses to be taken."""
+        if self._made_by != os.getpid():
+            self._made_lock, self._made_by = self._new_lock(), os.getpid()
+        return self._made_lock
+
+    def _new_lock(self) -> FileLock:
+        return FileLock(Path(self._cache_path) / f"{self._stem}.lock")
 
     def _aim(self) -> None:
         if not self._aimed:

@@ -36,7 +36,7 @@ EARLY = {
     "train --out nothing --resume": "nothing is not a run",
     "test folow": "did you mean 'follow'?",
     "test runs/none": "runs/none is not a run",
-    "test follow:early": "unknown stage 'early'",
+    "test follow:early": "module 'follow' was not found",
     "test --episodes 0": "--episodes 0",
     "test --profile saint": "unknown user profile 'saint'",
     "test --town atlantis": "unknown town 'atlantis'",

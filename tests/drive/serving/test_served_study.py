@@ -63,7 +63,8 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
     ("words", "told"),
     [
         (("--study", "assistance"), "--study without --participant"),
-        (("--study", "assistance", "--participant", "1", "--policy", "follow"), "--study with --policy"),
+        (("--study", "assistance", "--participant", "1", "--policy", "follow"), "leave it out"),
+        (("--study", "assistance", "--participant", "1", "--seed", "4"), "--study with --seed"),
         (("monaco", "--study", "assistance", "--participant", "1"), "--study with TOWN"),
         (("--study", "nothing.toml", "--participant", "1"), "there is no such study"),
         (("--study", "assistance", "--participant", "-1"), "expected 1 to 9999"),

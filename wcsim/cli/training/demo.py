@@ -164,7 +164,7 @@ def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
         (f"wcsim drive {town} --policy {run}", "you are the user, on a page in your browser, and it helps you"),
         (f"wcsim look {town}", "a picture and ten seconds of film without any network"),
         (f"wcsim test --suite dev {run} --jobs 2", "judges it on a fixed list of episodes, in a quarter of an hour"),
-        ("wcsim train --preset laptop --out runs/laptop", "a better one, in 25 minutes"),
+        ("wcsim train --preset laptop --out runs/laptop", "a better one, in half an hour"),
     )
 
 
