@@ -102,7 +102,7 @@ class _FrozenCache(FunctionCache):
         self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
         self._aimed = False
         # A caller's lock is taken before those of its callees, never the other way: so no two wait for each other.
-        self._made_lock, self._made_by = self._new_lock(), os.getpid()
+        self._lock, self._owner = FileLock(Path(self._cache_path) / f"{self._stem}.lock"), os.getpid()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
@@ -125,22 +125,14 @@ class _FrozenCache(FunctionCache):
 
     def _locked(self) -> bool:
         """Wait for the lock; False where none can be had: then each process compiles for itself."""
+        if self._owner != os.getpid():  # a lock that came through a fork is the parent's, and refuses to be taken
+            self._lock, self._owner = FileLock(self._lock.lock_file), os.getpid()
         self._lock.release(force=True)  # of a compilation that failed
         try:
             self._lock.acquire(timeout=LONGEST_WAIT_S)
         except (Timeout, OSError, NotImplementedError):
             return False
         return True
-
-    @property
-    def _lock(self) -> FileLock:
-        """This process's: one that came through a fork is the parent's, and refuses to be taken."""
-        if self._made_by != os.getpid():
-            self._made_lock, self._made_by = self._new_lock(), os.getpid()
-        return self._made_lock
-
-    def _new_lock(self) -> FileLock:
-        return FileLock(Path(self._cache_path) / f"{self._stem}.lock")
 
     def _aim(self) -> None:
         if not self._aimed:

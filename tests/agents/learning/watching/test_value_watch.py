@@ -58,12 +58,17 @@ class MeanOfPlanes(nn.Module):
         return image.mean(dim=(2, 3))
 
 
+@pytest.fixture(autouse=True)
+def known(monkeypatch):
+    """The network is known here, and in no other test."""
+    monkeypatch.setitem(registry.NETWORKS, "mean-of-planes", MeanOfPlanes)
+
+
 def overestimates(path, double_q, seed):
     """The column of every episode of a short training on the worthless chain.
 
     Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
     """
-    registry.register("mean-of-planes", MeanOfPlanes)
     spec = NetSpec(network="mean-of-planes", head="plain", prior=FollowPrior(reward_scale=1.0))
     learner = SeqDQN(
         SeqQPolicy, Worthless(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
