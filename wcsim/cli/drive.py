@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from wcsim.cli.pictures.video import require_policy
-from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse
+from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse, says
 from wcsim.cli.shared.run_config import require_user
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -98,12 +98,8 @@ def _require_place(options: Options, words: list[str]) -> None:
         find_town(options.town)
 
 
-def _says(words: list[str], option: str) -> bool:
-    return any(word == option or word.startswith(f"{option}=") for word in words)
-
-
 def _require_alone(options: Options, words: list[str]) -> None:
-    given = [word for word in _SET_BY_STUDY if _says(words, word)]
+    given = [word for word in _SET_BY_STUDY if says(words, word)]
     given += ["TOWN"] if options.town != Options.town else []
     if given:
         raise ConfigError(f"--study with {', '.join(given)}; expected it alone: its file says who drives where")
@@ -133,6 +129,6 @@ def _studied(options: Options, words: list[str]) -> tuple[DriveStart, OpenStudy]
 
     if options.participant is None:
         raise ConfigError("--study without --participant; expected a number from 1 on, another one for each person")
-    named = options.policy if _says(words, "--policy") else ""
+    named = options.policy if says(words, "--policy") else ""
     study = open_study(options.study, options.participant, options.out, named)
     return start_of(study.file, study.file.places[0]), study

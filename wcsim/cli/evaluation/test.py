@@ -19,7 +19,7 @@ from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_poli
 from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
-from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, some_words, write_json
+from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, says, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
 from wcsim.cli.shared.stage_bar import StageBar
@@ -78,9 +78,9 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Test and print one table for each town and profile; with --suite or --make-suite see their files here."""
-    if _says(words, "--make-suite"):
+    if says(words, "--make-suite"):
         return make_list(words)
-    if _says(words, "--suite"):
+    if says(words, "--suite"):
         return run_suites(words)
     options = parse(Options, words, "test")
     results = test_policies(options)
@@ -93,10 +93,6 @@ def run(words: list[str]) -> int:
     if options.json is not None:
         write_json(options.json, as_json(results))
     return 0
-
-
-def _says(words: Sequence[str], option: str) -> bool:
-    return any(word == option or word.startswith(f"{option}=") for word in words)
 
 
 def as_json(results: Sequence[TestResult]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -107,6 +107,11 @@ def words_of(text: str) -> tuple[str, ...]:
     ('monaco', 'manhattan')
     """
     return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def says(words: Sequence[str], option: str) -> bool:
+    """Whether an option is among the words of a command, as `--option VALUE` or `--option=VALUE`."""
+    return any(word == option or word.startswith(f"{option}=") for word in words)
 
 
 def some_words(option: str, text: str) -> tuple[str, ...]:
