@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,12 @@ def group_of(node_id: str) -> str:
     """The folder under tests/ that a test lies in; doctests of the package count as "wcsim"."""
     parts = Path(node_id.split("::")[0]).parts
     return parts[1] if parts[0] == "tests" and len(parts) > 2 else parts[0]
+
+
+def pytest_configure() -> None:
+    """Hear Ctrl-C: in a shell's background it is ignored, and every process that a test starts would inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

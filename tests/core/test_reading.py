@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+import zstandard
 
 from wcsim.core.reading import (
     FileKind,
@@ -18,6 +19,7 @@ from wcsim.core.reading import (
     read_text,
     read_toml,
     shown,
+    unzstd,
 )
 from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, TownError
 
@@ -95,3 +97,23 @@ def test_what_is_shown_is_printable_and_short() -> None:
     assert shown("a\x1b[2Jb\n\u202ec") == "a\\x1b[2Jb\\n\\u202ec"
     assert len(shown("\x1b" * 10_000)) == 160
     assert shown("é ü") == "é ü"
+
+
+def test_a_frame_that_holds_as_much_as_allowed_is_unpacked_and_more_is_refused() -> None:
+    packed = zstandard.compress(bytes(1000))
+    assert unzstd(packed, 1000) == unzstd(packed, 1000, zstandard.ZstdDecompressor()) == bytes(1000)
+    with pytest.raises(ValueError, match="more than 999 bytes"):
+        unzstd(packed, 999)
+
+
+def test_a_frame_that_says_nothing_of_its_size_is_bounded_all_the_same() -> None:
+    packer = zstandard.ZstdCompressor().compressobj()
+    packed = packer.compress(bytes(1 << 20)) + packer.flush()
+    assert zstandard.frame_content_size(packed) == -1
+    with pytest.raises(zstandard.ZstdError):
+        unzstd(packed, 1000)
+    assert unzstd(packed, 1 << 20) == bytes(1 << 20)
+
+
+def test_an_empty_frame_is_no_bytes() -> None:
+    assert unzstd(zstandard.compress(b""), 0) == b""

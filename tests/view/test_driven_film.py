@@ -39,6 +39,23 @@ def test_the_clock_counts_from_the_beginning_of_the_film(corner, tmp_path, monke
     assert max(float(text.split()[3]) for text in said) < 0.6, "settings are laid over those of the policy"
 
 
+def test_a_film_that_begins_later_shows_the_same_street(corner, tmp_path):
+    from wcsim.towns.scenario.town import find_town
+
+    settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24")
+
+    def last_of_eight(before: int, name: str) -> list[np.ndarray]:
+        where = tmp_path / name
+        with DrivenFilm(find_town(str(corner)), 0, 80, "follow", "inattentive", where, settings) as film:
+            for _ in range(before):
+                film.drive()
+            return [film.add() for _ in range(8 - before)][-3:]
+
+    whole, part = last_of_eight(0, "whole.webm"), last_of_eight(5, "part.webm")
+    assert all(np.array_equal(one, other) for one, other in zip(whole, part, strict=True))
+    assert not np.array_equal(part[0], part[-1])
+
+
 @pytest.mark.parametrize(("size", "span_m"), [(360, 60.0), (900, 60.0), (480, 30.0)])
 def test_the_bar_of_the_scale_is_ten_metres_long(size, span_m):
     ground = np.full((size, size, 3), 200, np.uint8)

@@ -17,9 +17,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 from wcsim.errors import ConfigError, FileError
+
+if TYPE_CHECKING:
+    import zstandard
 
 MAX_DEPTH = 32  # of tables and lists inside each other
 MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
@@ -136,6 +139,20 @@ def _require_bounded(data: Any, where: str, kind: FileKind) -> None:
             return
         level = below
     raise kind.error(f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}")
+
+
+def unzstd(packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None) -> bytes:
+    """What a zstd frame holds, at most so many bytes; `unpacker` is used again where there are many.
+
+    Raises:
+        ValueError: It says that it holds more than `most_bytes`.
+        zstandard.ZstdError: It is no whole frame, or holds more than it says.
+    """
+    import zstandard  # which commands that only read text need not wait for
+
+    if zstandard.frame_content_size(packed) > max(most_bytes, 1):  # zstd takes what a frame says for the limit
+        raise ValueError(f"more than {most_bytes} bytes")
+    return (unpacker or zstandard.ZstdDecompressor()).decompress(packed, max_output_size=max(most_bytes, 1))
 
 
 def regular_size(path: Path, kind: FileKind) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -20,7 +21,7 @@ from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.towns.scenario.town import Town
-from wcsim.types import U8, Joystick, SeatSpec
+from wcsim.types import U8, ClientSnapshot, Joystick, SeatSpec
 from wcsim.view.filming import MAP_SPAN_M, SIGHT_M
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import captioned
@@ -30,6 +31,17 @@ FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of
 _PAD_SHARE: Final = 0.28  # of the picture's height
 _DARK, _RIM = (28, 32, 38), (150, 156, 164)
 ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Driven:
+    """One tick of the chair."""
+
+    client: ClientSnapshot
+    asked: Joystick  # by the user
+    given: Joystick  # by the policy
+    warning: bool
+    speed_mps: float
 
 
 class DrivenFilm:
@@ -83,8 +95,8 @@ class DrivenFilm:
                 raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
             raise
 
-    def add(self) -> U8:
-        """Drive one tick and add its picture, which is returned."""
+    def drive(self) -> _Driven:
+        """Drive one tick without a picture."""
         policy = self._policy
         if isinstance(policy, SeesTruth):
             policy.see(self._info["truth"])
@@ -95,22 +107,27 @@ class DrivenFilm:
         self._link.now = client = snapshot.clients[0]
         step = self._chair.receive(self._link)
         self._seen, self._info = step.observation, step.info
-        ended = client.first is not None
-        rgb = client.sensors.cameras[-1].rgb
-        if rgb is None:
-            raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
         self._ticks += 1
-        said = f"{policy.name}   {self._ticks * self.tick_s:.1f} s   {step.info['speed_mps']:.2f} m/s"
-        picture = captioned(rgb, said + ("   CRASH" if client.events.crashed else ""))
         given = Joystick(*self.actions.points[action].tolist())
         wanted = Joystick(float(asked[0]), float(asked[1]))
         self.taken_over = math.hypot(given.x - wanted.x, given.y - wanted.y)
-        with_sticks(picture, wanted, given, warning=warning)
-        frame = side_by_side(picture, map_view(self._map, self._world))
-        self._writer.write(frame)
-        if ended:
+        speed_mps = float(step.info["speed_mps"])
+        if client.first is not None:
             self._seen, self._info = self._chair.begin_next()
             policy.reset()
+        return _Driven(client=client, asked=wanted, given=given, warning=warning, speed_mps=speed_mps)
+
+    def add(self) -> U8:
+        """Drive one tick and add its picture, which is returned."""
+        now = self.drive()
+        rgb = now.client.sensors.cameras[-1].rgb
+        if rgb is None:
+            raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
+        said = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
+        picture = captioned(rgb, said + ("   CRASH" if now.client.events.crashed else ""))
+        with_sticks(picture, now.asked, now.given, warning=now.warning)
+        frame = side_by_side(picture, map_view(self._map, self._world))
+        self._writer.write(frame)
         return frame
 
     def __enter__(self) -> Self:

@@ -154,14 +154,18 @@ class Film:
             raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
         self._writer = VideoWriter(path, 1.0 / stage.tick_s, (stage.camera.width_px + height, height))
 
+    def drive(self) -> Snapshot:
+        """Drive one tick without a picture."""
+        self._ticks += 1
+        return self._stage.go_on()
+
     def add(self) -> None:
         """Drive one tick and add its picture."""
-        snapshot = self._stage.go_on()
+        snapshot = self.drive()
         frame, chart = self._stage.picture(self._map)
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
-        self._ticks += 1
         told = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
         self._writer.write(side_by_side(captioned(frame.rgb, told), chart))
 

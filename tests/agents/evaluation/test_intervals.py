@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.intervals import at_most, bootstrapped, garwood, mcnemar
+from wcsim.agents.evaluation.intervals import at_most, bootstrapped, garwood, mcnemar, wilson
 from wcsim.errors import ConfigError
 
 
@@ -33,6 +33,21 @@ def test_probabilities_of_all_numbers_add_up():
 def test_what_is_no_count_is_refused(events, confidence):
     with pytest.raises(ConfigError, match="expected 0 or more"):
         garwood(events, confidence)
+
+
+@pytest.mark.parametrize(
+    ("count", "of", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (81, 263, 0.2553, 0.3662)],
+)
+def test_shares_have_the_bounds_of_tables_and_a_width_at_their_ends(count, of, low, high):
+    assert wilson(count, of) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_a_share_of_nothing_is_none_and_one_of_too_few_is_refused():
+    assert wilson(0, 0) is None
+    for count in (-1, 4):
+        with pytest.raises(ConfigError, match=f"{count} of 3"):
+            wilson(count, 3)
 
 
 def test_pairs_that_differ_decide_by_their_number_however_many_there_are():

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pytest
 
-from wcsim.bench.soak.growth import RUN_H, WARM_S, WORLD, Slope, fitted, long_run, predicted_s
+from wcsim.bench.soak.growth import RUN_H, WARM_S, WORLD, GrowthLog, Slope, fitted, long_run, predicted_s
+from wcsim.bench.soak.learners import settled_step
+from wcsim.config import LearnConfig
+from wcsim.server.launch.states import ClientState, LaunchState
 
 
 def life(begin_s, level, per_h, noise=0.0, seed=0, count=400):
@@ -45,8 +49,43 @@ def test_a_recovery_by_replay_is_reckoned_for_the_last_tick_of_an_epoch():
     assert predicted_s(same[:2], 0.0) == math.inf
 
 
+def test_errors_of_processes_that_grow_apart_are_added_as_variances():
+    memory = {name: Slope(per_h=2.0, upper_per_h=5.0, most=100.0) for name in "abcd"}
+    assert long_run(memory, Slope(upper_per_h=0.0), 1.0, 0.0).memory_gb == pytest.approx(
+        (400.0 + 8.0 * RUN_H + math.sqrt(4.0) * 3.0 * RUN_H) / 1e3
+    )
+    unknown = {"a": Slope(per_h=0.0, upper_per_h=math.inf)}
+    assert long_run(unknown, Slope(upper_per_h=0.0), 1.0, 0.0).memory_gb == math.inf
+
+
+def test_what_fills_up_before_a_run_has_settled_is_no_growth(tmp_path):
+    log = GrowthLog(tmp_path, warm_s=0.0)
+    state = LaunchState(
+        elapsed_s=0.0,
+        world_standing="running",
+        world_pid=os.getpid(),
+        world_restarts=0,
+        world=None,
+        clients=(ClientState(name="a", seat=0, standing="running", pid=os.getpid()),),
+    )
+    for now in range(20):
+        (tmp_path / "replay").write_bytes(bytes(1000 * min(now, 10)))
+        log.look(state, float(now), settled=now >= 10)
+    assert (log.disk.per_h, log.disk.most) == (pytest.approx(0.0), pytest.approx(0.01))
+    assert set(log.memory) == {"launcher", WORLD, "a"} and log.memory["a"].most > 10.0
+    whole = GrowthLog(tmp_path, warm_s=0.0)
+    whole.look(state, 0.0, settled=False)
+    assert whole.disk.upper_per_h == whole.memory["a"].upper_per_h == math.inf
+
+
+def test_a_run_has_settled_when_its_replay_is_full_and_every_checkpoint_holds_one():
+    learn = LearnConfig(replay_frames=1000, checkpoint_every=500)
+    assert settled_step(learn) == 2500
+
+
 def test_a_world_grows_for_an_epoch_and_its_clients_for_the_whole_run():
-    memory = {WORLD: Slope(per_h=90.0, upper_per_h=100.0, most=700.0), "a": Slope(upper_per_h=1.0, most=500.0)}
+    memory = {WORLD: Slope(per_h=90.0, upper_per_h=90.0, most=700.0)}
+    memory |= {"a": Slope(per_h=1.0, upper_per_h=1.3, most=500.0)}
     found = long_run(memory, Slope(upper_per_h=20.0, most=100.0), 0.5, 12.0)
-    assert found.memory_gb == pytest.approx((700.0 + 50.0 + 500.0 + RUN_H) / 1e3)
+    assert found.memory_gb == pytest.approx((700.0 + 45.0 + 500.0 + 1.3 * RUN_H) / 1e3)
     assert (found.disk_gb, found.recovery_s) == (pytest.approx(12.1), 12.0)

@@ -27,12 +27,7 @@ def served(town: Path | None, *words: str) -> AbstractContextManager[tuple[str, 
 def serving(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Host and port of a page that a command serves, and its process."""
     command = [sys.executable, "-m", "wcsim", *words, "--port", "0"]
-    # Ctrl-C is ignored in a shell's background, and a child inherits that.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    finally:
-        signal.signal(signal.SIGINT, before)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert process.stdout is not None
         found, line = None, " "

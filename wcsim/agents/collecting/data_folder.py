@@ -21,7 +21,7 @@ from wcsim.agents.collecting.segment import DRIVERS, Segment, SegmentKey
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DataFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_bytes, read_json, shown
+from wcsim.core.reading import FileKind, read_bytes, read_json, shown, unzstd
 from wcsim.errors import ConfigError, PolicyError
 
 MANIFEST: Final = "data.json"
@@ -147,10 +147,7 @@ def _part(dumped: dict[str, Any], name: str) -> Any:
 
 def _columns(data: bytes) -> dict[str, np.ndarray]:
     """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
-    if zstandard.frame_content_size(data) > _MOST_BYTES:  # zstd takes what a frame says for the limit
-        raise ValueError(f"more than {_MOST_BYTES} bytes")
-    plain = zstandard.ZstdDecompressor().decompress(data, max_output_size=_MOST_BYTES)
-    with zipfile.ZipFile(io.BytesIO(plain)) as held:
+    with zipfile.ZipFile(io.BytesIO(unzstd(data, _MOST_BYTES))) as held:
         if sum(item.file_size for item in held.infolist()) > _MOST_BYTES:
             raise ValueError(f"more than {_MOST_BYTES} bytes")
         names = {field.name: f"{field.name}.npy" for field in fields(Segment)}

@@ -13,6 +13,7 @@ from wcsim.types import F64
 
 _HALVINGS = 80  # each halves the interval in which the answer lies
 _DRAWS = 2000
+_NORMAL_95 = 1.959964  # 95 % of a normal distribution lie within so many standard deviations
 
 Interval = tuple[float, float]
 
@@ -52,6 +53,23 @@ def _solved(below: Callable[[float], bool], far: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if below(middle) else (low, middle)
     return 0.5 * (low + high)
+
+
+def wilson(count: int, of: int) -> Interval | None:
+    """Wilson's 95 % interval of a share, which has a width where none or all were counted too; None of nothing.
+
+    Raises ConfigError when more were counted than there are.
+
+    >>> [round(bound, 3) for bound in wilson(20, 20)]
+    [0.839, 1.0]
+    """
+    if not 0 <= count <= of:
+        raise ConfigError(f"{count} of {of}; expected 0 to all of them")
+    if of == 0:
+        return None
+    share, spread = count / of, _NORMAL_95**2 / of
+    middle, half = share + 0.5 * spread, math.sqrt(spread * (share * (1.0 - share) + 0.25 * spread))
+    return max(0.0, (middle - half) / (1.0 + spread)), min(1.0, (middle + half) / (1.0 + spread))
 
 
 def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:

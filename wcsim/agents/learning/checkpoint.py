@@ -21,6 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.learning.checkpoint_file import (
+    KEEP,
     MODEL,
     REPLAY,
     State,
@@ -37,7 +38,6 @@ from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 
-KEEP = 3
 LATEST = "LATEST"
 
 Arrays = dict[str, npt.NDArray[Any]]

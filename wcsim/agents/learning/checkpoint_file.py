@@ -21,6 +21,7 @@ STATE, MODEL, REPLAY = "state.json", "model.safetensors", "replay.safetensors"
 SCHEMA = 2  # 1 had no seal
 MOST_STEPS = 10**12  # of a run
 DAMAGED = ".damaged"  # added to the name of a checkpoint that was passed over
+KEEP = 3  # checkpoints of a run
 _STEP = re.compile(r"step-(\d{8,18})")
 _KEYS = frozenset(
     ("schema_version", "num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256")

@@ -11,8 +11,8 @@ import numpy as np
 
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
-from wcsim.agents.learning.checkpoint import KEEP, PassedOver, generator_state, restored_generator
-from wcsim.agents.learning.checkpoint_file import step_folders, step_name
+from wcsim.agents.learning.checkpoint import PassedOver, generator_state, restored_generator
+from wcsim.agents.learning.checkpoint_file import KEEP, step_folders, step_name
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.errors import PolicyError

@@ -121,8 +121,8 @@ class GrowthLog:
         self._disk: list[tuple[float, float]] = []  # MB
         self._looked_s = -math.inf
 
-    def look(self, state: LaunchState, now_s: float) -> None:
-        """Take samples when it is time to."""
+    def look(self, state: LaunchState, now_s: float, *, settled: bool = True) -> None:
+        """Take samples when it is time to; until the run has settled, of who there is alone."""
         if now_s - self._looked_s < SAMPLE_S or state.stopping:
             return
         self._looked_s = now_s
@@ -131,8 +131,9 @@ class GrowthLog:
         for who, pid in pids.items():
             with contextlib.suppress(psutil.Error):
                 if pid:
-                    self._sample(who, psutil.Process(pid), now_s, ours=pid != here)
-        self._disk.append((now_s, _folder_mb(self._folder)))
+                    self._sample(who, psutil.Process(pid), now_s, settled=settled, ours=pid != here)
+        if settled:
+            self._disk.append((now_s, _folder_mb(self._folder)))
 
     def orphans(self) -> int:
         """Processes that were started and still run."""
@@ -151,8 +152,10 @@ class GrowthLog:
         """MB of the run folder."""
         return fitted([self._disk], self._warm_s)
 
-    def _sample(self, who: str, process: psutil.Process, now_s: float, ours: bool) -> None:
-        self._memory.setdefault((who, process.pid), []).append((now_s, process.memory_info().rss / 1e6))
+    def _sample(self, who: str, process: psutil.Process, now_s: float, *, settled: bool, ours: bool) -> None:
+        life = self._memory.setdefault((who, process.pid), [])
+        if settled:
+            life.append((now_s, process.memory_info().rss / 1e6))
         if ours:
             self._seen.add((process.pid, process.create_time()))
 
@@ -166,12 +169,12 @@ def long_run(memory: Mapping[str, Slope], disk: Slope, epoch_h: float, recovery_
         epoch_h: Hours that an epoch lasts.
         recovery_s: A bound for a world in its last tick of an epoch, after which it does not grow.
     """
-    grown_mb = 0.0
-    for who, slope in memory.items():
-        hours = min(epoch_h, RUN_H) if who == WORLD else RUN_H
-        grown_mb += slope.most + max(0.0, slope.upper_per_h) * hours
+    hours = {who: min(epoch_h, RUN_H) if who == WORLD else RUN_H for who in memory}
+    expected_mb = sum(slope.most + max(0.0, slope.per_h) * hours[who] for who, slope in memory.items())
+    # Processes err apart from each other, so their errors are added as variances are.
+    error_mb = math.hypot(*((slope.upper_per_h - slope.per_h) * hours[who] for who, slope in memory.items()))
     disk_mb = disk.most + max(0.0, disk.upper_per_h) * RUN_H
-    return LongRun(memory_gb=grown_mb / 1e3, disk_gb=disk_mb / 1e3, recovery_s=recovery_s)
+    return LongRun(memory_gb=(expected_mb + error_mb) / 1e3, disk_gb=disk_mb / 1e3, recovery_s=recovery_s)
 
 
 def _folder_mb(folder: Path) -> float:

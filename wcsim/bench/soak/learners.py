@@ -15,14 +15,16 @@ import numpy as np
 
 from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
+from wcsim.agents.learning.checkpoint_file import KEEP
 from wcsim.bench.soak.faults import WORLD
 from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predicted_s
 from wcsim.bench.soak.planned import FaultOrder, PlannedFaults, Recovered
+from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.states import LaunchState
+from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import Recovery
 
-SETTINGS = ("learn.replay_frames=5000", "learn.checkpoint_every=500", "learn.updates=while_waiting")
+SETTINGS = ("learn.replay_frames=1000", "learn.checkpoint_every=500", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay."""
 WARM_S = 60.0  # of a process that loads PyTorch, and fills its replay
 ENDLESS = 10_000_000  # steps, of a soak that ends by the clock
@@ -73,8 +75,9 @@ class LearnersFacts:
 class _Watch:
     """Faults, samples and the end, while learners run."""
 
-    def __init__(self, order: LearnersOrder, progress: Callable[[float], object]) -> None:
-        self._order, self._tell = order, progress
+    def __init__(self, order: LearnersOrder, settled_step: int, progress: Callable[[float], object]) -> None:
+        self._order, self._settled_step, self._tell = order, settled_step, progress
+        self._settled = False
         self.faults = PlannedFaults(order.faults, self._progress)
         self.growth = GrowthLog(order.folder, WARM_S)
         self.ticks_per_s = 0.0
@@ -87,7 +90,8 @@ class _Watch:
             self._begun_s = now_s
         self._tell(self._progress(state))
         self.faults.act(state)
-        self.growth.look(state, now_s)
+        self._settled = self._settled or all(_step(client) >= self._settled_step for client in state.clients)
+        self.growth.look(state, now_s, settled=self._settled)
         if state.world is not None and state.world.ticks_per_s > 0.0:
             self.ticks_per_s = state.world.ticks_per_s
         return self._order.steps is None and self._progress(state) >= 1.0
@@ -119,7 +123,7 @@ def soak_learners(
     Raises:
         WcsimError: The networks, the town or the settings cannot be used.
     """
-    watch = _Watch(order, progress)
+    watch = _Watch(order, max(settled_step(client.config.learn) for client in run.clients), progress)
     try:
         code = train(watch.look)
     except InterruptedRunError:  # by the clock; by a signal, too: then faults are missing
@@ -146,6 +150,15 @@ def soak_learners(
         bounds=long_run(memory, disk, _epoch_h(run, watch), _recovery_s(order, run, watch.faults.recovered)),
         paid=read_paid_times(order.folder),
     )
+
+
+def settled_step(learn: LearnConfig) -> int:
+    """From which step on neither a learner's memory nor its checkpoints, which hold its replay, should still grow."""
+    return learn.replay_frames + KEEP * learn.checkpoint_every
+
+
+def _step(client: ClientState) -> int:
+    return 0 if client.status is None else client.status.step
 
 
 def slowed(client: Client, times: int) -> Client:

@@ -143,7 +143,7 @@ def _print_group(
     from wcsim.bench.barrier.sharing_model import SharingParts, saved
 
     table = Table("client", "run", "world", "barrier", "infer", "learn", "waiting", "other", "all", "start")
-    table.box, table.pad_edge = box.SIMPLE_HEAD, False
+    table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
         for (client, shares), one in zip(waited.items(), alone, strict=False):
             start_s = group.start_s if run_name == "together" else one.start_s

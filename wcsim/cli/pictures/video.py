@@ -35,6 +35,8 @@ class Options:
     """The video (WebM)."""
     seconds: float = 10.0
     """How long."""
+    start: float = 0.0
+    """Drive so many seconds before the film begins; the picture's clock counts them."""
     width: int = 480
     """Width of the camera image in pixels."""
     policy: str = ""
@@ -50,20 +52,25 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "video")
     check_output("--out", options.out, ".webm")
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
+    in_bounds("--start", options.start, 0.0, MAX_SECONDS)
     town = find_town(options.town)
-
     if options.policy:
         require_policy(options.policy)
         require_user(options.profile)
     missing = missing_folder(options.out)
     with StageBar("filming") as bar, _opened(options, town) as film:
-        frames = round(options.seconds / film.tick_s)
-        for done in range(1, frames + 1):
-            film.add()
-            bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+        before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
+        for done in range(1, before + frames + 1):
+            if done <= before:
+                film.drive()
+            else:
+                film.add()
+            second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
+            bar.show(done / (before + frames), second)
     tell_made(missing)
     who = f", {options.policy} for a user {options.profile}" if options.policy else ""
-    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{who}")
+    after = f" after {options.start:g} s" if before else ""
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}{who}")
     return 0
 
 
@@ -75,6 +82,9 @@ def require_policy(name: str) -> None:
 
 class _Filmed(Protocol):
     tick_s: float
+
+    def drive(self) -> object:
+        """Drive one tick without a picture."""
 
     def add(self) -> object:
         """Drive one tick and add its picture."""

@@ -70,6 +70,12 @@ def test_a_name_that_leads_elsewhere_is_not_written(tmp_path):
         bundle.unpack(zstandard.compress(out.getvalue()), tmp_path)
 
 
+def test_a_parcel_that_would_be_too_large_is_refused_before_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle, "MOST_BYTES", 50)
+    with pytest.raises(ValueError, match="more than 100 bytes"):
+        bundle.unpack(zstandard.compress(bytes(1 << 20)), tmp_path)
+
+
 def test_too_much_is_not_sent(parcel, monkeypatch):
     monkeypatch.setattr(bundle, "MOST_BYTES", 3)
     with pytest.raises(ConfigError, match="--cluster"):

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.intervals import bootstrapped, garwood, mcnemar
+from wcsim.agents.evaluation.intervals import bootstrapped, garwood, mcnemar, wilson
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
@@ -69,7 +69,7 @@ def _crashes(records: Sequence[EpisodeRecord]) -> Row:
         "crashes_per_km_ci": [low / km, high / km] if rated else None,
         "red_entries": sum(record.red_entries for record in records),
         "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
-        "alive_at_end_ci": _pair(bootstrapped([float(_alive(record)) for record in records])),
+        "alive_at_end_ci": _pair(wilson(sum(map(_alive, records)), len(records))),
     }
 
 
@@ -89,16 +89,16 @@ def _obedience(records: Sequence[EpisodeRecord]) -> Row:
 
 def _service(records: Sequence[EpisodeRecord]) -> Row:
     scores = [record.score for record in records]
-    arrived = [float(record.status == FINISHED) for record in records]
+    arrived = sum(record.status == FINISHED for record in records)
     steps, time_s = sum(record.steps for record in records), _sum(records, "time_s")
     return {
         "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), steps)) is None else math.sqrt(mean),
         "stick_travel_per_s": _ratio(_sum(records, "stick_travel"), time_s),
         "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
         "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),
-        "arrivals": round(sum(arrived)),
+        "arrivals": arrived,
         "attempts": len(records),
-        "arrivals_ci": _pair(bootstrapped(arrived)),
+        "arrivals_ci": _pair(wilson(arrived, len(records))),
         "road_s": math.fsum(record.road_s for record in records),
         "score": _ratio(math.fsum(scores), len(scores)),
         "score_ci": _pair(bootstrapped(scores)),

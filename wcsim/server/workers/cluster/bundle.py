@@ -12,7 +12,7 @@ from typing import Final
 
 import zstandard
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import shown, unzstd
 from wcsim.errors import ConfigError
 from wcsim.server.workers.worker_api import Parcel
 
@@ -46,8 +46,8 @@ def packed(parcel: Parcel) -> bytes:
 
 
 def unpack(data: bytes, folder: Path) -> None:
-    """Write files into a folder that is there. Raises ValueError for a name that leads elsewhere."""
-    plain = zstandard.ZstdDecompressor().decompress(data, max_output_size=2 * MOST_BYTES)
+    """Write files into a folder that is there. Raises ValueError for a name that leads elsewhere, or too many bytes."""
+    plain = unzstd(data, 2 * MOST_BYTES)
     with zipfile.ZipFile(io.BytesIO(plain)) as held:
         for name in held.namelist():
             path = PurePosixPath(name)
