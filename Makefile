@@ -43,8 +43,9 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# The many processes that tests start need not compile each module anew, whatever the environment says.
 test: $(STAMP) lint
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not proof'
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not proof'
 
 proof: $(STAMP)
 	$(BIN)/pytest -n 2 --dist worksteal -m proof $(if $(GROUP),tests/$(GROUP))
