@@ -86,6 +86,11 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
         raise
 
 
+def is_begun(path: Path) -> bool:
+    """Whether this is what a process that died on the way has left of a file or folder that it wrote."""
+    return path.name.startswith(".") and path.name.endswith((".tmp", ".old"))
+
+
 def _put_in_place(beside: Path, path: Path) -> None:
     if path.exists():
         # A folder cannot replace a full one: the old one steps aside and goes when the new one is in place.
@@ -133,7 +138,7 @@ def locked(path: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise PolicyError(
-                f"{path} is being trained in by another process; wait for its end, or choose another --out"
+                f"{path} is in use by another process; wait for its end, or choose another --out"
             ) from None
         except OSError:  # a file system without locks
             pass

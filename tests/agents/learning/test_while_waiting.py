@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
-from tests.agents.learning.test_train import config, street, weights
+from tests.agents.learning.test_train import Nervous, config, street, weights
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
+from wcsim.errors import InterruptedRunError
 from wcsim.server.links.listener import Listener
 
 HASTY = {"learning_rate": 0.03, "phase1_steps": 20, "epsilon_start": 0.0}  # an update changes what is chosen
@@ -98,3 +102,20 @@ def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it()
     with pytest.raises(ValueError, match="the work"), Listener(listens):
         raise ValueError("the work")
     assert heard == [True]
+
+
+@pytest.mark.parametrize("updates", ["before_acting", "while_waiting"])
+def test_updates_that_are_due_when_a_run_is_stopped_are_done_when_it_goes_on(tmp_path, monkeypatch, updates):
+    from wcsim.agents.learning.seqdqn import SeqDQN
+
+    done, real = [], SeqDQN.do_updates
+    monkeypatch.setattr(SeqDQN, "do_updates", lambda self, steps, size: (done.append(steps), real(self, steps, size)))
+    learned(tmp_path / "straight", street, updates=updates)
+    straight = done.copy()
+    done.clear()
+    asked = a_run(config(updates=updates), tmp_path / "parts", 1)
+    with pytest.raises(InterruptedRunError):
+        train(asked, lambda: Nervous(123, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+    assert len(done) < len(straight)
+    train(replace(asked, resume=True), street)
+    assert done == straight, "none is lost between"

@@ -15,14 +15,22 @@ import torch
 
 from tests.agents.danger.sights import a_segment, small_config
 from tests.agents.toy import ToyStreet, a_run, toy_camera
-from wcsim.agents.collecting.data_folder import DATA, read_manifest, read_segment
+from wcsim.agents.collecting.data_folder import (
+    DATA,
+    key_of,
+    read_manifest,
+    read_segment,
+    segment_path,
+    write_segment,
+)
 from wcsim.agents.collecting.drive_segment import DrivenRow
-from wcsim.agents.collecting.segment import FOLLOW, NETWORK, RECKLESS
+from wcsim.agents.collecting.segment import FOLLOW, NETWORK, RECKLESS, SegmentKey
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.learning.checkpoint_file import step_folders
+from wcsim.agents.learning.extend import extend
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
@@ -232,3 +240,31 @@ def test_only_the_newest_steps_are_kept_in_memory():
         lessons.keep_newest(20)
     assert len(lessons) == 20 and len(lessons._parts) == 2
     assert lessons.draw().unsafe.shape == (16, 81)
+
+
+def test_a_run_none_of_whose_checkpoints_is_sound_is_refused_and_stays_as_it_is(tmp_path):
+    out = tmp_path / "run"
+    asked = a_run(config(), out, 5, town="toy", town_sha256="0" * 64)
+    train_online(asked, Sensing)
+    for folder in step_folders(out / "checkpoints"):
+        (folder / "weights.safetensors").write_bytes(b"torn")
+    before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+    extend(out, 300)
+    with pytest.raises(PolicyError, match="no sound checkpoint that fits"):
+        train_online(replace(asked, config=config("learn.total_steps=300"), resume=True), Sensing)
+    assert all(path.read_bytes() == data for path, data in before.items() if path.name.endswith((".csv", ".zst")))
+    assert len(step_folders(out / "checkpoints")) == 3
+
+
+def test_a_long_ride_is_read_from_its_newest_end_alone(tmp_path):
+    """Names are sorted by number: as text, segment 10000 would come before 9999."""
+    ride, held = TaughtRide(small_config("learn.replay_frames=100"), tmp_path, 1), {}
+    for index in (9998, 9999, 10_000):
+        path = segment_path(tmp_path, SegmentKey(run=1, round=0, index=index))
+        held[path.name] = write_segment(path, a_segment(60, index))
+    (tmp_path / "segments" / min(held, key=lambda name: key_of(name).index)).write_bytes(b"not read")
+    ride.restore(held)
+    assert len(ride.lectures) == 120 and ride.segments == held
+    older, newer = (part.unsafe for part in ride.lectures._parts.values())
+    expected = [lessons_of(a_segment(60, index), small_config()).unsafe for index in (9999, 10_000)]
+    assert np.array_equal(older, expected[0]) and np.array_equal(newer, expected[1])

@@ -332,3 +332,10 @@ def test_a_checkpoint_of_other_frames_or_another_store_is_refused(tmp_path):
     memory = FrameReplay(40, SPACE, gym.spaces.Discrete(81), device="cpu", settings=ReplaySettings())
     with pytest.raises(ValueError, match=r"learn\.replay_store=disk; this is memory"):
         require_fit(memory, kept)
+
+
+def test_a_store_whose_process_died_as_it_began_can_be_begun_again(tmp_path):
+    (tmp_path / f".{STORE_JSON}.tmp").write_text("{")
+    with store(tmp_path) as frames:
+        write(frames, 3)
+    assert len(segments_in(tmp_path)) == 1

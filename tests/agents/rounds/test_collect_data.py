@@ -14,6 +14,7 @@ from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.core.files import locked
 from wcsim.errors import PolicyError
 
 
@@ -80,5 +81,19 @@ def test_a_drive_that_died_goes_on_with_its_own_settings_alone(
             collect_data(order)
     with pytest.raises(PolicyError, match="another --seed"):
         collect_data(replace(order, config=small_config("cameras.0.width_px=40")))
+    collect_data(order)
+    assert len(read_manifest(order.folder).segments) == 2
+
+
+def test_two_at_a_time_are_refused(order: DataOrder) -> None:
+    collect_data(order)
+    with locked(order.folder), pytest.raises(PolicyError, match="in use by another process"):
+        collect_data(replace(order, seed=2))
+    collect_data(replace(order, seed=2))
+
+
+def test_what_a_killed_one_had_begun_to_write_is_no_foreign_file(order: DataOrder) -> None:
+    order.folder.mkdir()
+    (order.folder / ".orders.json.tmp").write_text("{")
     collect_data(order)
     assert len(read_manifest(order.folder).segments) == 2

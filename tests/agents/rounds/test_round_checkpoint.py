@@ -94,3 +94,14 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     path.write_text(json.dumps({**json.loads(path.read_text()), "segments": {name: "a" * 64}}))
     with pytest.raises(PolicyError, match="names the segment"):
         load_round(tmp_path, 0, learner)
+
+
+def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tmp_path: Path) -> None:
+    learner = a_learner()
+    for number in range(5):
+        save_round(tmp_path, number, learner, {})
+    assert [checkpoint_path(tmp_path, number).exists() for number in range(5)] == [False, False, True, True, True]
+    assert newest_round(tmp_path) == 4
+    (checkpoint_path(tmp_path, 4) / "weights.safetensors").write_bytes(b"torn")
+    (checkpoint_path(tmp_path, 2) / "state.json").unlink()
+    assert newest_round(tmp_path) == 3

@@ -42,3 +42,9 @@ def test_another_log_is_none_of_rounds(tmp_path: Path) -> None:
     assert not logs_rounds(path)
     with pytest.raises(PolicyError, match="expected those of this version"):
         read_rounds(path)
+
+
+def test_large_counts_lose_no_digit(tmp_path: Path) -> None:
+    note_round(tmp_path / "metrics.csv", (0, 1_234_567, 0.25, 4, 7_654_321, 0.5, 1.25, 2.5))
+    (row,) = read_rounds(tmp_path / "metrics.csv")
+    assert (row.steps, row.updates) == (1_234_567, 7_654_321)

@@ -41,9 +41,9 @@ def stopped(policy: str) -> Callable[..., Path]:
     return train
 
 
-def test_what_was_stopped_in_the_first_round_leaves_nothing(run, corner, monkeypatch):
+def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
     monkeypatch.setattr(rounds, "train_danger", stopped(""))
-    with pytest.raises(NothingKept, match="first round"):
+    with pytest.raises(NothingKept, match="first segment"):
         rounds.train_rounds_in(run, find_town(str(corner)), 1)
     assert not run.out.parent.exists()
 

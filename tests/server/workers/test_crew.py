@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -169,3 +171,39 @@ def test_closing_leaves_no_process(tmp_path: Path):
             return
         time.sleep(0.1)
     raise AssertionError(left)
+
+
+LEADER = """
+import time
+from tests.support.cluster.workpieces import tell_pid
+from wcsim.server.workers.crew import Crew
+from wcsim.server.workers.processes import ProcessWorkers
+from wcsim.server.workers.worker_api import Work
+with Crew(ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as crew:
+    crew.ask([Work(key="a", call=tell_pid, piece="")])
+    time.sleep(600.0)
+"""
+
+
+def test_nobody_waits_for_work_from_a_run_that_was_killed():
+    leader = subprocess.Popen([sys.executable, "-c", LEADER], stdout=subprocess.PIPE, text=True)
+    try:
+        worker = psutil.Process(int(leader.stdout.readline()))
+        assert worker.is_running()
+    finally:
+        leader.kill()
+        leader.communicate()
+    worker.wait(60.0)  # raises when it lives on
+
+
+def test_a_worker_that_does_not_hear_that_it_is_to_be_killed_is_told_again(tmp_path):
+    workers = Scripted(deaf=["hang", "done"], other=["done"])
+    asked = []
+    workers.stop = asked.append
+    with Crew(workers, lambda key, data: None, least_late_s=0.05) as crew:
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+        until_s = time.monotonic() + 20.0
+        while len(asked) < 2 and time.monotonic() < until_s:
+            time.sleep(0.01)
+    assert asked[:2] == ["deaf", "deaf"]

@@ -17,6 +17,11 @@ def echo(piece: Any, at: At) -> bytes:
     return str(piece).encode()
 
 
+def tell_pid(piece: Any, at: At) -> bytes:
+    """Which process does it."""
+    return str(os.getpid()).encode()
+
+
 def read_parcel(piece: str, at: At) -> bytes:
     """All files of a parcel, and where they lie."""
     folder = Path(at(piece))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -27,6 +28,7 @@ from wcsim.errors import ConfigError, PolicyError
 MANIFEST: Final = "data.json"
 DATA: Final = "data"  # the data folder of a run
 SEGMENTS: Final = "segments"
+_NAME: Final = re.compile(r"([0-9]+)-([0-9]{3,})-([0-9]{4,})\.npz\.zst", re.ASCII)
 _LEVEL: Final = 3
 _MOST_BYTES: Final = 1 << 30
 _SETTINGS: Final = (
@@ -53,6 +55,19 @@ _MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_by
 def segment_path(folder: Path, key: SegmentKey) -> Path:
     """Where the segment of a key lies."""
     return folder / SEGMENTS / f"{key.run}-{key.round:03d}-{key.index:04d}.npz.zst"
+
+
+def key_of(name: str) -> SegmentKey:
+    """The key of a segment's file. Raises PolicyError for any other name.
+
+    >>> key_of("3-010-0007.npz.zst")
+    SegmentKey(run=3, round=10, index=7)
+    """
+    found = _NAME.fullmatch(name)
+    if found is None:
+        raise PolicyError(f"{shown(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst")
+    run, number, index = map(int, found.groups())
+    return SegmentKey(run=run, round=number, index=index)
 
 
 def write_segment(path: Path, segment: Segment) -> str:

@@ -135,7 +135,8 @@ def _whole_number(data: Mapping[str, Any], key: str) -> int:
 def _extra(data: Any) -> dict[str, int | float | str | bool]:
     if not isinstance(data, dict) or not all(type(value) in (int, float, str, bool) for value in data.values()):
         raise PolicyError(f"{STATE}: extra is {shown(data)}; expected names with plain values")
-    crashes, flags = data.get("crashes", 0), [data.get(name, False) for name in ("phase1_done", "q_alarm")]
+    flags = [data.get(name, False) for name in ("phase1_done", "q_alarm", "owes_updates")]
+    crashes = data.get("crashes", 0)
     if type(crashes) is not int or crashes < 0 or not all(type(flag) is bool for flag in flags):
         raise PolicyError(f"{STATE}: extra is {shown(data)}; expected a count of crashes, and flags")
     return data

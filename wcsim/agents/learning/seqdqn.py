@@ -224,6 +224,15 @@ class SeqDQN(DQN):
         """
         return None if self._due is None else self.catch_up
 
+    @property
+    def owes_updates(self) -> bool:
+        """Whether updates were put off that are not done yet; a checkpoint says so."""
+        return self._due is not None
+
+    def owe_updates(self, gradient_steps: int) -> None:
+        """Put updates off, as the run did whose checkpoint this one goes on from."""
+        self._due = gradient_steps, self.batch_size
+
     def catch_up(self) -> None:
         """Do the updates that were put off, if there are any. Raises as `do_updates`."""
         if self._due is not None:

@@ -142,6 +142,8 @@ class _Session:
         self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)), board=board)
         self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
+        if extra.get("owes_updates", False):
+            model.owe_updates(self.learn_config.gradient_steps)
         self.callbacks: list[BaseCallback] = [
             self.episodes,
             self.switch,
@@ -201,7 +203,12 @@ class _Session:
 
     def _checkpoint(self) -> None:
         self._watch_values()
-        extra = {"crashes": self.episodes.crashes, "phase1_done": self.switch.done, "q_alarm": self.alarmed}
+        extra = {
+            "crashes": self.episodes.crashes,
+            "phase1_done": self.switch.done,
+            "q_alarm": self.alarmed,
+            "owes_updates": self.model.owes_updates,
+        }
         try:
             save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
         except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on

@@ -71,7 +71,10 @@ def save_online(folder: Path, learner: DangerLearner, state: OnlineState) -> Pat
 def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | None, tuple[PassedOver, ...]]:
     """Bring a learner to its newest sound checkpoint; also those that are not sound, newest first.
 
-    None for a run that has no sound checkpoint: it begins again.
+    None for a run that was ended before its first checkpoint: it begins again.
+
+    Raises:
+        PolicyError: There are checkpoints, and none is sound; they stay as they are.
     """
     passed: list[PassedOver] = []
     for path in reversed(step_folders(folder)):
@@ -79,7 +82,10 @@ def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | Non
             return _restored(path, learner), tuple(passed)
         except (PolicyError, OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
             passed.append(PassedOver(path=path, reason=shown(f"{type(error).__name__}: {error}", 300)))
-    return None, tuple(passed)
+    if passed:
+        faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed)
+        raise PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+    return None, ()
 
 
 def _restored(path: Path, learner: DangerLearner) -> OnlineState:

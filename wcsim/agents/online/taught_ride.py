@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.collecting.data_folder import SEGMENTS, read_segment, segment_path, write_segment
+from wcsim.agents.collecting.data_folder import SEGMENTS, key_of, read_segment, segment_path, write_segment
 from wcsim.agents.collecting.drive_segment import DrivenRow, segment_of
 from wcsim.agents.collecting.labels import codes_of, unsafe_ahead
 from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.danger.lessons import KeptSight, Lectures, kept, lessons_from, lessons_of
+from wcsim.agents.danger.lessons import KeptSight, Lectures, Lessons, kept, lessons_from, lessons_of
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.sight import DangerSight
 from wcsim.config import RunConfig
@@ -62,11 +62,21 @@ class TaughtRide:
             self._rows = []
 
     def restore(self, segments: dict[str, str], alive: Callable[[], object] = lambda: None) -> None:
-        """Learn again from what was written; see `write`. Raises PolicyError when a file is damaged or missing."""
-        for name in sorted(segments):
-            self.lectures.add(lessons_of(read_segment(self._folder / SEGMENTS / name, segments[name]), self._config))
-            self.lectures.keep_newest(self._config.learn.replay_frames)
+        """Learn again from the newest of what was written; see `write`.
+
+        A long run has driven far more than it learns from, and reading all of it would take hours.
+
+        Raises:
+            PolicyError: A file is damaged or missing.
+        """
+        newest: list[Lessons] = []
+        for name in sorted(segments, key=lambda name: key_of(name).index, reverse=True):
+            if sum(map(len, newest)) >= self._config.learn.replay_frames:
+                break
+            newest.append(lessons_of(read_segment(self._folder / SEGMENTS / name, segments[name]), self._config))
             alive()
+        for lessons in reversed(newest):
+            self.lectures.add(lessons)
         self.segments = dict(segments)
 
     def _teach(self, count: int, ends: bool) -> None:

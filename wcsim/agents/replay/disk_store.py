@@ -282,7 +282,7 @@ def _require_same(folder: Path, told: dict[str, Any]) -> None:
     """Write down what the store holds, or refuse one that holds something else."""
     path = folder / STORE_JSON
     if not path.exists():
-        if any(folder.iterdir()):
+        if any(not files.is_begun(each) for each in folder.iterdir()):
             raise PolicyError(
                 f"{shown(folder)} has files but no {STORE_JSON}; expected a replay or an empty folder: restore it, or "
                 "start a new run"

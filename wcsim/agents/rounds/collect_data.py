@@ -20,7 +20,7 @@ from wcsim.agents.collecting.segment_places import orders_of
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.parcels import folder_parcel
 from wcsim.config import RunConfig
-from wcsim.core.files import sha256, sha256_text, write_json
+from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_json
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import HERE, LOGS, Machines
@@ -53,21 +53,28 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
         told: Called with the number of segments that are there, of how many.
 
     Raises:
-        PolicyError: The folder holds data of other settings, or of this seed from other towns or another driver.
+        PolicyError: The folder holds data of other settings, or of this seed from other towns or another driver, or
+            another process collects into it.
         ConfigError: The cluster cannot be used, or what the order needs does not travel to it.
         WorkersError: Worlds died too often, or there is no machine left.
         TownError: A town is missing.
         DiskFullError: There is no room.
     """
+    found = [find_town(name) for name in order.towns]
+    order.folder.mkdir(parents=True, exist_ok=True)
+    with locked(order.folder):  # what it says of itself is read, added to and written back
+        return _collected(order, found, told)
+
+
+def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int], object]) -> str:
     kept: dict[str, str] = {}
     towns: dict[str, str] = {}
     if (order.folder / MANIFEST).is_file():
         file = read_manifest(order.folder)
         require_same_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
-    elif order.folder.is_dir() and any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir()):
+    elif any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_begun(path)):
         raise PolicyError(f"{order.folder} holds something else than recorded driving; choose another --out")
-    found = [find_town(name) for name in order.towns]
     _require_same_order(order, found)
     towns |= {town.name: streets_hash(town) for town in found}
     first = SegmentKey(run=order.seed, round=0, index=0)

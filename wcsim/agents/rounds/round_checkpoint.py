@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import re
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 import torch
 
+from wcsim.agents.collecting.data_folder import key_of
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
 from wcsim.core import files
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
-_SEGMENT: Final = re.compile(r"[0-9]+-[0-9]{3,}-[0-9]{4,}\.npz\.zst", re.ASCII)
+KEPT_ROUNDS: Final = 3  # checkpoints that are kept
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -25,7 +26,7 @@ def checkpoint_path(folder: Path, number: int) -> Path:
 
 
 def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
-    """Keep a learner after a round, whole or not at all. Raises DiskFullError."""
+    """Keep a learner after a round, whole or not at all, and drop all but the newest three. Raises DiskFullError."""
 
     def fill(target: Path) -> None:
         sha256 = write_learner(target, learner)
@@ -38,14 +39,18 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
         files.write_json(target / STATE, state)
 
     files.write_folder(checkpoint_path(folder, number), fill)
+    for old in _numbers(folder)[:-KEPT_ROUNDS]:
+        shutil.rmtree(checkpoint_path(folder, old), ignore_errors=True)
 
 
 def newest_round(folder: Path) -> int:
     """The last round that is kept whole, -1 for none."""
-    number = -1
-    while _is_whole(checkpoint_path(folder, number + 1)):
-        number += 1
-    return number
+    return next((number for number in reversed(_numbers(folder)) if _is_whole(checkpoint_path(folder, number))), -1)
+
+
+def _numbers(folder: Path) -> list[int]:
+    """Of the rounds that there is a checkpoint of."""
+    return sorted(int(path.name[6:]) for path in folder.glob("round-*") if path.name[6:].isdecimal())
 
 
 def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, str]:
@@ -61,9 +66,10 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
         segments = {str(name): str(sha256) for name, sha256 in state["segments"].items()}
     except (RuntimeError, KeyError, ValueError, TypeError) as error:
         raise PolicyError(f"{shown(path)} does not fit this run ({error}); expected its own checkpoint") from None
-    other = next((name for name in segments if _SEGMENT.fullmatch(name) is None), None)
-    if other is not None:
-        raise PolicyError(f"{shown(path)} names the segment {shown(other)!r}; expected its own checkpoint")
+    try:
+        in_order(segments)
+    except PolicyError as error:
+        raise PolicyError(f"{shown(path)} names the segment of no run: {error}") from None
     return segments
 
 
@@ -73,7 +79,7 @@ def in_order(segments: Iterable[str]) -> list[str]:
     >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
     ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
     """
-    return sorted(segments, key=lambda name: (int(name.split("-")[1]), name))
+    return sorted(segments, key=lambda name: (key_of(name).round, name))
 
 
 def _is_whole(path: Path) -> bool:

@@ -37,7 +37,11 @@ def note_round(path: Path, row: Sequence[float]) -> None:
     """Add a row to metrics.csv; rows from its round on belong to work that was lost. Raises DiskFullError."""
     old = path.read_text(encoding="utf-8").splitlines() if path.is_file() else [",".join(_COLUMNS)]
     kept = [old[0], *(line for line in old[1:] if int(line.split(",")[0]) < row[0])]
-    files.write_bytes(path, "\n".join([*kept, ",".join(f"{value:.6g}" for value in row), ""]).encode())
+    files.write_bytes(path, "\n".join([*kept, ",".join(_cell(value) for value in row), ""]).encode())
+
+
+def _cell(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.6g}"
 
 
 def logs_rounds(path: Path) -> bool:

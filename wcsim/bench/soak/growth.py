@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,14 +112,31 @@ def predicted_s(points: Sequence[tuple[float, float]], at: float) -> float:
     )
 
 
+class _Samples:
+    """Times (s) and values as plain doubles: what is measured with is part of the launcher, and is not to grow."""
+
+    def __init__(self) -> None:
+        self._times_s, self._values = array("d"), array("d")
+
+    def add(self, time_s: float, value: float) -> None:
+        """One more."""
+        self._times_s.append(time_s)
+        self._values.append(value)
+
+    @property
+    def pairs(self) -> list[tuple[float, float]]:
+        """All of them, (time, value)."""
+        return list(zip(self._times_s, self._values, strict=True))
+
+
 class GrowthLog:
     """Samples of memory and disk, and which processes there were; `look` is called a few times a second."""
 
     def __init__(self, folder: Path, warm_s: float = WARM_S) -> None:
         self._folder, self._warm_s = folder, warm_s
         self._seen: set[tuple[int, float]] = set()  # (pid, time of birth)
-        self._memory: dict[tuple[str, int], list[tuple[float, float]]] = {}  # MB of each life
-        self._disk: list[tuple[float, float]] = []  # MB
+        self._memory: dict[tuple[str, int], _Samples] = {}  # MB of each life
+        self._disk = _Samples()  # MB
         self._looked_s = -math.inf
 
     def look(self, state: LaunchState, now_s: float, *, settled: bool = True) -> None:
@@ -133,7 +151,7 @@ class GrowthLog:
                 if pid:
                     self._sample(who, psutil.Process(pid), now_s, settled=settled, ours=pid != here)
         if settled:
-            self._disk.append((now_s, _folder_mb(self._folder)))
+            self._disk.add(now_s, _folder_mb(self._folder))
 
     def orphans(self) -> int:
         """Processes that were started and still run."""
@@ -144,18 +162,18 @@ class GrowthLog:
         """MB of each kind of process, by its name."""
         by_name: dict[str, list[list[tuple[float, float]]]] = {}
         for (who, _), life in self._memory.items():
-            by_name.setdefault(who, []).append(life)
+            by_name.setdefault(who, []).append(life.pairs)
         return {who: fitted(lives, self._warm_s) for who, lives in by_name.items()}
 
     @property
     def disk(self) -> Slope:
         """MB of the run folder."""
-        return fitted([self._disk], self._warm_s)
+        return fitted([self._disk.pairs], self._warm_s)
 
     def _sample(self, who: str, process: psutil.Process, now_s: float, *, settled: bool, ours: bool) -> None:
-        life = self._memory.setdefault((who, process.pid), [])
+        life = self._memory.setdefault((who, process.pid), _Samples())
         if settled:
-            life.append((now_s, process.memory_info().rss / 1e6))
+            life.add(now_s, process.memory_info().rss / 1e6)
         if ours:
             self._seen.add((process.pid, process.create_time()))
 

@@ -195,7 +195,7 @@ class _Watch:
 
 def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
     """For a run of many hours; a recovery by replay is not in it, for which learners' soaks know the ticks."""
-    epoch_h = order.config.world.epoch_ticks / max(watch.ticks_per_s, 1e-3) / 3600.0
+    epoch_h = (order.config.world.epoch_ticks or math.inf) / max(watch.ticks_per_s, 1e-3) / 3600.0
     recovery_s = predicted_s([(0.0, took_s) for took_s in times.world_s], 0.0)
     return long_run(watch.growth.memory, watch.growth.disk, epoch_h, recovery_s)
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from wcsim.errors import DiskFullError
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.errors import DiskFullError, WorkersError
 
 if TYPE_CHECKING:
     from wcsim.agents.learning.callbacks import TrainProgress  # loads torch
@@ -20,20 +21,20 @@ if TYPE_CHECKING:
 
 @contextmanager
 def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
-    """Remove a run folder made in the block when it fails before an episode or a checkpoint was saved.
+    """Remove a run folder made in the block when it fails before an episode, a segment or a checkpoint was saved.
 
-    It stays after a full disk: with room, --resume goes on.
+    It stays after a full disk, and when a cluster is lost: --resume goes on.
     """
     fresh = not run.exists()
     made = [folder for folder in run.parents if not folder.exists()]
     try:
         yield
-    except (DiskFullError, OSError):
+    except (DiskFullError, OSError, WorkersError):
         raise
     except BaseException:
         metrics = run / "metrics.csv"
         episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
-        saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
+        saved = any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
         if fresh and episodes < 1 and not saved:
             shutil.rmtree(run, ignore_errors=True)
             for folder in made:

@@ -65,6 +65,12 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
     if unled:
         raise ConfigError(f"learn.select_by compares after a first phase, and {unled[0]} has none: learn.phase1_steps")
+    dangers = [client.name for client in run.clients if client.config.learn.head == "danger"]
+    if dangers:  # their learning rate rises and falls once over all of a run
+        raise ConfigError(
+            f"learn.select_by lets phases be learned apart, and {dangers[0]} has learn.head=danger, which learns both "
+            "in one go; expected another head, or learn.select_by=''"
+        )
     chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
     if not chosen:
         code = train_clients(options, first_phase(run), town)

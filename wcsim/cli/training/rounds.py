@@ -27,7 +27,7 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingKept: ... before the first round was done.
+        NothingKept: ... before anything was driven.
         WcsimError: Something that was asked for cannot be used.
     """
     with StageBar("driving") as bar:
@@ -53,7 +53,7 @@ def _trained(run: ResolvedRun, town: Town, machines: Machines, show: Show, say: 
     except InterruptedRunError:
         if run.out.exists():
             raise
-        raise NothingKept("stopped before the first round was done; nothing is kept") from None
+        raise NothingKept("stopped before the first segment was driven; nothing is kept") from None
 
 
 def share_done(now: RoundProgress, config: RunConfig) -> float:

@@ -41,6 +41,7 @@ class _Task:
     work: Work
     since_s: float
     late: bool = False  # somebody else is asked for it
+    stopped_s: float = 0.0  # when its worker was last told to be killed
 
 
 class Crew:
@@ -176,9 +177,13 @@ class Crew:
         for name, task in list(self._at.items()):
             key = task.work.key
             times = self._times_late.get(key, 0)
-            if not task.late and now_s - task.since_s > LATE * self._longest_s * 2**times:
+            if task.late:
+                if now_s - task.stopped_s > LATE * self._longest_s:  # it was not heard, or there was nobody yet to kill
+                    task.stopped_s = now_s
+                    self._workers.stop(name)
+            elif now_s - task.since_s > LATE * self._longest_s * 2**times:
                 self._times_late[key] = times + 1
-                task.late = True
+                task.late, task.stopped_s = True, now_s
                 with self._lock:
                     self._left.appendleft(task.work)
                 self._workers.stop(name)

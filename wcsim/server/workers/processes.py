@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from time import sleep
 
+from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
@@ -58,7 +60,10 @@ class ProcessWorkers:
 
     def _pool(self, worker: str) -> ProcessPoolExecutor:
         if worker not in self._pools:
-            self._pools[worker] = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+            # A process that waits for work would not notice that nobody is left to give it any.
+            self._pools[worker] = ProcessPoolExecutor(
+                1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,)
+            )
         return self._pools[worker]
 
     def _drop(self, worker: str) -> None:

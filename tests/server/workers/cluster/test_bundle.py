@@ -36,7 +36,7 @@ def sent(parcel: Parcel, call=read_parcel) -> SentWork:
     one = SentParcel(
         address=parcel.address, digest=digest, name=parcel.folder.name, inner=parcel.inner, kept=parcel.kept, ref=("r",)
     )
-    return SentWork(run="t", key="a/1", call=call, piece=parcel.address, parcels=(one,))
+    return SentWork(run="t", key="a/1", attempt="1", call=call, piece=parcel.address, parcels=(one,))
 
 
 def test_a_town_is_fetched_once_and_again_when_it_was_changed(parcel, cache):
@@ -94,4 +94,4 @@ def test_a_node_tells_what_the_user_can_mend_from_what_only_another_node_can(par
 
     monkeypatch.setattr(on_node, "_received", full)
     assert "No space" in do_work(sent(parcel), fetch).lost
-    assert not kill_worker("t", "a/1")
+    assert not kill_worker("t", "a/1", "1")

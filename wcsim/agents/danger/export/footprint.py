@@ -64,6 +64,9 @@ def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> di
         except subprocess.TimeoutExpired:
             process.kill()
             raise PolicyError(f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps") from None
+        except BaseException:  # it may stand still, and would be waited for
+            process.kill()
+            raise
     if process.returncode:
         last = said.strip().splitlines()[-1:] or ["no word"]
         raise PolicyError(f"{model} cannot be run by itself: {last[0][:200]}; expected ONNX Runtime to take it")

@@ -78,8 +78,8 @@ class DangerGraph(nn.Module):
         if net.spec.rival or net.spec.gaps == "rival":
             raise PolicyError(
                 "a network that looks at what the rival remembers cannot be exported; let another one learn from the "
-                "same driving: wcsim train --preset laptop --data RUN/data --set collect.rounds=1 --set collect.segments=0 "
-                "--set danger.updates=6000 --set danger.rival=false --set danger.gaps=map"
+                "same driving: wcsim train --preset laptop --data RUN/data --set collect.rounds=1 "
+                "--set collect.segments=0 --set danger.updates=6000 --set danger.rival=false --set danger.gaps=map"
             )
         if net.spec.eye != "map" or not (net.spec.memory and net.spec.odometry):
             raise PolicyError(

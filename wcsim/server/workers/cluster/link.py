@@ -7,6 +7,7 @@ and talks to its terminal. The run hears of the cluster by a pipe.
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import sys
 import time
@@ -46,6 +47,7 @@ class _Begun:
     worker: str
     node: str
     work: Work
+    attempt: str
     since_s: float
 
 
@@ -151,10 +153,13 @@ class _Link:
         except (OSError, WcsimError) as error:
             self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, error=error)))
             return
-        whole = SentWork(run=self._spec.run, key=work.key, call=work.call, piece=work.piece, parcels=sent)
+        attempt = secrets.token_hex(4)
+        whole = SentWork(
+            run=self._spec.run, key=work.key, attempt=attempt, call=work.call, piece=work.piece, parcels=sent
+        )
         options = {"scheduling_strategy": self._on(node), "name": f"wcsim {work.key}"}
         ref = self._do.options(**options).remote(whole)
-        self._begun[ref] = _Begun(worker=worker, node=node, work=work, since_s=time.monotonic())
+        self._begun[ref] = _Begun(worker=worker, node=node, work=work, attempt=attempt, since_s=time.monotonic())
 
     def _sent(self, parcel: Parcel) -> SentParcel:
         """A parcel in Ray's store, put there once."""
@@ -175,7 +180,8 @@ class _Link:
     def _stop(self, worker: str) -> None:
         for begun in self._begun.values():
             if begun.worker == worker and begun.node in self._nodes:
-                self._kill.options(scheduling_strategy=self._on(begun.node)).remote(self._spec.run, begun.work.key)
+                kill = self._kill.options(scheduling_strategy=self._on(begun.node))
+                kill.remote(self._spec.run, begun.work.key, begun.attempt)
 
     def _heard(self, ref: Any) -> None:
         """A node has answered, or will not any more."""

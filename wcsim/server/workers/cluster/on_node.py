@@ -41,6 +41,7 @@ class SentWork:
 
     run: str  # whose it is: a word that no other run has
     key: str
+    attempt: str  # a word of its own each time that the piece is given out
     call: Call
     piece: Any
     parcels: tuple[SentParcel, ...]
@@ -64,10 +65,11 @@ def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
     """Do a piece of work in this process, which Ray has started; `fetch` stands in for Ray's store."""
     _say(f"{sent.key} begins")
     with ExitStack() as leaving:
-        leaving.callback(_pid_file(sent.run, sent.key).unlink, missing_ok=True)
+        pid_file = _pid_file(sent.run, sent.key, sent.attempt)
+        leaving.callback(pid_file.unlink, missing_ok=True)
         began_s = time.monotonic()
         try:
-            _pid_file(sent.run, sent.key).write_text(str(os.getpid()), encoding="utf-8")
+            pid_file.write_text(str(os.getpid()), encoding="utf-8")
             places, fetched = _received(sent.parcels, fetch or _from_ray, leaving)
             fetch_s = time.monotonic() - began_s
             data = sent.call(sent.piece, lambda address: places.get(address, address))
@@ -85,10 +87,10 @@ def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
         return Reply(data=data, pid=os.getpid(), fetched_bytes=fetched, fetch_s=fetch_s, work_s=work_s)
 
 
-def kill_worker(run: str, key: str) -> bool:
+def kill_worker(run: str, key: str, attempt: str) -> bool:
     """Kill the process of this machine that is at a piece, even one that was stopped. Whether there was one."""
     with suppress(OSError, ValueError):
-        pid = int(_pid_file(run, key).read_text(encoding="utf-8"))
+        pid = int(_pid_file(run, key, attempt).read_text(encoding="utf-8"))
         if b"ray::" in Path(f"/proc/{pid}/cmdline").read_bytes():  # its number may be somebody else's by now
             os.kill(pid, signal.SIGKILL)
             return True
@@ -124,9 +126,9 @@ def _from_ray(ref: Any) -> bytes:
     return data
 
 
-def _pid_file(run: str, key: str) -> Path:
+def _pid_file(run: str, key: str, attempt: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in key)
-    return Path(tempfile.gettempdir()) / f"wcsim-{run}-{name}.pid"
+    return Path(tempfile.gettempdir()) / f"wcsim-{run}-{name}-{attempt}.pid"
 
 
 def _say(text: str) -> None:

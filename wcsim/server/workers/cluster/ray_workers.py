@@ -6,11 +6,16 @@ import json
 import re
 import secrets
 import socket
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.util import find_spec
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Final
 
 from wcsim.core.reading import shown
@@ -56,9 +61,11 @@ class RayWorkers:
         self._heard_s = time.monotonic()
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
+        self._out: SimpleQueue[bytes | None] = SimpleQueue()
         self._link = context.Process(target=run_link, args=(theirs, spec), name="cluster link", daemon=True)
         self._link.start()
         theirs.close()
+        threading.Thread(target=_pass_on, args=(self._out, self._pipe), name="to the cluster link", daemon=True).start()
         try:
             self._join(join_s)
         except BaseException:
@@ -87,6 +94,7 @@ class RayWorkers:
 
     def close(self) -> None:
         """Leave the cluster; one that was made here ends."""
+        self._out.put(None)
         self._pipe.close()
         self._link.join(_CLOSE_S if self._names else _GIVE_UP_S)
         if self._link.is_alive():
@@ -134,10 +142,8 @@ class RayWorkers:
             raise ConfigError(what)
 
     def _send(self, word: str, what: Any) -> None:
-        try:
-            self._pipe.send((word, what))
-        except OSError:
-            raise self._lost() from None
+        """Leave a message to a thread: the link may itself wait for us to read what it sends, and read nothing then."""
+        self._out.put(bytes(ForkingPickler.dumps((word, what))))
 
     def _lost(self) -> WorkersError:
         return WorkersError(
@@ -154,6 +160,13 @@ class RayWorkers:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
             raise DiskFullError(f"{self._folder / PIECES}: not written ({error.strerror}); make room") from None
+
+
+def _pass_on(messages: SimpleQueue[bytes | None], pipe: Connection) -> None:
+    """Send messages until there is a None, or nobody to hear them: whoever reads the pipe notices that."""
+    with suppress(OSError):
+        while (message := messages.get()) is not None:
+            pipe.send_bytes(message)
 
 
 def require_address(address: str) -> None:
