@@ -16,10 +16,12 @@ from tests.agents.toy import a_run
 from wcsim import errors
 from wcsim.agents.clients.client import StatusPipe, exit_of, learn
 from wcsim.agents.clients.client_process import main
+from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
 from wcsim.agents.clients.time_shares import Stopped, TimeShares
 from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.policy_file import is_danger
+from wcsim.config import LearnConfig
 from wcsim.core.files import locked
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.links.base import Waits
@@ -31,6 +33,7 @@ from wcsim.towns.scenario.overrides import Override
     ("error", "code"),
     [
         (errors.InterruptedRunError, ClientExit.STOPPED),
+        (ProcessGrownError, ClientExit.GROWN),
         (errors.ConfigError, ClientExit.USER_ERROR),
         (errors.PolicyError, ClientExit.USER_ERROR),
         (errors.DiskFullError, ClientExit.DISK_FULL),
@@ -73,7 +76,7 @@ def test_an_order_brings_everything_that_the_manifest_says():
 
 
 class WaitingEnv:
-    waits = Waits(steps=3, simulation_s=1.5, link_s=4.0)
+    waits, epoch = Waits(steps=3, simulation_s=1.5, link_s=4.0), 0
 
 
 def told(step, total=100):
@@ -82,7 +85,7 @@ def told(step, total=100):
 
 def test_status_lines_come_half_a_second_apart_and_in_the_end():
     reads, writes = os.pipe()
-    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares(), ProcessGrowth(LearnConfig()))
     for step in (1, 2, 3, 100):
         pipe.show(told(step))
     os.close(writes)
@@ -104,7 +107,7 @@ def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, mo
 def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
     reads, writes = os.pipe()
     os.close(reads)
-    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares())
+    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares(), ProcessGrowth(LearnConfig()))
     with StopRequest() as request:
         signal.raise_signal(signal.SIGTERM)  # as the kernel does when the launcher dies
         pipe.show(told(100))
@@ -135,7 +138,7 @@ def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
 
 def test_a_client_may_be_a_danger_network_that_learns_as_it_drives(tmp_path, monkeypatch):
     class Seat(Sensing):
-        waits, beats = Waits(), 0
+        waits, beats, epoch = Waits(), 0, 0
 
         def beat(self, progress):
             self.beats += 1
@@ -151,6 +154,37 @@ def test_a_client_may_be_a_danger_network_that_learns_as_it_drives(tmp_path, mon
     times = json.loads((tmp_path / "run" / "times.json").read_text())
     assert times["step"] == 60 and min(times["inference_s"], times["learning_s"]) > 0.0
     assert seat.beats > 0, "a server that hears nothing while a checkpoint is written gives the seat away"
+    learn(order, resume=True)
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+
+
+def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_goes_on(tmp_path, monkeypatch):
+    class Seat(Sensing):
+        waits = Waits()
+
+        def beat(self, progress):
+            pass
+
+        @property
+        def epoch(self):
+            return self.steps // 30
+
+    monkeypatch.setattr("wcsim.agents.clients.client.WheelchairEnv", lambda *town, **options: Seat())
+    monkeypatch.setattr("wcsim.agents.clients.process_growth.SETTLED_STEPS", 5)
+    memory_mb = count(100, 60)
+    monkeypatch.setattr(
+        "wcsim.agents.clients.client.ProcessGrowth", lambda learn: ProcessGrowth(learn, lambda: next(memory_mb))
+    )
+    few = ("learn.total_steps=140", "learn.phase1_steps=20", "learn.learning_starts=10", "learn.replay_frames=100")
+    settings = danger_config(*few, "learn.process_growth_mb=50", "learn.checkpoint_every=1000")
+    join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
+    info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
+    order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)
+    with pytest.raises(ProcessGrownError, match="grown from 100 to 160 MB") as told:
+        learn(order, resume=False)
+    assert exit_of(told.value) is ClientExit.GROWN
+    (kept,) = (path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*"))
+    assert kept == "step-00000124"
     learn(order, resume=True)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
 

@@ -89,3 +89,12 @@ def test_a_world_grows_for_an_epoch_and_its_clients_for_the_whole_run():
     found = long_run(memory, Slope(upper_per_h=20.0, most=100.0), 0.5, 12.0)
     assert found.memory_gb == pytest.approx((700.0 + 45.0 + 500.0 + 1.3 * RUN_H) / 1e3)
     assert (found.disk_gb, found.recovery_s) == (pytest.approx(12.1), 12.0)
+
+
+def test_a_client_grows_no_further_than_to_where_it_is_replaced():
+    memory = {WORLD: Slope(per_h=0.0, upper_per_h=0.0, most=700.0)}
+    memory |= {"slow": Slope(per_h=0.1, upper_per_h=0.2, most=500.0)}
+    memory |= {"fast": Slope(per_h=100.0, upper_per_h=200.0, most=500.0)}
+    found = long_run(memory, Slope(upper_per_h=0.0), 0.5, 0.0, client_growth_mb=400.0)
+    replaced_mb = 500.0 + 400.0 + 200.0 * 0.5  # it is looked at when an epoch begins
+    assert found.memory_gb == pytest.approx((700.0 + 500.0 + 0.2 * RUN_H + replaced_mb) / 1e3)

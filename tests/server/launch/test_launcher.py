@@ -113,6 +113,13 @@ def test_clients_that_lost_their_world_or_seat_are_started_again(tmp_path):
     assert sorted(counted(tmp_path, "restart")) == ["exit1", "exit3", "exit4", "exit5"]
 
 
+def test_a_client_that_has_grown_is_replaced_at_once_and_has_not_died(tmp_path):
+    outcome = launcher(tmp_path, {"a": "steps=200 exit7=20x3"}).run()
+    assert (outcome.code, standings(outcome)) == (0, {"a": "done"})
+    assert counted(tmp_path, "replaced") == ["a"] * 3 and counted(tmp_path, "death") == []
+    assert counted(tmp_path, "restart") == ["a"] * 3 and outcome.clients[0].restarts == 0
+
+
 def test_a_client_that_dies_in_vain_is_given_up_and_the_others_go_on(tmp_path):
     outcome = launcher(tmp_path, {"a": "steps=60 die=10 forgets", "b": "steps=200"}).run()
     assert outcome.code == 1

@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from wcsim.agents.clients.clients_folder import has_work
+from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
 from wcsim.agents.clients.time_shares import TimeShares
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import with_window
@@ -45,8 +46,10 @@ _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchErro
 class StatusPipe:
     """Says how far a client is, a few times a second; to nobody when there is no pipe."""
 
-    def __init__(self, name: str, descriptor: int, env: WheelchairEnv, shares: TimeShares) -> None:
-        self._name, self._descriptor = name, descriptor
+    def __init__(
+        self, name: str, descriptor: int, env: WheelchairEnv, shares: TimeShares, growth: ProcessGrowth
+    ) -> None:
+        self._name, self._descriptor, self._growth = name, descriptor, growth
         if descriptor >= 0:
             os.set_blocking(descriptor, False)
         self._env, self._shares = env, shares
@@ -55,6 +58,7 @@ class StatusPipe:
 
     def show(self, now: TrainProgress) -> None:
         """Take in how far the learner is, and say it when it is time, or when that is all."""
+        self._growth.look(now.step, self._env.epoch)
         waits = self._env.waits
         self.last = ClientStatus(
             name=self._name,
@@ -93,6 +97,7 @@ def learn(
 
     Raises:
         InterruptedRunError: It was asked to end; the work is saved.
+        ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
     config = with_window(RunConfig.model_validate_json(order.config_json))
@@ -106,7 +111,8 @@ def learn(
         shutil.rmtree(out)
     env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()
-    pipe = StatusPipe(order.join.name, status_fd, env, shares)
+    growth = ProcessGrowth(config.learn)
+    pipe = StatusPipe(order.join.name, status_fd, env, shares, growth)
     run = ResolvedRun(config=config, out=out, info=order.info, resume=goes_on)
 
     def alive() -> None:  # else a server that hears nothing gives the seat away
@@ -121,6 +127,10 @@ def learn(
             train_online(run, lambda: env, listeners)
         else:
             train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), alive=alive, say=say)
+    except InterruptedRunError as error:
+        if growth.told:
+            raise ProcessGrownError(f"{growth.told}; a fresh one goes on") from error
+        raise
     finally:
         env.close()
         _write_times(out, pipe.last, time.monotonic() - begun_s)
@@ -147,6 +157,8 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
 
 def exit_of(error: WcsimError) -> ClientExit:
     """How a client ends that met this error."""
+    if isinstance(error, ProcessGrownError):
+        return ClientExit.GROWN
     if isinstance(error, InterruptedRunError):
         return ClientExit.STOPPED
     if isinstance(error, DiskFullError):

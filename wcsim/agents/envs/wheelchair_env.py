@@ -125,6 +125,11 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             self._chair.now = None
 
     @property
+    def epoch(self) -> int:
+        """The epoch of the world that the last frame is of; -1 where there is none."""
+        return -1 if self._link is None else self._link.epoch
+
+    @property
     def waits(self) -> Waits:
         """Where the time in the link went so far."""
         return Waits() if self._link is None else self._link.waits

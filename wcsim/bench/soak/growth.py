@@ -178,19 +178,36 @@ class GrowthLog:
             self._seen.add((process.pid, process.create_time()))
 
 
-def long_run(memory: Mapping[str, Slope], disk: Slope, epoch_h: float, recovery_s: float) -> LongRun:
+def long_run(
+    memory: Mapping[str, Slope],
+    disk: Slope,
+    epoch_h: float,
+    recovery_s: float,
+    client_growth_mb: float = math.inf,
+) -> LongRun:
     """Bounds for `RUN_H` hours.
 
     Args:
-        memory: MB of each process; a world grows for an epoch, the others for the whole run.
+        memory: MB of each process; a world grows for an epoch, a client until it is replaced, the launcher for the
+            whole run.
         disk: MB of the run folder.
         epoch_h: Hours that an epoch lasts.
         recovery_s: A bound for a world in its last tick of an epoch, after which it does not grow.
+        client_growth_mb: By how much a client has grown when it is replaced, at the begin of the next epoch.
     """
     hours = {who: min(epoch_h, RUN_H) if who == WORLD else RUN_H for who in memory}
-    expected_mb = sum(slope.most + max(0.0, slope.per_h) * hours[who] for who, slope in memory.items())
+    expected_mb, errors_mb = 0.0, []
+    for who, slope in memory.items():
+        grown_mb, error_mb = max(0.0, slope.per_h) * hours[who], (slope.upper_per_h - slope.per_h) * hours[who]
+        replaced_mb = math.inf
+        if who not in (WORLD, LAUNCHER):
+            replaced_mb = client_growth_mb + max(0.0, slope.upper_per_h) * min(epoch_h, RUN_H)
+        if grown_mb + error_mb > replaced_mb:
+            grown_mb, error_mb = replaced_mb, 0.0
+        expected_mb += slope.most + grown_mb
+        errors_mb.append(error_mb)
     # Processes err apart from each other, so their errors are added as variances are.
-    error_mb = math.hypot(*((slope.upper_per_h - slope.per_h) * hours[who] for who, slope in memory.items()))
+    error_mb = math.hypot(*errors_mb)
     disk_mb = disk.most + max(0.0, disk.upper_per_h) * RUN_H
     return LongRun(memory_gb=(expected_mb + error_mb) / 1e3, disk_gb=disk_mb / 1e3, recovery_s=recovery_s)
 

@@ -149,7 +149,13 @@ def soak_learners(
         leaked=len(list(Path("/dev/shm").glob(f"wcsim-*-{os.getpid()}-*"))),  # noqa: S108 - where sockets lie
         memory=memory,
         disk=disk,
-        bounds=long_run(memory, disk, _epoch_h(run, watch), _recovery_s(order, run, watch.faults.recovered)),
+        bounds=long_run(
+            memory,
+            disk,
+            _epoch_h(run, watch),
+            _recovery_s(order, run, watch.faults.recovered),
+            max(client.config.learn.process_growth_mb for client in run.clients),
+        ),
         paid=read_paid_times(order.folder),
     )
 

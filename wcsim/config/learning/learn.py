@@ -10,6 +10,8 @@ from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
+PROCESS_GROWTH_MB = 400.0
+
 UpdateTime = Literal["before_acting", "while_waiting"]
 
 StepsOrNone = Annotated[int, Field(ge=0, le=10**9)]
@@ -39,6 +41,9 @@ class LearnConfig(Model):
     learning_rate_fade: Share = 0.0  # last share of the run, over which the learning rate falls to zero
     batch_size: Annotated[int, Field(ge=1, le=4096)] = 32  # steps in an update
     replay_frames: Annotated[int, Field(ge=100, le=10**7)] = 50_000  # steps that are remembered
+    process_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)] = (
+        PROCESS_GROWTH_MB  # of memory, beyond a full replay, that a client may take before a fresh process goes on
+    )
     replay_store: Literal["memory", "disk"] = "memory"  # where the frames are; disk: in the run folder
     memory: Literal["steps", "groups", "windows"] = "steps"  # what is drawn; docs/replay.md
     group_steps: Annotated[int, Field(ge=1, le=1_000)] = 16  # of a group of steps in a row

@@ -23,6 +23,7 @@ class ClientExit(IntEnum):
     SERVER_GONE = 4
     EVICTED = 5
     DISK_FULL = 6  # not tried again either, but that is no fault of what was asked for
+    GROWN = 7  # as planned: its work is saved, and a new process goes on with it
 
 
 class WorldExit(IntEnum):

@@ -28,6 +28,12 @@ class SupervisedClient(Supervised[ClientStatus]):
         self._left_alone = 0  # deaths in a row that were the world's fault
         self._seated = False  # in this life
         self._unseated_s: float | None = None  # since when the world has gone on without it
+        self._replaced = 0  # lives that ended as planned, because their process had grown
+
+    @property
+    def restarts(self) -> int:
+        """How often it was started again after a death."""
+        return super().restarts - self._replaced
 
     @property
     def settled(self) -> bool:
@@ -81,6 +87,10 @@ class SupervisedClient(Supervised[ClientStatus]):
         elif self._ending:
             self.standing = "stopped"
             self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
+        elif code == ClientExit.GROWN:
+            self._replaced += 1
+            self._log.add("replaced", who=self.plan.name, reason=words, step=self._step)
+            self.standing, self._due_s, self._died_s = "down", now_s, now_s
         elif code == ClientExit.USER_ERROR:
             self.standing, self.reason = "given up", words
             self.fault = words or f"client {self.plan.name} {how_it_ended(code)}; see {self.plan.log}"

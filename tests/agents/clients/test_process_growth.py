@@ -1,0 +1,49 @@
+"""A client whose process has grown is replaced where an epoch has just begun, and not before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+
+from wcsim.agents.clients.process_growth import SETTLED_STEPS, ProcessGrowth
+from wcsim.config import LearnConfig
+
+LEARN = LearnConfig(replay_frames=1000, process_growth_mb=50.0)
+
+
+def asked_at(epochs: Iterable[tuple[int, int]], memory_mb: dict[int, float]) -> list[int]:
+    """The steps at which an end was asked for, of (step, epoch); memory by step, as of the last one named."""
+    now, asked = 0, []
+
+    def mb_now() -> float:
+        return next(mb for at, mb in sorted(memory_mb.items(), reverse=True) if at <= now)
+
+    growth = ProcessGrowth(LEARN, mb_now, lambda: asked.append(now))
+    for now, epoch in epochs:
+        growth.look(now, epoch)
+    assert bool(growth.told) == bool(asked)
+    return asked
+
+
+def steps(first: int, last: int, epoch_ticks: int = 500) -> list[tuple[int, int]]:
+    return [(step, step // epoch_ticks) for step in range(first, last)]
+
+
+@pytest.mark.parametrize("grown_by", [1100, 1499, 1500])
+def test_it_is_asked_once_at_the_first_step_of_an_epoch(grown_by):
+    assert asked_at(steps(0, 4000), {0: 300.0, grown_by: 351.0}) == [1500]
+
+
+def test_what_grows_no_further_than_it_may_goes_on():
+    assert asked_at(steps(0, 9000), {0: 300.0, 1200: 349.0}) == []
+
+
+def test_a_replay_that_fills_up_is_no_growth():
+    assert asked_at(steps(0, 9000), {0: 100.0, 900: 500.0}) == []
+
+
+def test_a_life_that_begins_with_a_full_replay_settles_first():
+    begun = 6000
+    assert asked_at(steps(begun, 9000), {0: 100.0, begun + SETTLED_STEPS: 500.0}) == []
+    assert asked_at(steps(begun, 9000), {0: 100.0, begun + SETTLED_STEPS: 500.0, 6600: 551.0}) == [7000]
