@@ -26,13 +26,19 @@ def asked_at(epochs: Iterable[tuple[int, int]], memory_mb: dict[int, float]) -> 
     return asked
 
 
-def steps(first: int, last: int, epoch_ticks: int = 500) -> list[tuple[int, int]]:
-    return [(step, step // epoch_ticks) for step in range(first, last)]
+def steps(first: int, last: int, stride: int = 1) -> list[tuple[int, int]]:
+    return [(step, step // 500) for step in range(first, last, stride)]
 
 
 @pytest.mark.parametrize("grown_by", [1100, 1499, 1500])
 def test_it_is_asked_once_at_the_first_step_of_an_epoch(grown_by):
     assert asked_at(steps(0, 4000), {0: 300.0, grown_by: 351.0}) == [1500]
+
+
+def test_steps_count_and_not_how_often_it_looks():
+    assert asked_at(steps(0, 4000, stride=4), {0: 300.0, 1100: 351.0}) == [1500]
+    assert asked_at(steps(6000, 9000, stride=4), {0: 100.0, 6204: 151.0}) == []
+    assert asked_at(steps(6000, 9000, stride=4), {0: 100.0, 6208: 151.0}) == [6500]
 
 
 def test_what_grows_no_further_than_it_may_goes_on():

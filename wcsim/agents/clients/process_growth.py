@@ -41,20 +41,21 @@ class ProcessGrowth:
     ) -> None:
         self._limit_mb, self._full_step = learn.process_growth_mb, learn.replay_frames
         self._memory_mb, self._end = memory_mb, end
-        self._steps, self._epoch = 0, -1
+        self._first_step: int | None = None  # of this life
+        self._epoch = -1
         self._begun_mb: float | None = None
         self.told = ""  # why it was asked to end
 
     def look(self, step: int, epoch: int) -> None:
-        """To be called after every step.
+        """To be called every few steps.
 
         Args:
             step: Of the run.
             epoch: Of the world; -1 where it is not known.
         """
-        self._steps += 1
+        self._first_step = step if self._first_step is None else self._first_step
         if self._begun_mb is None:
-            if self._steps > SETTLED_STEPS and step > self._full_step:
+            if step > max(self._first_step + SETTLED_STEPS, self._full_step):
                 self._begun_mb, self._epoch = self._memory_mb(), epoch
             return
         if epoch == self._epoch or self.told:
