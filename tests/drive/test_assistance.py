@@ -59,3 +59,45 @@ def test_levels_are_those_of_the_policy() -> None:
     assert (without.level, without.levels, without.tells_unsafe) == (None, None, False)
     with pytest.raises(PolicyError, match="no levels of assistance"):
         without.set_level(1.0)
+
+
+class Fragile(Remembers):
+    """Raises where it is told to."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self.where = where
+
+    def _may(self, where: str) -> None:
+        if where == self.where:
+            raise ValueError(where)
+
+    def begin(self) -> None:
+        self._may("begin")
+
+    def reset(self) -> None:
+        self._may("reset")
+
+    def set_level(self, level: float) -> None:
+        self._may("set_level")
+
+    def sent(self, action: int) -> None:
+        self._may("sent")
+
+    @property
+    def warning(self) -> bool:
+        self._may("warning")
+        return False
+
+
+@pytest.mark.parametrize("where", ["begin", "reset", "set_level", "sent", "warning"])
+def test_a_policy_may_break_anywhere_and_the_person_drives_on(where: str) -> None:
+    assistance = Assistance(Fragile(where), ACTIONS)
+    assistance.begin()
+    assistance.set_level(0.5)
+    answer = assistance.answer(AHEAD, {}, asked=True)
+    assert (assistance.on, assistance.failed, answer.warning) == (False, f"ValueError: {where}", False)
+    assistance.reset()
+    assert assistance.answer(AHEAD, {}, asked=True).sent == OWN
+    assistance.switch(True)
+    assert assistance.on is (where != "reset"), "it is tried again"

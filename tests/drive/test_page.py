@@ -101,6 +101,32 @@ def test_keys_move_the_chair_and_the_picture_and_letting_go_stops_it(page: Any) 
     assert page.errors == []
 
 
+def test_a_key_that_is_released_elsewhere_is_released(page: Any) -> None:
+    at_rest(page)
+    for elsewhere in ("document.getElementById('level').focus()", "document.getElementById('user').focus()"):
+        page.evaluate("document.getElementById('steering').focus()")
+        page.keyboard.down("ArrowUp")
+        wait(page, f"{SPEED} > 0.3")
+        page.evaluate(elsewhere)
+        page.keyboard.up("ArrowUp")
+        at_rest(page)
+    page.evaluate("document.getElementById('steering').focus()")
+    page.keyboard.down("ArrowUp")
+    wait(page, f"{SPEED} > 0.3")
+    page.keyboard.down("Control")
+    page.keyboard.up("ArrowUp")
+    page.keyboard.up("Control")
+    at_rest(page)
+    page.keyboard.down("ArrowUp")
+    wait(page, f"{SPEED} > 0.3")
+    page.evaluate("document.getElementById('level').focus()")
+    page.keyboard.press("Space")
+    wait(page, f"{SPEED} < 0.05")
+    page.keyboard.up("ArrowUp")
+    page.evaluate("document.activeElement.blur()")
+    assert page.errors == []
+
+
 def test_a_gamepad_moves_the_chair_and_unplugging_it_stops_it(page: Any) -> None:
     at_rest(page)
     page.evaluate("window.fakePad = {id: 'test pad', connected: true, axes: [0, 0.05], buttons: []}")

@@ -58,3 +58,12 @@ def test_a_call_for_help_is_handed_out_once() -> None:
     assert [watch.wish(0.1).help, watch.wish(0.1).help] == [True, False]
     watch.ask_for_help()
     assert watch.wish(9.0).help, "also from a stick that is lost"
+
+
+def test_a_long_loss_that_no_tick_saw_counts_too() -> None:
+    watch = held()
+    watch.hear(AHEAD, False, GONE_S + 0.1)  # time stood still meanwhile, and nobody asked for a wish
+    assert (watch.wish(GONE_S + 0.2).stick, watch.must_rest) == (AT_REST, True)
+    watch.hear(AT_REST, False, GONE_S + 0.3)
+    watch.hear(AHEAD, False, GONE_S + 0.4)
+    assert watch.wish(GONE_S + 0.4).stick == AHEAD

@@ -112,7 +112,7 @@ def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | Non
     start = DriveStart(
         town=options.town,
         policy=options.policy,
-        profile="" if options.suite and "--profile" not in words else options.profile,
+        profile="" if options.suite and not says(words, "--profile") else options.profile,
         seed=options.seed,
         suite=options.suite,
         block=options.block,

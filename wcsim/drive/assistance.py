@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,23 +63,29 @@ class Assistance:
         """Let the policy have its say, or not; one that broke is tried again."""
         if on and self.failed:
             self.failed = ""
-            self._policy.reset()
-        self.on = on
+            self._guarded(self._policy.reset)
+        self.on = on and not self.failed
 
     def set_level(self, level: float) -> None:
         """Assist so from now on. Raises PolicyError for a policy without levels, or a level out of bounds."""
         if not isinstance(self._policy, Levelled):
             raise PolicyError(f"policy {self.name!r} has no levels of assistance; expected dwa or a danger network")
-        self._policy.set_level(level)
+        try:
+            self._policy.set_level(level)
+        except WcsimError:
+            raise
+        except Exception as error:
+            self._broken(error)
 
     def begin(self) -> None:
         """A drive begins."""
-        self._policy.begin()
-        self._policy.reset()
+        self._guarded(self._policy.begin)
+        self.reset()
 
     def reset(self) -> None:
-        """An episode begins."""
-        self._policy.reset()
+        """An episode begins; a policy that broke does not see it."""
+        if not self.failed:
+            self._guarded(self._policy.reset)
 
     def close(self) -> None:
         """Let go of the policy, where it holds something."""
@@ -100,13 +107,14 @@ class Assistance:
         if self.failed:
             return Answer(chosen=own, sent=own, warning=False, intervening=False, unsafe=())
         try:
-            chosen = self._asked(seen, info)
+            return self._answered(seen, info, own, asked)
         except Exception as error:  # whatever a policy does wrong, the person is not left in a chair that drives on
-            self.on = False
-            self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
-            log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
+            self._broken(error)
             rest = self._actions.nearest((0.0, 0.0))
             return Answer(chosen=rest, sent=rest, warning=False, intervening=False, unsafe=())
+
+    def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
+        chosen = self._asked(seen, info)
         sent = chosen if self.on and asked else own
         if isinstance(self._policy, HearsSent):
             self._policy.sent(sent)
@@ -119,6 +127,19 @@ class Assistance:
             intervening=self.on and asked and far > FOLLOWED,
             unsafe=self._unsafe() if self.on else (),
         )
+
+    def _guarded(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except Exception as error:
+            self._broken(error)
+
+    def _broken(self, error: Exception) -> None:
+        """Switch off a policy that raised."""
+        self.on = False
+        self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+        self.failed = self.failed or type(error).__name__
+        log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
 
     def _asked(self, seen: Observation, info: dict[str, Any]) -> int:
         policy = self._policy

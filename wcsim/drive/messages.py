@@ -209,9 +209,10 @@ class Study(_Said, frozen=True):
 
 
 class Busy(_Said, frozen=True):
-    """The street is not there yet."""
+    """The street is not there yet, or will not be."""
 
     told: str
+    waits: bool = True  # it is on its way; False when nothing is waited for any more
 
 
 class About(_Said, frozen=True):

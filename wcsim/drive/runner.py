@@ -186,9 +186,11 @@ class DriveRunner:
         self._due_s = max(self._due_s + step_s, now_s)
         if session.crash:
             self._held_s = now_s + CRASH_S
+        if session.ended:
             self._watch.require_rest()
-        if session.assistance.failed and not session.assistance.on and not self._told_failure:
-            self._paused, self._told_failure = True, self._lead is not None  # a study goes on, and its table says so
+        failed = bool(session.assistance.failed)
+        self._paused = self._paused or (failed and not self._told_failure)  # once: who goes on knows of it
+        self._told_failure = failed
         self._stale = True
         self._say(state_of(self, session, self._last))
         if self._lead is not None:
@@ -272,11 +274,13 @@ class DriveRunner:
     def _begin_anew(self, begin: Callable[[], None], told: str = "") -> None:
         if told:
             self._say(m.Busy(told=told))
-        begin()
+        try:
+            begin()
+        finally:
+            if told and self.session is not None:  # nothing is waited for any more, also where it was refused
+                self._say(about_of(self.session))
         self._watch.require_rest()
         self._held_s, self._last = 0.0, None
-        if told:
-            self._say(about_of(self._open_session()))
 
     def _open_other(self, said: m.Open) -> None:
         before = self.session.place.start if self.session is not None else self._start
@@ -299,6 +303,7 @@ class DriveRunner:
         except WcsimError as error:
             self.close()
             self._say(m.Notice(kind="bad", told=str(error)))
+            self._say(m.Busy(told=str(error), waits=False))  # for pages that come later: nothing is waited for
 
     def _open_place(self, start: DriveStart) -> DriveSession:
         """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""

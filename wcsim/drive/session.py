@@ -57,7 +57,8 @@ class DriveSession(Closing):
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
-        self._step, self._fresh, self._ended, self._failure = 0, True, False, ""  # of this episode
+        self._step, self._fresh, self._ended = 0, True, False  # of this episode
+        self._failure = ""  # of the policy, as far as it has been told
         try:
             self.place: OpenPlace = open_place(start, self._held)
             self.profile = self.place.spec.profile
@@ -123,6 +124,11 @@ class DriveSession(Closing):
         """What the last tick crashed into, in words; "" where it did not."""
         events = self._client.events
         return crash_words(self._client, self.place.config.reward) if self._ended and events.crashed else ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the episode ended with the last tick, by a crash or its step limit; the next one begins elsewhere."""
+        return self._ended
 
     @property
     def handed_over(self) -> bool:
@@ -314,7 +320,8 @@ class DriveSession(Closing):
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:
             self._failure = self.assistance.failed
-            self.say(EventKind.POLICY_FAILED, self._failure)
+            if self._failure:
+                self.say(EventKind.POLICY_FAILED, self._failure)
 
     # --- episodes ---
 
@@ -322,7 +329,7 @@ class DriveSession(Closing):
         """Look at the first frame of an episode."""
         client = self.world.snapshot.clients[0]
         self._client = client if client.first is None else client.first
-        self._step, self._fresh, self._ended, self._failure = 0, True, False, ""
+        self._step, self._fresh, self._ended = 0, True, False
         self._note_way()
 
     def _note_way(self) -> None:

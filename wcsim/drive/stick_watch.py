@@ -35,7 +35,8 @@ class StickWatch:
         return self._must_rest
 
     def hear(self, stick: Joystick, overrule: bool, now_s: float) -> None:
-        """A message has come."""
+        """A message has come; after a long loss nobody may have looked at the stick meanwhile."""
+        self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
         self._stick, self._overrule, self._heard_s = stick, overrule, now_s
         if math.hypot(stick.x, stick.y) < RESTS:
             self._must_rest = False

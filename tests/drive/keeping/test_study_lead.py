@@ -239,3 +239,14 @@ def test_the_study_that_is_shipped_can_begin(tmp_path: Path) -> None:
     assert study.order == "less>more>alone"
     assert parse_json(StudyFile, study.file.model_dump_json(), "again") == study.file
     assert read_rows(study.table, columns_of(study.file)) == ()
+
+
+def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(
+    corner: Path, tmp_path: Path, begin: Begin
+) -> None:
+    first, *_ = STUDY.split("[[questions]]")
+    text = f"{first}[[questions]]{STUDY.split('[[questions]]')[3]}"
+    study = opened(corner, tmp_path, text=text)
+    person = begin(study)
+    person.until(StepKind.END)
+    assert [row["block"] for row in rows_of(study)] == ["practice", "more", "alone", "end"]

@@ -168,3 +168,14 @@ def test_what_is_no_drive_is_not_taken_for_one(tmp_path):
         with pytest.raises(JournalError, match="is not a drive"):
             read_drive(path)
     assert DRIVE_MAGIC == "wcsim-drive-1"
+
+
+def test_a_drive_is_never_longer_than_what_can_be_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("wcsim.users.recording.drive_recorder.MOST_RECORDS", 3)
+    monkeypatch.setattr("wcsim.users.recording.drive_reader.MOST_RECORDS", 3)
+    with DriveRecorder(tmp_path / "a.drive", drive_header()) as recorder:
+        for number in range(3):
+            recorder.record(tick(number + 1))
+        with pytest.raises(WcsimError, match="is full, with 3 records"):
+            recorder.record(tick(4))
+    assert len(read_drive(tmp_path / "a.drive").ticks) == 3

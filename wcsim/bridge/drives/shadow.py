@@ -67,7 +67,7 @@ def with_shadow(seen: SeenDrive, user: UserProfile) -> DriveRecording:
 
 def _persons(drive: DriveRecording, ticks: tuple[RecordedTick, ...]) -> tuple[RecordedTick, ...]:
     """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
-    if not drive.header.beside:
+    if not drive.header.accompanied:
         return ticks
     kept, episode, before = list[RecordedTick](), -1, (-1, False)
     for was, tick in zip(drive.ticks, ticks, strict=True):

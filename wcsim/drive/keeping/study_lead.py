@@ -175,7 +175,8 @@ class StudyLead:
         self._session, self._rows[part.block.name] = None, row
         self._hands.close()
         try:
-            if self._steps[self._at + 1].kind is StepKind.ASK and part.number:
+            after = self._steps[self._at + 1]
+            if after.kind is StepKind.ASK and after.part is part and part.number:  # and not the questions of the end
                 append_row(self._result(part), columns_of(self._study.file), row)
             else:
                 self._write(row, {})

@@ -53,7 +53,7 @@ const link = new Link({
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about(about) { setBusy(""); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
-  busy(message) { setBusy(message.told); say(busy); stick.stop(); scan.rest(); },
+  busy(message) { setBusy(message.told, message.waits !== false); say(busy); stick.stop(); scan.rest(); },
   study(message) { study.tell(message.view); },
   notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) { setBusy(message.told, false); } },
   role: setRole,
@@ -138,15 +138,25 @@ function isField(node) {
   return node instanceof HTMLElement && node.matches("select, input:not([type=checkbox]), summary");
 }
 
+// Whatever has the focus and whatever else is pressed: a release that is not seen would keep the stick pushed.
+function release(event) {
+  stick.key(event, false);
+  scan.release(event.code);
+  if (event.code === "KeyO") overrule(false);
+}
+
 function onKey(event, down) {
+  if (!down) release(event);
   if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
   const inField = isField(event.target);
   const onButton = event.target instanceof HTMLElement && event.target.matches("button, input, a, summary");
+  if (down && !event.repeat && event.code !== "Tab" && scan.halt()) { event.preventDefault(); return; }
   if (!inField && scan.key(event, down)) { event.preventDefault(); return; }
   if (event.code === "Escape") { if (down) stopNow(); return; }
+  if (event.code === "Space" && down && event.target !== by("overrule")) stopNow();
   if (inField) return;
   if (event.target === by("overrule") && (event.code === "Space" || event.code === "Enter")) { overrule(down); event.preventDefault(); return; }
-  if (event.code === "Space" && !onButton) { if (down) stopNow(); event.preventDefault(); return; }
+  if (event.code === "Space" && !onButton) { event.preventDefault(); return; }
   const isLetter = event.code.startsWith("Key");
   if (isLetter && !by("letters").checked) return;
   if (stick.key(event, down)) { event.preventDefault(); return; }
@@ -156,6 +166,8 @@ function onKey(event, down) {
 
 addEventListener("keydown", (event) => onKey(event, true));
 addEventListener("keyup", (event) => onKey(event, false));
+// Who has set a slider with a pointer steers on with the arrows; who came to it with Tab goes on setting it.
+addEventListener("pointerup", (event) => { if (event.target instanceof HTMLElement && event.target.matches("input[type=range]")) event.target.blur(); });
 
 by("steer-by").addEventListener("change", () => {
   const switches = Number(by("steer-by").value) || 0;

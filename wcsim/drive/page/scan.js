@@ -67,6 +67,10 @@ export class Scan {
     this.stick.latched = down ? HELD[code] : [0, 0];
   }
 
+  release(code) {
+    if (this.switches >= 3 && code in HELD) this.stick.latched = [0, 0];
+  }
+
   // Any press while the chair goes stops it; whether it went.
   halt() {
     if (!this.driving) return false;

@@ -177,7 +177,7 @@ class PlayRunner:
             self._say(m.Notice(kind="bad", told=self._ended))
         self._changed = True
         if self._film is None or not self._film.count:
-            self._say(m.Busy(told=self._ended))
+            self._say(m.Busy(told=self._ended, waits=False))
 
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)

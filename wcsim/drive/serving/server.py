@@ -29,7 +29,7 @@ from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
 from wcsim.drive.serving.page_kind import DRIVE, PageKind
 from wcsim.drive.serving.words import Words
-from wcsim.errors import ConfigError, ProtocolError
+from wcsim.errors import ConfigError, ProtocolError, WorkersError
 
 log = logging.getLogger("wcsim.drive")
 PAGE: Final = Path(__file__).parents[1] / "page"
@@ -140,7 +140,12 @@ class DriveServer:
         self._died = False
 
     async def run(self) -> None:
-        """Serve until cancelled. Raises ConfigError when the address is taken or not this machine's."""
+        """Serve until cancelled.
+
+        Raises:
+            ConfigError: The address is taken, or not this machine's.
+            WorkersError: The process that is served has died.
+        """
         loop = asyncio.get_running_loop()
         try:
             server = await serve(
@@ -174,7 +179,7 @@ class DriveServer:
             await asyncio.to_thread(self._close)
         if self._died:
             what = f"the {self._order.kind.word}'s process"
-            raise ConfigError(f"{what} has ended; its messages above say why, start it again")
+            raise WorkersError(f"{what} has ended; its messages above say why, start it again")
 
     def _close(self) -> None:
         if self._process is not None:

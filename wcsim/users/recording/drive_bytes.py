@@ -25,6 +25,7 @@ from wcsim.users.recording.drive_types import (
     RecordedTick,
 )
 
+MOST_RECORDS = 1_000_000  # in a file; a day of ten ticks a second
 DRIVE_FILE = FileKind(what="a drive recorded by wcsim", limit_bytes=1 << 30, error=JournalError)
 _EVENT, _TICK = b"E", b"T"
 _ROW = struct.Struct("<QIiHH16d")  # tick, episode, action, flags, samples; see `tick_bytes`

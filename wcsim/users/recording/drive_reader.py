@@ -8,11 +8,10 @@ from pathlib import Path
 
 from wcsim.core.reading import opened, shown
 from wcsim.errors import FileError, JournalError
-from wcsim.users.recording.drive_bytes import DRIVE_FILE, header_of_drive, is_drive_header, part_of_drive
+from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, header_of_drive, is_drive_header, part_of_drive
 from wcsim.users.recording.drive_types import DriveHeader, DriveRecording, RecordedEvent, RecordedTick
 from wcsim.users.recording.framing import torn_bytes, whole_records
 
-_MOST_RECORDS = 1_000_000  # a day of ten ticks a second
 _MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed: drives come to less than 2
 
 
@@ -54,8 +53,8 @@ def read_drive(path: Path) -> DriveRecording:
                 f"{shown(path)}: tick {part.tick} does not follow tick {ticks[-1].tick}; record it again"
             )
         ticks.append(part)
-        if len(ticks) + len(events) > _MOST_RECORDS:
-            raise JournalError(f"{shown(path)}: more than {_MOST_RECORDS} records; expected {DRIVE_FILE.what}")
+        if len(ticks) + len(events) > MOST_RECORDS:
+            raise JournalError(f"{shown(path)}: more than {MOST_RECORDS} records; expected {DRIVE_FILE.what}")
     return DriveRecording(name=str(path), header=header, ticks=tuple(ticks), events=tuple(events), torn=torn[0])
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from wcsim.core.closing import Closing
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
-from wcsim.users.recording.drive_bytes import event_payload, header_payload, tick_payload
+from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, event_payload, header_payload, tick_payload
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 from wcsim.users.recording.framing import crc_of, framed
 
@@ -27,7 +27,7 @@ class DriveRecorder(Closing):
         except OSError as error:
             reason = error.strerror or error
             raise ConfigError(f"{shown(path)}: cannot be begun ({reason}); choose the name of a new file") from None
-        self._end, self._after = 0, 0
+        self._end, self._after, self._records = 0, 0, -1  # records beside the header
         try:
             self._put(header_payload(header))
         except BaseException:
@@ -64,6 +64,10 @@ class DriveRecorder(Closing):
         if self._file.closed:
             raise WcsimError(f"{shown(self._path)}: this recording is closed; begin another one")
         data = framed(payload, self._after)
+        if self._records >= MOST_RECORDS or self._end + len(data) > DRIVE_FILE.limit_bytes:
+            raise WcsimError(
+                f"{shown(self._path)}: is full, with {self._records} records and {self._end} bytes; begin another one"
+            )
         try:
             written = self._file.write(data) or 0
             reason = "" if written == len(data) else "only a part was written"
@@ -74,4 +78,5 @@ class DriveRecorder(Closing):
             self._file.seek(self._end)
             raise DiskFullError(f"{shown(self._path)}: a record could not be written ({reason}); make room")
         self._end += len(data)
+        self._records += 1
         self._after = crc_of(data)
