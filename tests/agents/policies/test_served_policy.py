@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.errors import PolicyError
 
@@ -58,8 +59,8 @@ def test_the_example_follows_and_creeps_when_something_is_near(example: str) -> 
         policy.close()
 
 
-def answering(*answers: bytes) -> str:
-    """A process that answers so, one answer a message, and then closes the connection."""
+def answering(*answers: bytes, late_s: float = 0.0) -> str:
+    """A process that answers so, one answer a message and each so late, and then closes the connection."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
@@ -68,6 +69,7 @@ def answering(*answers: bytes) -> str:
                 length = int.from_bytes(there.recv(4), "little")
                 while length:
                     length -= len(there.recv(length))
+                time.sleep(late_s)
                 there.sendall(len(answer).to_bytes(4, "little") + answer)
 
     threading.Thread(target=serve, daemon=True).start()
@@ -101,3 +103,11 @@ def test_nobody_there_and_no_address() -> None:
     for wrong in ("tcp:", "tcp:x", "tcp:70000", "tcp:host:0"):
         with pytest.raises(PolicyError, match="no address"):
             ServedPolicy(wrong, POINTS)
+
+
+def test_an_answer_may_take_longer_than_a_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wcsim.agents.policies.served_policy._PATIENCE_S", 0.3)
+    policy = ServedPolicy(answering(HELLO, b"{}", late_s=0.6), POINTS)
+    policy.reset()
+    assert policy._socket.gettimeout() > LATE_S * FIRST_SHARE
+    policy.close()

@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 
 SCRIPT = "<script>alert(1)</script>"
-PATH_M = [[0.0, 0.0], [1.0, 0.0], [2.5, 0.0]]
+PATH_M = [[1.0, 0.0], [2.5, 0.0]]  # after 1 s, and after 1.5
 WAYS = {"path_m": PATH_M, "accel_sq_sum": 25.0, "stick_travel": 30.0, "asked_travel": 10.0}
 POLICIES = ("follow", "dwa", "net@0.25", "net@0.75", SCRIPT)
 

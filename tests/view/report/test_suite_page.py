@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.failures import failures_of
-from wcsim.view.report.figures import obedience_figure
+from wcsim.view.report.figures import figures_of, obedience_figure
 from wcsim.view.report.illustrate import Illustration, SeenMoment
 from wcsim.view.report.suite_page import write_suite_page
 from wcsim.view.report.tables import SAFETY, SERVICE
@@ -159,3 +160,13 @@ def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said)
     assert "Not drawn" not in drawn.says
     assert "Not drawn, since they do not obey half of the time: follow." in without.says
     assert "follow" in without.csv and drawn.svg != without.svg
+
+
+def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_path, corner):
+    write_result(tmp_path)
+    result = read_result(tmp_path)
+    (before,) = (each for each in figures_of(result, tmp_path) if each.name == "town-nowhere")
+    shutil.copytree(corner, tmp_path / "towns" / "nowhere")
+    (after,) = (each for each in figures_of(result, tmp_path) if each.name == "town-nowhere")
+    assert "not on this machine" in before.says and "not on this machine" not in after.says
+    assert "way,1.0,1.0,0.0" in after.csv, "places come with the second after which they were reached"

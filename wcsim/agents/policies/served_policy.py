@@ -26,7 +26,8 @@ from wcsim.errors import PolicyError
 
 SCHEME: Final = "tcp:"
 _ANSWER_BYTES: Final = 1 << 16
-_PATIENCE_S: Final = 10.0
+_PATIENCE_S: Final = 10.0  # for a connection
+_ANSWER_S: Final = 90.0  # for an answer: whoever asks has a bound of its own, and it may load and compile at first
 
 
 def is_served(name: str) -> bool:
@@ -48,6 +49,7 @@ class ServedPolicy:
         host, port = _parts(address)
         try:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
+            self._socket.settimeout(_ANSWER_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise PolicyError(f"{shown(address)}: nobody serves a policy there ({error}); start it first") from None

@@ -131,7 +131,7 @@ def _order(options: SuiteOptions, suite: Suite, out: Path) -> SuiteOrder:
         out=out,
         jobs=options.jobs,
         preset=options.preset,
-        settings=(*(CLEAN if options.clean else ()), *options.set),
+        settings=(*(CLEAN if options.clean and not options.sensitivity else ()), *options.set),  # that is clean anyway
         network=options.network,
         forks=suite.file.forks if options.forks is None else options.forks,
     )

@@ -59,7 +59,7 @@ def make_list(words: list[str]) -> int:
 
     from wcsim.agents.evaluation.making.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
-    from wcsim.agents.evaluation.suite.run import TOWNS
+    from wcsim.agents.evaluation.suite.result_files import TOWNS
 
     told = Console(stderr=True, highlight=False)
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:

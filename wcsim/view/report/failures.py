@@ -104,11 +104,14 @@ def fate(record: EpisodeRecord) -> str:
 
 
 def last_speed_mps(episode: KeptEpisode) -> float | None:
-    """Mean speed in about the last second; None where no path was recorded."""
+    """Mean speed in about the last second; None where no path was recorded.
+
+    A path has the place after each whole second, and the last one (`EpisodeMeter`): at 12.3 s 13 places.
+    """
     path_m, time_s = episode.path_m, episode.record.time_s
     if path_m is None or len(path_m) < 2 or time_s <= 0.0:
         return None
-    leg_s = time_s - (len(path_m) - 2)
+    leg_s = time_s - (len(path_m) - 1)
     legs = 1 if leg_s >= _SHORT_S or len(path_m) == 2 else 2
     spent_s = leg_s + (legs - 1)
     way_m = sum(math.dist(path_m[-at], path_m[-at - 1]) for at in range(1, legs + 1))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.list_file import TIGHT
 from wcsim.agents.evaluation.suite.records import STATUSES
-from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult, Row
+from wcsim.agents.evaluation.suite.result_files import TOWNS, KeptEpisode, KeptResult, Row
 from wcsim.view.report.charts import (
     DrivenWay,
     Estimate,
@@ -22,6 +23,7 @@ from wcsim.view.report.ground import ground_around
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
 
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
+_NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
 
 
@@ -31,13 +33,13 @@ def figure(name: str, title: str, says: str, csv: str, svg: bytes) -> Exhibit:
     return Exhibit(name=name, title=title, says=says, body=body, csv=csv, svg=svg)
 
 
-def figures_of(result: KeptResult) -> list[Exhibit]:
-    """All figures of a test, in the order of the page."""
+def figures_of(result: KeptResult, folder: Path) -> list[Exhibit]:
+    """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
         _scores(result, places),
         obedience_figure(result, places),
-        *_towns(result, places),
+        *_towns(result, places, folder / TOWNS),
         *_comfort(result, places),
         _statuses(result),
     ]
@@ -119,8 +121,8 @@ def levels_of(names: Sequence[str] | dict[str, Any]) -> list[list[str]]:
     return [[name for _, name in sorted(levels)] for levels in found.values() if len(levels) > 1]
 
 
-def _towns(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
-    """A map a town; tight places are scenes with coordinates of their own, and stand on none."""
+def _towns(result: KeptResult, places: dict[str, int], made: Path) -> list[Exhibit]:
+    """A map a town, some of which lie in `made`; tight places are scenes with coordinates of their own, on no map."""
     towns = dict.fromkeys(
         e.record.town for episodes in result.episodes.values() for e in episodes if e.record.part != TIGHT
     )
@@ -133,21 +135,25 @@ def _towns(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
             if e.record.town == town and e.record.part != TIGHT and e.record.steps
         ]
         if here:
-            found.append(_town(town, here, places))
+            found.append(_town(town, here, places, made))
     return found
 
 
-def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int]) -> Exhibit:
+def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int], made: Path) -> Exhibit:
     ways = [
         DrivenWay(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None)
         for name, e in here
     ]
     points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
-    ground = ground_around(town, points)
+    own = made / town
+    ground = ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     plain: list[list[Cell]] = []
     for name, e in here:
         who: list[Cell] = [name, e.record.block, e.record.seat]
-        plain += [[*who, "way", second, round(x, 1), round(y, 1)] for second, (x, y) in enumerate(e.path_m or ())]
+        plain += [
+            [*who, "way", min(float(second), e.record.time_s), round(x, 1), round(y, 1)]
+            for second, (x, y) in enumerate(e.path_m or (), 1)
+        ]
         plain.append([*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m])
     missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
     missing += "" if ground is not None or not points else " The town itself is not on this machine."

@@ -53,7 +53,7 @@ def write_suite_page(
     by_part = [result_table(result, part) for part in parts]
     pairs = compared(result)
     against, weights = comparison_table(pairs), weights_table(result)
-    drawn, listed = figures_of(result), failure_exhibit(result, failures, pictures, why_none)
+    drawn, listed = figures_of(result, folder), failure_exhibit(result, failures, pictures, why_none)
     episodes = _episodes(result)
     sections = (
         Section(name="results", title="Results", body=joined((shown(pooled), legend(), _who(result, parts)))),

@@ -14,7 +14,7 @@ def test_a_result_is_read_with_and_without_what_later_versions_record(tmp_path):
     write_result(tmp_path / "old", ways=False)
     new, old = read_result(tmp_path / "new"), read_result(tmp_path / "old")
     assert list(new.episodes) == ["follow", "dwa", "net@0.25", "net@0.75", SCRIPT]
-    assert new.episodes["dwa"][0].path_m == ((0.0, 0.0), (1.0, 0.0), (2.5, 0.0))
+    assert new.episodes["dwa"][0].path_m == ((1.0, 0.0), (2.5, 0.0))
     assert (new.episodes["dwa"][0].accel_sq_sum, old.episodes["dwa"][0].accel_sq_sum) == (25.0, None)
     assert old.episodes["dwa"][0].path_m is None and new.list_name == "try" and new.preset == "quick"
 
@@ -41,6 +41,18 @@ def test_a_damaged_episode_is_refused(tmp_path, change):
 def test_a_damaged_result_is_refused(tmp_path, change):
     write_result(tmp_path, **change)
     with pytest.raises(ConfigError):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize("change", [{"crashes_own": None}, {"crashes_own": 1.5}, {"km": "x"}, {"score": "best"}])
+@pytest.mark.parametrize("where", ["rows", "pooled"])
+def test_a_row_with_what_is_no_number_is_refused(tmp_path, where, change):
+    write_result(tmp_path)
+    path = tmp_path / "result.json"
+    data = json.loads(path.read_text("utf-8"))
+    data[where][0].update(change)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ConfigError, match="expected a number"):
         read_result(tmp_path)
 
 

@@ -14,6 +14,7 @@ from wcsim.agents.evaluation.suite.list_file import (
     towns_of,
     write_list,
 )
+from wcsim.agents.evaluation.suite.named_policy import identity_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, judged_blocks, policy_digest, read_kept, run_suite
 from wcsim.core.sources import code_digest
@@ -121,3 +122,7 @@ def test_the_lists_that_come_with_wcsim_are_whole():
     seeds = [{b.seed for b in open_suite(name).file.blocks if b.part == "tight"} for name in shipped()]
     assert sum(map(len, seeds)) == len(set().union(*seeds))  # no scene is in two of them
     assert {"dev", "validation", "v1"} == set(shipped())
+
+
+def test_what_is_kept_of_a_folder_without_settings_is_of_one_preset() -> None:
+    assert identity_of("shipped", "quick") != identity_of("shipped", "paper")

@@ -39,7 +39,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_own_class(name):
         return ["class", name, preset, file_digest(Path(_source_of(name, "policy")))]
     level = split_level(name)[1]
-    return ["folder", _files(policy_path(name)), *([] if level is None else [level])]
+    return ["folder", preset, _files(policy_path(name)), *([] if level is None else [level])]
 
 
 def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:

@@ -15,9 +15,12 @@ from wcsim.errors import ConfigError
 RESULT: Final = "result.json"
 EPISODES: Final = "episodes.json"
 ASKED: Final = "asked.json"  # with what words the test was asked for, as far as the result does not say it
+TOWNS: Final = "towns"  # made ones lie there
 _KIND = FileKind(what="a file of `wcsim test --suite`: run it again", limit_bytes=1 << 30, error=ConfigError)
 _MOST_TEXT: Final = 4096
 _PLAIN: Final[Mapping[str, tuple[type, ...]]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
+_COUNTS: Final = ("crashes_own",)  # of a row, which a page adds up
+_NUMBERS: Final = (*_COUNTS, "km", "score")
 _MEASURED: Final = ("accel_sq_sum", "stick_travel", "asked_travel")  # a result of an older version has none of them
 
 Row = Mapping[str, Any]
@@ -94,7 +97,18 @@ def _rows(items: object, path: Path) -> tuple[Row, ...]:
     for item in items:
         _text(item.get("policy"), path)
         _text(item.get("part"), path)
+        wrong = [name for name in _NUMBERS if not _is_number(item.get(name, 0), name)]
+        if wrong or "crashes_own" not in item:
+            name = wrong[0] if wrong else "crashes_own"
+            raise ConfigError(f"{shown(path)}: is damaged; got {name} {str(item.get(name))[:40]!r}, expected a number")
     return tuple(items)
+
+
+def _is_number(value: object, name: str) -> bool:
+    if value is None:
+        return name not in _COUNTS
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return number and (name not in _COUNTS or isinstance(value, int))
 
 
 def _text(value: object, path: Path) -> str:

@@ -24,6 +24,7 @@ from wcsim.agents.evaluation.suite.named_policy import (
     settings_of,
 )
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.served_policy import is_served
@@ -42,7 +43,6 @@ from wcsim.server.workers.machines import HERE, Machines
 from wcsim.server.workers.worker_api import At, Parcel, Work, Workers
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
-TOWNS: Final = "towns"  # made ones lie there, in a result's folder
 _KEPT: Final = FileKind(what="a kept result of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
