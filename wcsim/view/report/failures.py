@@ -13,6 +13,7 @@ from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
     GAVE_UP,
+    ON_THE_WAY,
     POLICY_FAILED,
     REFUSED,
     TIMED_OUT,
@@ -28,7 +29,6 @@ WORST: Final = (
     "over; within each the faster in the last second first."
 )
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
-_ON_THE_WAY: Final = ("free", "crossing")  # to be driven to the end; in other parts it is enough to come through
 _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the speed
 
 
@@ -88,7 +88,7 @@ def judged(record: EpisodeRecord) -> tuple[str, str, int]:
         return record.status.replace("_", " "), "policy", 3
     if record.red_entries:
         return "red light", "own", 4
-    if record.status == GAVE_UP or (record.status == TIMED_OUT and record.part in _ON_THE_WAY):
+    if record.status == GAVE_UP or (record.status == TIMED_OUT and record.part in ON_THE_WAY):
         return record.status.replace("_", " "), "", 5
     return "", "", 7
 
@@ -98,7 +98,7 @@ def fate(record: EpisodeRecord) -> str:
     if record.status == CRASHED:
         with_ = f" with {record.partner}" if record.partner else ""
         return f"{record.reason}{with_} ({record.fault}) after {record.time_s:.0f} s"
-    said = "came through" if record.status == TIMED_OUT and record.part not in _ON_THE_WAY else ""
+    said = "came through" if record.status == TIMED_OUT and record.part not in ON_THE_WAY else ""
     said = said or ("arrived" if record.status == FINISHED else record.status.replace("_", " "))
     return f"{said}, {record.red_entries} at red" if record.red_entries else said
 

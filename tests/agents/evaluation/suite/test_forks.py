@@ -45,3 +45,17 @@ def _edge(grid, here_m, yaw_rad):
     """Whether the ground falls by a kerb on the way of some metres."""
     way = here_m + np.arange(0.0, 3.5, 0.1)[:, None] * [np.cos(yaw_rad), np.sin(yaw_rad)]
     return float(grid.raised_at(way[:8]).min()) - float(grid.raised_at(way).min()) > 0.1
+
+
+def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner, tmp_path):
+    stick = tmp_path / "ahead.csv"
+    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
+    found = []
+    for max_steps in (4000, 2):
+        with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=max_steps)) as world:
+            here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
+            world.put_chair(0, here, float(next(y for y in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, y))))
+            world.tick(users_alone(world.snapshot, POINTS, {}))
+            found.append(crash_alone_s(world, 0, POINTS, 0.1))
+            assert world.tick(users_alone(world.snapshot, POINTS, {})).clients[0].events.truncated == (max_steps == 2)
+    assert found[0] is not None and found[0] == found[1]

@@ -81,3 +81,33 @@ def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
     assert alarms.warnings(None) == (0, 0, 1)
     alarms.alone_s[40] = 2.0
     assert alarms.warnings(None) == (1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("crashes", "dangers"),
+    [((50,), 1), ((50, 50), 1), ((50, 59), 1), ((50, 59, 68), 1), ((50, 60), 2), ((70, 50, 55), 2)],
+)
+def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):
+    alarms = Alarms(0.1)
+    alarms.warned.add(20)
+    for number, step in enumerate(crashes):
+        alarms.alone_s[20 + number] = 0.1 * (step - 20 - number)
+    assert alarms.warnings(None) == (dangers, dangers, 0)
+    assert alarms.warnings(crashes[0])[1] == dangers, "an own crash that a fork saw come is the same one"
+
+
+def test_one_crash_that_was_warned_of_and_one_that_was_not_are_two_dangers():
+    alarms = Alarms(0.1)
+    alarms.warned.add(100)
+    alarms.alone_s[100] = 3.0
+    assert alarms.warnings(130) == (1, 1, 0)
+    assert Alarms(0.1).warnings(130) == (0, 1, 0)
+
+
+def test_a_warning_before_a_crash_by_the_others_fault_is_not_false():
+    alarms = Alarms(0.1)
+    alarms.warned.add(100)
+    alarms.alone_s[100] = None
+    assert alarms.warnings(None, 130) == (0, 0, 0)
+    assert alarms.warnings(None, 151) == (0, 0, 1)
+    assert alarms.warnings(None) == (0, 0, 1)

@@ -74,3 +74,11 @@ def test_what_forks_say_stands_on_the_episodes_that_they_judged():
     both = row([told, unjudged])
     assert (both["judged_episodes"], both["episodes"], both["judged_km"], both["km"]) == (1, 2, 0.5, 1.0)
     assert both["false_warnings_per_km"] == 6.0 and both["warned_share"] == 0.25
+
+
+def test_arrivals_count_where_there_is_a_destination():
+    parts = ("free", "free", "crossing", "hazard", "tight")
+    records = [replace(GOOD, block=number, part=part) for number, part in enumerate(parts)]
+    records[1] = replace(records[1], status="timed_out")
+    _, whole = pooled_rows("a", records, records)
+    assert (whole["arrivals"], whole["attempts"]) == (2, 3)

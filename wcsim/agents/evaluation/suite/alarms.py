@@ -56,16 +56,24 @@ class Alarms:
         since = crash_step - round(BEFORE_S / self.tick_s)
         return not any(last >= since for _, last in self.taken.spans)
 
-    def warnings(self, crash_step: int | None) -> tuple[int, int, int]:
-        """Dangers that were warned of at least 1 s ahead, all dangers, and runs of warnings without one.
+    def warnings(self, own_step: int | None, other_step: int | None = None) -> tuple[int, int, int]:
+        """Dangers that were warned of at least 1 s ahead, all dangers, and runs of warnings without a crash.
 
-        A danger is an own crash, and the crash that a fork found.
+        Crashes, an own one and those that forks found, with less than 1 s between them are one danger, from the first
+        of them on: several forks see the same one come. A warning before a crash by the other's fault is not false.
+
+        Args:
+            own_step: Of the own crash that ended the episode.
+            other_step: Of the other's.
         """
-        at = [first + round(crash_s / self.tick_s) for first, crash_s in self.alone_s.items() if crash_s is not None]
-        at += [] if crash_step is None else [crash_step]
+        found = [first + round(crash_s / self.tick_s) for first, crash_s in self.alone_s.items() if crash_s is not None]
+        crashes = sorted([*found, *([] if own_step is None else [own_step])])
         ahead, reach = round(AHEAD_S / self.tick_s), round(BEFORE_S / self.tick_s)
+        dangers = [step for number, step in enumerate(crashes) if not number or step - crashes[number - 1] >= ahead]
         spans = self.warned.spans
-        heard = sum(any(a <= step - ahead and b >= step - reach for a, b in spans) for step in at)
-        judged = [span for span in spans if span[0] in self.alone_s or crash_step is not None]
-        false = sum(not any(first <= step <= last + reach for step in at) for first, last in judged)
-        return heard, len(at), false
+        heard = sum(any(a <= step - ahead and b >= step - reach for a, b in spans) for step in dangers)
+        came = [*crashes, *([] if other_step is None else [other_step])]
+        ended = own_step is not None or other_step is not None
+        judged = [span for span in spans if span[0] in self.alone_s or ended]
+        false = sum(not any(first <= step <= last + reach for step in came) for first, last in judged)
+        return heard, len(dangers), false

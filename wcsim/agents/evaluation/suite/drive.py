@@ -211,8 +211,8 @@ class _Seat:
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
         sums, tick_s = self._meter.sums(reason if status == CRASHED else ""), self._config.world.tick_s
-        crash = sums["steps"] if status == CRASHED and more.get("fault") == "own" else None
-        warned, to_warn, false = self._alarms.warnings(crash)
+        crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
+        warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
         x_m, y_m, _ = self._world.snapshot.clients[self._at()].plant.p_WB_m.tolist()
         left_m = max(0.0, self._episode.route_m - self._before_m)
         share = left_m / self._episode.route_m if self._episode.route_m > 0.0 else 1.0
@@ -228,7 +228,7 @@ class _Seat:
             route_m=round(left_m, 6),
             done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
             reference_s=round(self._episode.reference_s * share, 6),
-            missed=crash is not None and self._alarms.missed(crash),
+            missed=own and crash is not None and self._alarms.missed(crash),
             warned=warned,
             to_warn=to_warn,
             false_warnings=false,

@@ -61,6 +61,7 @@ def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
     for other in [ego.index for ego in world.seats if ego.index != seat]:
         world.dismiss(other)
     world.go_blind()
+    world.drop_step_limits()  # a fork at the end of an episode looks as far ahead as any other
     snapshot = world.snapshot
     for tick in range(1, round(ALONE_S / tick_s) + 1):
         snapshot = world.tick(users_alone(snapshot, actions, {}))

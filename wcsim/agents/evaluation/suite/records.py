@@ -16,6 +16,8 @@ POLICY_FAILED: Final = "policy_failed"
 REFUSED: Final = "refused"
 STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED)
 
+ON_THE_WAY: Final = ("free", "crossing")  # parts to be driven to the end; in others it is enough to come through
+
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
 NOT_JUDGED: Final = "not_judged"

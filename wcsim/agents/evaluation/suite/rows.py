@@ -15,6 +15,7 @@ from wcsim.agents.evaluation.suite.records import (
     FINISHED,
     NEEDED,
     NEEDLESS,
+    ON_THE_WAY,
     POLICY_FAILED,
     STATUSES,
     EpisodeRecord,
@@ -89,7 +90,8 @@ def _obedience(records: Sequence[EpisodeRecord]) -> Row:
 
 def _service(records: Sequence[EpisodeRecord]) -> Row:
     scores = [record.score for record in records]
-    arrived = sum(record.status == FINISHED for record in records)
+    sent = [record for record in records if record.part in ON_THE_WAY]
+    arrived = sum(record.status == FINISHED for record in sent)
     steps, time_s = sum(record.steps for record in records), _sum(records, "time_s")
     return {
         "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), steps)) is None else math.sqrt(mean),
@@ -97,8 +99,8 @@ def _service(records: Sequence[EpisodeRecord]) -> Row:
         "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
         "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),
         "arrivals": arrived,
-        "attempts": len(records),
-        "arrivals_ci": _pair(wilson(arrived, len(records))),
+        "attempts": len(sent),
+        "arrivals_ci": _pair(wilson(arrived, len(sent))),
         "road_s": math.fsum(record.road_s for record in records),
         "score": _ratio(math.fsum(scores), len(scores)),
         "score_ci": _pair(bootstrapped(scores)),
