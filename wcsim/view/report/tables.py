@@ -56,7 +56,7 @@ SAFETY: Final = (
         heading="alive",
         key="alive_at_end",
         interval="alive_at_end_ci",
-        says="share of episodes without any crash",
+        says="share of episodes that were driven to their end without any crash",
         form="{:.0%}",
     ),
     Column(heading="saved", key="saved", says="episodes in which the user alone crashes and the policy does not"),
@@ -74,7 +74,7 @@ SERVICE: Final = (
     Column(heading="m/s", key="speed_mps", says="mean speed", form="{:.2f}"),
     Column(heading="s on road", key="road_s", says="seconds that the chair stood on a carriageway", form="{:.0f}"),
     Column(heading="blocked", key="blocked_share", says="share of free steps that go nowhere", form="{:.1%}"),
-    Column(heading="froze", key="freezes", says="times that it stood for long without danger"),
+    Column(heading="froze", key="freezes", says="times that it stood for 3 s and more against a stick that was out"),
 )
 JUDGED: Final = (
     Column(

@@ -228,7 +228,7 @@ class _Seat:
             route_m=round(left_m, 6),
             done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
             reference_s=round(self._episode.reference_s * share, 6),
-            missed=own and crash is not None and self._alarms.missed(crash),
+            missed=own and bool(crash) and self._alarms.missed(crash or 0),  # of 0: before the handover
             warned=warned,
             to_warn=to_warn,
             false_warnings=false,
