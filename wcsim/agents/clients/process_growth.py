@@ -11,11 +11,17 @@ import signal
 from collections.abc import Callable
 from typing import Final
 
+import psutil  # type: ignore[import-untyped]
+
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.host.status import rss_mb
 
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
+
+
+def rss_mb() -> float:
+    """Memory of this process, in MB of 2**20 bytes."""
+    return float(psutil.Process().memory_info().rss) / 2**20
 
 
 class ProcessGrownError(InterruptedRunError):

@@ -139,6 +139,16 @@ def _towns(result: KeptResult, places: dict[str, int], made: Path) -> list[Exhib
     return found
 
 
+def _way_rows(name: str, e: KeptEpisode) -> list[list[Cell]]:
+    """Where a chair was after each second, and where its episode ended, as rows of the map's CSV."""
+    who: list[Cell] = [name, e.record.block, e.record.seat]
+    way: list[list[Cell]] = [
+        [*who, "way", min(float(second), e.record.time_s), round(x, 1), round(y, 1)]
+        for second, (x, y) in enumerate(e.path_m or (), 1)
+    ]
+    return [*way, [*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m]]
+
+
 def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int], made: Path) -> Exhibit:
     ways = [
         DrivenWay(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None)
@@ -147,14 +157,7 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
     own = made / town
     ground = ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
-    plain: list[list[Cell]] = []
-    for name, e in here:
-        who: list[Cell] = [name, e.record.block, e.record.seat]
-        plain += [
-            [*who, "way", min(float(second), e.record.time_s), round(x, 1), round(y, 1)]
-            for second, (x, y) in enumerate(e.path_m or (), 1)
-        ]
-        plain.append([*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m])
+    plain = [row for name, e in here for row in _way_rows(name, e)]
     missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
     missing += "" if ground is not None or not points else " The town itself is not on this machine."
     stem = re.sub(r"[^A-Za-z0-9_-]+", "-", town)

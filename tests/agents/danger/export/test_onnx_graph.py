@@ -125,5 +125,5 @@ def test_what_looks_elsewhere_or_forgets_cannot_be_exported(part):
 
 @pytest.mark.parametrize("part", [{"rival": True}, {"gaps": "rival"}])
 def test_what_the_rival_knows_cannot_be_exported(part):
-    with pytest.raises(PolicyError, match=r"danger\.rival=false and danger\.gaps=map"):
+    with pytest.raises(PolicyError, match=r"danger\.rival=false --set danger\.gaps=map"):
         DangerGraph(network(**part), CONFIG, DangerRule())
