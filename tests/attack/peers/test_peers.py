@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from tests.attack.peers.wire import shapes
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.server.links.socket import SocketSeat, open_seat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientPhase
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
@@ -111,13 +110,17 @@ def test_a_start_is_chosen_on_the_worlds_own_machine_only(town: Town) -> None:
     start = StartSpec(p_W_m=(x + 3.0, y), yaw_rad=0.0, goal_W_m=(x, y))
     with Attacker(town.network) as peer:
         assert "over the network" in refusal(peer.say(a_join(SeatSpec(start=start)))).message
-    with open_seat(town.server.seat("second", spec=SeatSpec(start=start))) as second, ThreadPoolExecutor() as pool:
-        joining = pool.submit(second.join)
-        while not joining.done() and second.core.phase is not ClientPhase.THINK:
-            assert town.goes_on(1)
-            if "second" in town.server.status().members:
-                break
-        assert joining.result().plant.p_WB_m[0] == pytest.approx(x + 3.0, abs=0.05)
+    with ThreadPoolExecutor() as pool:
+        with open_seat(town.server.seat("second", spec=SeatSpec(start=start))) as second:
+            joining = pool.submit(second.join)
+            driving = pool.submit(town.goes_on, 1)
+            while not joining.done():  # as soon as it is in, the other's tick waits for it
+                wait((joining, driving), return_when=FIRST_COMPLETED)
+                if driving.done() and not joining.done():
+                    assert driving.result()
+                    driving = pool.submit(town.goes_on, 1)
+            assert joining.result().plant.p_WB_m[0] == pytest.approx(x + 3.0, abs=0.05)
+        assert driving.result()
     assert town.goes_on()
 
 
