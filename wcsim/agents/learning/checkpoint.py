@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,8 +117,13 @@ def load_checkpoint(folder: Path, model: SeqDQN) -> Loaded:
             continue
         _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
+    raise none_sound(folder, passed)
+
+
+def none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
+    """What is raised where all checkpoints of a run were passed over, or there is none."""
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "there is none"
-    raise PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+    return PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
 
 
 def _hold_frames(folder: Path, model: SeqDQN) -> None:

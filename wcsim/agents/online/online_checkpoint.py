@@ -11,7 +11,7 @@ import numpy as np
 
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
-from wcsim.agents.learning.checkpoint import PassedOver, generator_state, restored_generator
+from wcsim.agents.learning.checkpoint import PassedOver, generator_state, none_sound, restored_generator
 from wcsim.agents.learning.checkpoint_file import KEEP, step_folders, step_name
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_json, shown
@@ -83,8 +83,7 @@ def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | Non
         except (PolicyError, OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
             passed.append(PassedOver(path=path, reason=shown(f"{type(error).__name__}: {error}", 300)))
     if passed:
-        faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed)
-        raise PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+        raise none_sound(folder, passed)
     return None, ()
 
 
