@@ -157,6 +157,7 @@ class ManifestFile(Model):
     town: Text
     town_sha256: Word
     config_sha256: Word
+    config_was_sha256: Word = ""  # while a longer run is written: the file may still be the one before
     rewards: Annotated[tuple[Word, ...], Field(max_length=1024)]
     command: Annotated[tuple[Text, ...], Field(max_length=4096)]
     versions: Versions

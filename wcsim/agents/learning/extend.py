@@ -13,6 +13,8 @@ from wcsim.errors import ConfigError, PolicyError
 def extend(run: Path, steps: int, fade: float | None = None) -> None:
     """Write another number of steps in all into a run's configuration; all else in it stays as it was.
 
+    Killed between two files, it leaves a run that goes on as it was, and that can be extended again.
+
     Args:
         run: Its folder.
         steps: In all.
@@ -24,11 +26,14 @@ def extend(run: Path, steps: int, fade: float | None = None) -> None:
     """
     data, manifest = read_json(run, CONFIG), read_json(run, MANIFEST)
     try:
+        was = parse(RunConfig, data, str(run / CONFIG)).digest()
         data["learn"]["total_steps"] = steps
         if fade is not None:
             data["learn"]["learning_rate_fade"] = fade
         config = parse(RunConfig, data, str(run / CONFIG))
     except (ConfigError, TypeError, KeyError) as error:
         raise PolicyError(f"{run / CONFIG}: {error}") from None
+    manifest = {**manifest, "config_sha256": config.digest()}
+    files.write_json(run / MANIFEST, {**manifest, "config_was_sha256": was})
     files.write_json(run / CONFIG, data)
-    files.write_json(run / MANIFEST, {**manifest, "config_sha256": config.digest()})
+    files.write_json(run / MANIFEST, {key: value for key, value in manifest.items() if key != "config_was_sha256"})

@@ -45,6 +45,7 @@ _LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
+_NOT_OF_ONE = {"clients", "files_sha256", "seal", "config_was_sha256"}  # of many, or of a moment alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +166,7 @@ def open_run(path: Path) -> RunFolder:
 
 def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
     """The manifest that a run's file holds. Raises PolicyError when it is none."""
-    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude={"clients", "files_sha256", "seal"})
+    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude=_NOT_OF_ONE)
     fields["overrides"] = tuple(Override(**row) for row in fields["overrides"])
     return Manifest(**fields)
 

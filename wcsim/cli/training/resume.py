@@ -144,8 +144,10 @@ def _require_own_config(path: Path, manifest: Manifest) -> None:
 
     Another version of wcsim may know more settings, and so have another hash of the same file.
     """
-    own = manifest.versions.get("wcsim") == metadata.version("wcsim")
-    if own and parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() != manifest.config_sha256:
+    if manifest.versions.get("wcsim") != metadata.version("wcsim"):
+        return
+    known = manifest.config_sha256, read_json(path, MANIFEST).get("config_was_sha256")
+    if parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() not in known:
         raise PolicyError(f"{path / CONFIG} is not what the run was made with: changed or damaged; restore it")
 
 

@@ -1,0 +1,55 @@
+"""A run that is to be longer than it was made for, and a process that ends while that is written."""
+
+import pytest
+
+from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest
+from wcsim.cli.training.resume import Typed, resumed
+from wcsim.config import RunConfig
+from wcsim.core import files
+from wcsim.errors import PolicyError
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town, streets_hash
+
+
+@pytest.fixture
+def run(tmp_path, corner):
+    command = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
+    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(find_town(str(corner))), command=command)
+    config = RunConfig.model_validate({"learn": {"total_steps": 100}})
+    return create_run(tmp_path / "run", config, make_manifest(config, info)).path
+
+
+def steps_of(path, steps=None):
+    run, _ = resumed(path, Typed(steps=steps))
+    return run.config.learn.total_steps
+
+
+def test_a_run_can_be_longer_and_not_shorter(run):
+    assert steps_of(run) == 100 and steps_of(run, 300) == 300 and steps_of(run) == 300
+    with pytest.raises(PolicyError, match="made for 300"):
+        steps_of(run, 200)
+
+
+@pytest.mark.parametrize("written", [0, 1, 2])
+def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, monkeypatch, written):
+    with monkeypatch.context() as dying:
+        left, write = [written], files.write_json
+
+        def last_words(path, data):
+            if not left[0]:
+                raise KeyboardInterrupt
+            left[0] -= 1
+            write(path, data)
+
+        dying.setattr(files, "write_json", last_words)
+        with pytest.raises(KeyboardInterrupt):
+            steps_of(run, 300)
+    assert steps_of(run) == (100 if written < 2 else 300)
+    assert steps_of(run, 300) == steps_of(run) == 300
+
+
+def test_a_configuration_that_somebody_changed_is_refused(run):
+    text = (run / CONFIG).read_text()
+    (run / CONFIG).write_text(text.replace('"total_steps": 100', '"total_steps": 110'))
+    with pytest.raises(PolicyError, match="changed or damaged"):
+        steps_of(run)
