@@ -16,6 +16,7 @@ from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
 KEY = "0123456789abcdef" * 2
+DRIVEN = ("drive-scenes/car-door-0-0123456789abcdef", "drive-towns/made-7")
 
 
 @pytest.fixture
@@ -37,27 +38,33 @@ def cache(tmp_path, monkeypatch) -> Path:
     (tmp_path / "elsewhere").write_text("irreplaceable")
     (place / f"scenario-{KEY}.ok").symlink_to(tmp_path / "elsewhere")
     (place / f"street-{KEY[::-1]}.npz").mkdir()
+    for name in (*DRIVEN, "drive-scenes/my-own", "drive-scenes/.abcdefgh"):
+        (place / name / "sumo").mkdir(parents=True)
+        (place / name / "sumo" / "net.xml").write_text("12345")
+    (place / "drive-towns" / "made-8").symlink_to(tmp_path)
     return place
 
 
 def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
     told = wcsim("cache", "--json", "c.json")
     assert (told.code, told.err) == (0, "")
-    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 kernels, 1 unfinished, 3.0 MB" in told.out
+    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 kernels, 2 generated places to drive" in told.out
+    assert "1 unfinished, 3.0 MB" in told.out
     assert "wcsim cache --clear" in told.out
     assert json.loads(Path("c.json").read_text()) == {
-        **{"folder": str(cache), "streets": 1, "verdicts": 1, "kernels": 1, "unfinished": 1},
-        **{"size_bytes": 3_000_018, "left_bytes": 3_000_018},
+        **{"folder": str(cache), "streets": 1, "verdicts": 1, "kernels": 1, "driven": 2, "unfinished": 1},
+        **{"size_bytes": 3_000_028, "left_bytes": 3_000_028},
     }
 
 
 def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
-    before = {path.name for path in cache.rglob("*")}
+    before = {str(path.relative_to(cache)) for path in cache.rglob("*")}
     told = wcsim("cache", "--clear", "--json", "c.json")
     assert (told.code, told.err, "removed 3.0 MB" in told.out) == (0, "", True)
-    gone = before - {path.name for path in cache.rglob("*")}
-    code = {"boxes.f-0123.py311.nbi", "boxes.f-0123.py311.1.nbc"}
-    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz", *code}
+    gone = before - {str(path.relative_to(cache)) for path in cache.rglob("*")}
+    code = {f"{KERNELS}/core_0123/boxes.f-0123.py311.{end}" for end in ("nbi", "1.nbc")}
+    driven = {f"{place}{file}" for place in DRIVEN for file in ("", "/sumo", "/sumo/net.xml")}
+    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz", *code, *driven}
     assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
     assert json.loads(Path("c.json").read_text())["left_bytes"] == 0
     assert "removed 0.0 MB" in wcsim("cache", "--clear").out

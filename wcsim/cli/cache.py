@@ -15,7 +15,7 @@ from wcsim.towns.cache.files import cache_facts, clear_cache
 
 @dataclass
 class Options:
-    """Say what the cache holds: streets that were built, verdicts on nets and scenarios, machine code of kernels."""
+    """Say what the cache holds: streets, verdicts on nets and scenarios, machine code, generated places."""
 
     clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Remove them; they are made again when they are needed. Worlds that run go on."""
@@ -29,7 +29,7 @@ def run(words: list[str]) -> int:
     before = cache_facts()
     left = clear_cache() if options.clear else before
     kept = f"{before.streets} streets, {before.verdicts} verdicts on nets and scenarios, {before.kernels} kernels"
-    kept += f", {before.unfinished} unfinished"
+    kept += f", {before.driven} generated places to drive in, {before.unfinished} unfinished"
     print(f"{shown(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
@@ -37,7 +37,7 @@ def run(words: list[str]) -> int:
         print("remove them with: wcsim cache --clear")
     if options.json is not None:
         result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
-        result |= {"kernels": before.kernels, "unfinished": before.unfinished}
+        result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
         result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
         write_json(options.json, result)
     if options.clear and left.size_bytes:
