@@ -53,7 +53,7 @@ class StepLog:
     free: I32  # (N,) 1 free, 0 danger, -1 not known
     asked: F64  # (N, 2) the user's stick
     given: F64  # (N, 2) the agent's
-    speed_mps: F64  # (N,) signed forward speed
+    speed_mps: F64  # (N,) forwards, or over the ground without a sign, as environments tell it
     dt_s: F64  # (N,)
     on_carriageway: Bool  # (N,)
     crossed: Bool  # (N,)
