@@ -99,6 +99,21 @@ def test_memory_is_bounded_and_the_oldest_go_first() -> None:
     assert state(film, 1999).chairs[0].kpis.ticks == 2000, "what was let go of still counts"
 
 
+def test_ways_go_with_the_last_frame_that_tells_of_them() -> None:
+    """Chair 0 is on a new way every ten ticks, chair 1 on its first one for 500."""
+    film, line = TickFilm(ABOUT, most_bytes=20_000), np.array([[0.0, 0.0], [3.0, 4.0]], "<f4")
+    for at in range(2000):
+        new = [(line + at).tobytes()] if at % 10 == 0 else []
+        ways = new + ([line.tobytes()] if at in (0, 500) else [])
+        numbers = {0: at // 10 + (at >= 10) + (at >= 510), 1: 1 if at < 500 else 52}
+        both = [chair(seat, at, way=way) for seat, way in numbers.items()]
+        film.add(msgspec.structs.replace(step(at, *both), ways=ways))
+    assert min(film._ways) == 52
+    for at in range(film.first, 2000, 7):
+        for each in film.shot(at).frame.chairs:
+            assert film.route(each) is not None
+
+
 def test_marks_are_bounded_too() -> None:
     film = film_of(1, {})
     for _ in range(MOST_MARKS + 10):

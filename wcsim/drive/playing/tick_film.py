@@ -78,7 +78,8 @@ class TickFilm:
         self.marks = deque[FilmMark](maxlen=MOST_MARKS)
         self.marked = 0  # ever
         self._bodies: list[FilmBody] = []
-        self._ways: list[bytes] = []
+        self._ways: dict[int, bytes] = {}  # those that a frame may tell of
+        self._numbered = 0  # of ways, ever
         self._signals: list[list[tuple[str, str]]] = []
         self._blocks: dict[int, bytes] = {}
         self._newest: list[FilmTick] = []
@@ -90,7 +91,8 @@ class TickFilm:
     def add(self, step: FilmStep) -> None:
         """One tick more."""
         self._bodies += step.bodies
-        self._ways += step.ways
+        self._ways |= dict(enumerate(step.ways, self._numbered))
+        self._numbered += len(step.ways)
         self._signals += step.signals
         for chair in step.frame.chairs:
             before = self._sums.get(chair.seat, ChairSums())
@@ -142,7 +144,7 @@ class TickFilm:
         return self._route(chair.way)
 
     def _route(self, way: int) -> Route | None:
-        if way < 0:
+        if way not in self._ways:
             return None
         if way not in self._routes:
             self._routes[way] = route_of(self._ways[way])
@@ -160,6 +162,13 @@ class TickFilm:
             self.packed_bytes -= len(self._blocks.pop(oldest))
             self._unpacked.pop(oldest, None)
             self.first = (oldest + 1) * _BLOCK
+            self._forget_ways()
+
+    def _forget_ways(self) -> None:
+        """Those that came up before all that the oldest frame is on are nobody's any more."""
+        on = [chair.way for chair in self.shot(self.first).frame.chairs if chair.way >= 0]
+        for way in [way for way in self._ways if way < min(on, default=0)]:
+            del self._ways[way]
 
     def _mark(self, chair: FilmChair, before: ChairSums) -> None:
         flags, was = Flag(chair.flags), Flag(before.on)

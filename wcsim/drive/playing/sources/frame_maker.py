@@ -38,8 +38,8 @@ class FrameMaker:
 
     def __init__(self) -> None:
         self._bodies: dict[FilmBody, int] = {}
-        self._ways: dict[int, int] = {}  # by the route's identity
-        self._held: list[Route] = []  # so that no other route gets the same one
+        self._ways: dict[int, tuple[Route, int]] = {}  # by seat: the newest, and its number
+        self._numbered = 0  # of ways
         self._signals: dict[Hashable, int] = {}
         self._on: dict[int, tuple[int, float, float]] = {}  # by seat: its way, what is done of it, what is left
         self._new = FilmStep(frame=FilmFrame(epoch=0, tick=0, time_s=0.0, actors=b"", signals=-1, chairs=[]))
@@ -111,10 +111,10 @@ class FrameMaker:
         return number
 
     def _note_way(self, seat: int, route: Route, done_m: float) -> None:
-        number = self._ways.get(id(route))
-        if number is None:
-            number = self._ways[id(route)] = len(self._ways)
-            self._held.append(route)
+        newest, number = self._ways.get(seat, (None, -1))
+        if newest is not route:
+            number, self._numbered = self._numbered, self._numbered + 1
+            self._ways[seat] = route, number
             self._new.ways.append(route.points_W_m.astype("<f4").tobytes())
         self._on[seat] = (number, done_m, max(0.0, float(route.arc_m[-1]) - done_m))
 
