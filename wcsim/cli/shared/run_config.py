@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.networks.names import is_own, require_network
@@ -17,6 +17,7 @@ from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
 from wcsim.core import reading, seeding
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
@@ -52,9 +53,16 @@ def preset_of(asked: Asked, network: str = "", by_steps: bool = False) -> str:
     """
     if asked.preset:
         return asked.preset
-    file = {} if asked.config is None else reading.read_toml(asked.config, CONFIG_FILE)
-    learns = "learn" in file or any(text.partition("=")[0].strip().split(".")[0] == "learn" for text in asked.set)
+    learns = "learn" in _file_of(asked.config) or any(_key_of(text).split(".")[0] == "learn" for text in asked.set)
     return DQN if learns or network or by_steps or asked.steps is not None else QUICK
+
+
+def _file_of(config: Path | None) -> dict[str, Any]:
+    return {} if config is None else reading.read_toml(config, CONFIG_FILE)
+
+
+def _key_of(setting: str) -> str:
+    return setting.partition("=")[0].strip()
 
 
 def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
@@ -75,6 +83,29 @@ def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
             f"{', '.join(found)}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
             "not use that; expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
         )
+
+
+def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:
+    """Refuse a user who would never sit in a chair, as users are drawn from `collect.profiles`, and those there are not.
+
+    Args:
+        config: Of whoever drives.
+        settings: section.key=value that made it.
+        file: TOML file that did, too.
+
+    Raises:
+        ConfigError: `env.profile` was set, or a user is none.
+    """
+    require_user(config.env.profile)
+    own = _file_of(file).get("env", {})
+    if "profile" in own or any(_key_of(text) == "env.profile" for text in settings):
+        name = config.env.profile
+        raise ConfigError(
+            f"env.profile={shown(name)}: who drives for a network that learns in rounds is drawn from collect.profiles; "
+            f"""expected --set 'collect.profiles=["{shown(name)}"]', or --preset dqn, which learns beside that user"""
+        )
+    for name in config.collect.profiles:
+        require_user(name)
 
 
 def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunConfig:

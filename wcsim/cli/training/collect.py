@@ -12,7 +12,7 @@ import tyro
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of
-from wcsim.cli.shared.run_config import require_trained_users
+from wcsim.cli.shared.run_config import require_drawn_users, require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
@@ -51,6 +51,7 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "collect")
     config = load_run_config(options.preset, options.set, options.config)
     require_trained_users(config)
+    require_drawn_users(config, options.set, options.config)
     if options.segments < 1 or options.worlds < 1:
         raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected 1 or more of each")
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)

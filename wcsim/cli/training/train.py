@@ -22,6 +22,7 @@ from wcsim.cli.shared.run_config import (
     learns_dangers_online,
     learns_in_rounds,
     preset_of,
+    require_drawn_users,
     require_heard,
     resolve_config,
     resolve_run,
@@ -107,6 +108,8 @@ def run(words: list[str]) -> int:
         raise ConfigError("--select-by: there is one network; expected --clients A,B,... to choose from")
     config = resolve_config(options, options.network)
     require_heard(config, _only_by_steps(options, config))
+    if learns_in_rounds(config):
+        require_drawn_users(config, options.set, options.config)
     if options.data:
         config = with_overrides(config, (f"collect.data={json.dumps(options.data)}",))
     town = checked_town(options.town, options.allow_test_town)
