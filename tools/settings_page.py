@@ -20,16 +20,22 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from wcsim.config import RunConfig
+from wcsim.config.scene import SceneExpect, SceneFile, SceneSeat, TownFile
 
 HEAD = """# All settings of a run
 
 Every key of `--set section.key=value`, of a `--config` file and of a preset (`wcsim/config/presets/`), with its
 bounds and its default. An unknown key and a value out of bounds are refused. Names end in their unit; angles are in
 degrees where they end in `_deg`, and nowhere else. A list takes its items by number (`cameras.0.width_px=80`).
-Plants, towns, scenes and lists of episodes have files of their own: `docs/chair.md`, `docs/authoring.md`,
-`docs/suites.md`.
+Plants and lists of episodes have files of their own: `docs/chair.md`, `docs/suites.md`; those of towns and scenes stand
+[at the end](#files-of-towns-and-scenes).
 
 This page is made from the code: `python tools/settings_page.py > docs/settings.md`.
+"""
+FILES = """# Files of towns and scenes
+
+A town is a SUMO scenario with a `town.toml` beside it, a scene a folder of SUMO's plain XML with a `scene.toml`: how
+they are made says `docs/authoring.md`. A key whose default is "none" has to be there.
 """
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
 _LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py
@@ -37,7 +43,8 @@ _LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py
 
 def page() -> str:
     """The page, in Markdown."""
-    return "\n".join([HEAD, *(_section(name, model) for name, model in sections())])
+    own, others = ([_section(name, model) for name, model in each] for each in (sections(), file_sections()))
+    return "\n".join([HEAD, *own, FILES, *others])
 
 
 def sections() -> list[tuple[str, type[BaseModel]]]:
@@ -46,6 +53,16 @@ def sections() -> list[tuple[str, type[BaseModel]]]:
     for name, field in RunConfig.model_fields.items():
         found += _below(f"[[{name}]]" if _is_list(field) else f"[{name}]", field)
     return found
+
+
+def file_sections() -> list[tuple[str, type[BaseModel]]]:
+    """The tables of the files of towns and scenes."""
+    return [
+        ("town.toml", TownFile),
+        ("scene.toml", SceneFile),
+        ("[[seats]] of scene.toml", SceneSeat),
+        ("[expect] of scene.toml", SceneExpect),
+    ]
 
 
 def keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo, str]]:

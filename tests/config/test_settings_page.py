@@ -11,6 +11,7 @@ from wcsim.config import RunConfig
 ROOT = Path(__file__).parents[2]
 MADE = runpy.run_path(str(ROOT / "tools" / "settings_page.py"))
 SECTIONS = dict(MADE["sections"]())
+FILES = dict(MADE["file_sections"]())
 
 
 def leaves(data, before=()):
@@ -36,9 +37,10 @@ def test_every_key_of_a_configuration_is_on_the_page():
     assert "learn.phase1" in known and "danger.width" in known
 
 
-@pytest.mark.parametrize("name", SECTIONS)
+@pytest.mark.parametrize("name", {**SECTIONS, **FILES})
 def test_every_key_has_a_meaning(name):
-    assert [key for key, _, said in MADE["keys"](SECTIONS[name]) if not said] == [], "say it in a comment on its line"
+    model = {**SECTIONS, **FILES}[name]
+    assert [key for key, _, said in MADE["keys"](model) if not said] == [], "say it in a comment on its line"
 
 
 def test_a_row_tells_type_bounds_default_and_meaning():

@@ -20,18 +20,20 @@ NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
 class TownFile(Model):
     """`town.toml`: what SUMO does not know about a town."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    split: Literal["train", "test", "scene"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # letters, digits, _ and -
+    split: Literal["train", "test", "scene"]  # what it may be used for; train and test refuse each other's towns
     origin_m: tuple[NetMetre, NetMetre] = (0, 0)  # net coordinates of W's origin
-    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
-    lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = ("sidewalk", "crossing", "shared")
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None
+    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # of pavements above the carriageway
+    lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0  # where it is lowered: at crossings, and by the map
+    chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (  # where users drive
+        "sidewalk", "crossing", "shared",
+    )  # fmt: skip
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None  # goes before world.warmup_s
     sumocfg: Text = ""  # where the scenario lies, when it is not the only .sumocfg beside this file
-    source: Text = ""
-    attribution: Text = ""
+    source: Text = ""  # of its map
+    attribution: Text = ""  # that pictures of it have to carry
     rebuild: Text = ""  # the command that makes the town again from what its folder holds
-    hashes: Annotated[dict[Text, Word], Field(max_length=4096)] = Field(default_factory=dict)
+    hashes: Annotated[dict[Text, Word], Field(max_length=4096)] = Field(default_factory=dict)  # of its files, by name
 
 
 class SceneSeat(Model):
@@ -39,11 +41,11 @@ class SceneSeat(Model):
 
     start_m: tuple[Finite, Finite]  # net coordinates
     heading_deg: Finite  # SUMO's: clockwise from north
-    goal_m: tuple[Finite, Finite] | None = None
-    profile: Text = "competent"
+    goal_m: tuple[Finite, Finite] | None = None  # net coordinates
+    profile: Text = "competent"  # of the simulated user who drives to the goal
     recording: FileName | None = None  # of a joystick, a .csv file beside this one: drives in the place of a profile
-    joystick: tuple[Stick, Stick] | None = None  # right, forward
-    script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()
+    joystick: tuple[Stick, Stick] | None = None  # held throughout: right, forward
+    script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()  # rows of seconds, right, forward
 
     @model_validator(mode="after")
     def _is_driven_by_one(self) -> SceneSeat:
@@ -61,36 +63,33 @@ class SceneSeat(Model):
 
 
 class SceneExpect(Model):
-    """What a scene must show: each window holds the lowest and highest value that is right.
+    """What a scene must show, over all its seats: lowest and highest value that is right; left out where it is free."""
 
-    What is measured is said where `scenes/facts.py` lists it under the same names.
-    """
-
-    crashed: bool | None = None
-    arrivals: Window | None = None
-    travelled_m: Window | None = None
-    climb_m: Window | None = None
-    drop_m: Window | None = None
-    rolled_back_m: Window | None = None
-    aside_m: Window | None = None
-    narrowest_m: Window | None = None
-    max_roll_deg: Window | None = None
-    max_pitch_deg: Window | None = None
-    jolt_mps2: Window | None = None
-    standing_s: Window | None = None
-    red_starts: Window | None = None
-    green_starts: Window | None = None
-    closest_actor_m: Window | None = None
-    closest_vehicle_m: Window | None = None
-    closest_rider_m: Window | None = None
-    closest_person_m: Window | None = None
-    closest_chair_m: Window | None = None
-    overtaken: Window | None = None
-    slowest_mps: Window | None = None
-    gave_way: Window | None = None
-    went_on: Window | None = None
-    made_way_m: Window | None = None
-    actors_seen: Window | None = None
+    crashed: bool | None = None  # whether any chair crashed
+    arrivals: Window | None = None  # chairs that reached their goals
+    travelled_m: Window | None = None  # way that all chairs drove together
+    climb_m: Window | None = None  # the highest rise of a chair above the height it started at
+    drop_m: Window | None = None  # the deepest fall below it
+    rolled_back_m: Window | None = None  # the longest way that a chair went backwards in one go
+    aside_m: Window | None = None  # how far a chair left the straight line from its start to its goal, or ahead
+    narrowest_m: Window | None = None  # free width of the pavement across a chair, where it was smallest
+    max_roll_deg: Window | None = None  # the most that a chair leaned to a side
+    max_pitch_deg: Window | None = None  # the most that a chair leaned ahead or back
+    jolt_mps2: Window | None = None  # the largest acceleration that an IMU felt
+    standing_s: Window | None = None  # time that chairs stood still before they arrived
+    red_starts: Window | None = None  # how often a chair drove onto a crossing whose light was not green
+    green_starts: Window | None = None  # how often one drove onto a crossing with green
+    closest_actor_m: Window | None = None  # smallest gap between the boxes of a chair and of anything else that moves
+    closest_vehicle_m: Window | None = None  # the same by kind: cars, buses, trams and the like
+    closest_rider_m: Window | None = None  # cyclists, scooters, motorcyclists
+    closest_person_m: Window | None = None  # people on foot
+    closest_chair_m: Window | None = None  # other wheelchairs
+    overtaken: Window | None = None  # others that came up behind a chair and ended ahead of it
+    slowest_mps: Window | None = None  # the lowest speed of a vehicle near a chair, after it has driven
+    gave_way: Window | None = None  # vehicles that braked to less than walking pace near a chair
+    went_on: Window | None = None  # of those, how many drove on
+    made_way_m: Window | None = None  # the farthest that a person stepped aside
+    actors_seen: Window | None = None  # others that came near a chair
 
     @model_validator(mode="after")
     def _windows_are_open(self) -> SceneExpect:
@@ -102,15 +101,15 @@ class SceneExpect(Model):
 
 
 class SceneFile(Model):
-    """The whole file."""
+    """`scene.toml`: a short street scene; `[[seats]]` and `[expect]` are tables of their own."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    shows: Text
-    seed: Annotated[int, Field(ge=0, lt=1 << 31)]
-    duration_s: Annotated[float, Field(gt=0.0, le=60.0)]
-    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12
-    lefthand: bool = False
-    warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
-    attention_share: Share = 1.0
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # letters, digits, _ and -
+    shows: Text  # what it is about, in a sentence
+    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of traffic and users
+    duration_s: Annotated[float, Field(gt=0.0, le=60.0)]  # simulated, after the warm-up
+    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # of pavements above the carriageway
+    lefthand: bool = False  # whether traffic keeps left
+    warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0  # traffic that SUMO drives before the first step
+    attention_share: Share = 1.0  # of drivers, riders and walkers who look for wheelchairs
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]
     expect: SceneExpect = SceneExpect()

@@ -15,32 +15,32 @@ FASTEST_MPS = 99.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneFacts:
-    """What a scene came to, over all its seats; angles in degrees, as in the scene's own file."""
+    """What a scene came to, over all its seats, by the names of `SceneExpect`, which says what each is."""
 
     crashed: bool
     arrivals: int
     travelled_m: float
-    climb_m: float  # the highest rise of a chair above the height it started at
-    drop_m: float  # the deepest fall below it
-    rolled_back_m: float  # the longest way that a chair went backwards in one go
-    aside_m: float  # how far a chair left the straight line from its start to its goal, or ahead
-    narrowest_m: float  # free width of the pavement across a chair, where it was smallest
+    climb_m: float
+    drop_m: float
+    rolled_back_m: float
+    aside_m: float
+    narrowest_m: float
     max_roll_deg: float
     max_pitch_deg: float
-    jolt_mps2: float  # the largest acceleration that an IMU felt
-    standing_s: float  # time that chairs stood still before they arrived
-    red_starts: int  # how often a chair drove onto a crossing whose light was not green
+    jolt_mps2: float
+    standing_s: float
+    red_starts: int
     green_starts: int
-    closest_actor_m: float  # smallest gap between the boxes of a chair and of anything else that moves
-    closest_vehicle_m: float  # the same by kind: cars, buses, trams and the like
-    closest_rider_m: float  # cyclists, scooters, motorcyclists
+    closest_actor_m: float
+    closest_vehicle_m: float
+    closest_rider_m: float
     closest_person_m: float
     closest_chair_m: float
-    overtaken: int  # others that came up behind a chair and ended ahead of it
-    slowest_mps: float  # the lowest speed of a vehicle near a chair, after it has driven
-    gave_way: int  # vehicles that braked to less than walking pace near a chair
-    went_on: int  # of those, how many drove on
-    made_way_m: float  # the farthest that a person stepped aside
+    overtaken: int
+    slowest_mps: float
+    gave_way: int
+    went_on: int
+    made_way_m: float
     actors_seen: int
 
 

@@ -86,7 +86,7 @@ def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
 
 
 def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:
-    """Refuse a user who would never sit in a chair, as users are drawn from `collect.profiles`, and those there are not.
+    """Refuse a user who never sits in a chair where they are drawn from `collect.profiles`, and ones that are none.
 
     Args:
         config: Of whoever drives.
@@ -101,7 +101,7 @@ def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path |
     if "profile" in own or any(_key_of(text) == "env.profile" for text in settings):
         name = config.env.profile
         raise ConfigError(
-            f"env.profile={shown(name)}: who drives for a network that learns in rounds is drawn from collect.profiles; "
+            f"env.profile={shown(name)}: a network that learns in rounds draws its users from collect.profiles; "
             f"""expected --set 'collect.profiles=["{shown(name)}"]', or --preset dqn, which learns beside that user"""
         )
     for name in config.collect.profiles:
