@@ -76,6 +76,30 @@ def test_posts_of_vehicles_stand_at_the_kerb_on_their_side_and_face_them(net: Ne
         assert thing.piece.vertices_W_m[:, 2].max() > head.p_W_m[2] > HEAD_LOW_M
 
 
+def test_an_approach_is_that_of_the_lane_beside_the_pavement(net: Net) -> None:
+    lanes = {edge.id: edge.lanes for edge in net.edges if not edge.function}
+    found = approaches_of(net)
+    assert found and all(len(lanes[approach.edge_id]) == 3 for approach in found)
+    for approach in found:
+        pavement, kerbside, inner = (lane.points_m[-1] for lane in lanes[approach.edge_id])
+        assert np.hypot(*(kerbside - pavement)) < np.hypot(*(inner - pavement))
+        assert approach.stop_m == pytest.approx(kerbside)
+        assert np.dot(pavement - kerbside, approach.aside) > 0.0
+
+
+def test_heads_of_lanes_stand_in_the_order_of_the_lanes(net: Net) -> None:
+    mixed = tuple((name, "".join("rGyu"[i % 4] for i in range(len(state)))) for name, state in net.phases)
+    things = signal_things(replace(net, phases=mixed), (), place_of(net), [])
+    on_posts = [thing for thing in things if len(thing.heads) > 1]
+    assert len(on_posts) == 4
+    for thing in on_posts:
+        lanes = [lane_at(net, head.link) for head in thing.heads]
+        (aside,) = (a.aside for a in approaches_of(net) if a.edge_id == lanes[0].edge_id)
+        aside_m = [float(np.dot(head.p_W_m[:2], aside)) for head in thing.heads]
+        from_kerb = [lanes[i].index for i in np.argsort(aside_m)[::-1]]
+        assert from_kerb == sorted(from_kerb) and len(set(from_kerb)) == 2
+
+
 def test_both_ends_of_a_crossing_show_each_other_their_light(net: Net) -> None:
     things = signal_things(net, (), place_of(net), [])
     found = heads_of(things, pedestrian=True)

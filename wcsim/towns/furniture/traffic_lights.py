@@ -98,7 +98,7 @@ def approaches_of(net: Net) -> list[Approach]:
     for edge in net.edges:
         lanes = [] if edge.function else _driven(edge)
         if lanes:
-            lane = lanes[-1] if net.lefthand else lanes[0]
+            lane = lanes[0]  # SUMO counts from the kerb, on whichever side traffic keeps to
             along = lane.points_m[-1] - lane.points_m[-2]
             ahead = along / max(1e-6, float(np.hypot(*along)))
             right = np.array([ahead[1], -ahead[0]])
@@ -150,15 +150,15 @@ def _vehicle_signals(
         if link.tls_id and link.tls_link >= 0:
             links[link.start].append(link)
     for approach in approaches_of(net):
-        groups = _groups(links.get(approach.edge_id, []), columns, net.lefthand)
+        groups = _groups(links.get(approach.edge_id, []), columns)
         if groups:
             yield _at_kerb(approach, groups, place, taken)
 
 
-def _groups(links: list[Connection], columns: dict[str, list[str]], lefthand: bool) -> _Groups:
+def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
     """One link for each set of links that always show the same colour."""
     found: dict[tuple[str, str], tuple[str, int]] = {}
-    for link in sorted(links, key=lambda link: (-link.start_lane if lefthand else link.start_lane, link.tls_link)):
+    for link in sorted(links, key=lambda link: (link.start_lane, link.tls_link)):
         states = columns.get(link.tls_id, [])
         column = "".join(state[link.tls_link] if link.tls_link < len(state) else "-" for state in states)
         found.setdefault((link.tls_id, column or str(link.tls_link)), (link.tls_id, link.tls_link))
