@@ -29,6 +29,12 @@ LEFT = {
     "Colombo": (79.86, 6.93),
     "Bangkok": (100.50, 13.75),
     "Nong Khai": (102.74, 17.88),
+    "Udon Thani": (102.79, 17.41),
+    "Bueng Kan": (103.65, 18.36),
+    "Nakhon Phanom": (104.78, 17.40),
+    "Mukdahan": (104.72, 16.54),
+    "Khong Chiam": (105.50, 15.32),
+    "Nan": (100.77, 18.78),
     "Jakarta": (106.83, -6.18),
     "Dili": (125.57, -8.56),
     "Kingston": (-76.79, 17.97),
@@ -53,6 +59,15 @@ RIGHT = {
     "Taipei": (121.56, 25.04),
     "Seoul": (126.98, 37.57),
     "Vientiane": (102.60, 17.97),
+    "Thakhek": (104.81, 17.41),
+    "Hanoi": (105.85, 21.03),
+    "Haiphong": (106.68, 20.86),
+    "Vinh": (105.69, 18.67),
+    "Dong Hoi": (106.60, 17.47),
+    "Dien Bien Phu": (103.02, 21.39),
+    "Lao Cai": (103.97, 22.48),
+    "Hue": (107.58, 16.46),
+    "Ho Chi Minh City": (106.66, 10.78),
     "Yangon": (96.16, 16.80),
     "Kabul": (69.20, 34.50),
     "Goma": (29.22, -1.68),
@@ -72,4 +87,5 @@ def test_traffic_keeps_to_the_side_of_the_country(place: str) -> None:
 
 def test_the_reason_is_said() -> None:
     assert str(side_at(*LEFT["Tokyo"])) == "left (time zone Asia/Tokyo)"
+    assert str(side_at(*RIGHT["Hanoi"])) == "right (Vietnam, in time zone Asia/Bangkok)"
     assert str(side_at(-30.0, 0.0)) == "right (no country is known there)"

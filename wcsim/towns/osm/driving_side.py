@@ -32,6 +32,8 @@ _LEFT = frozenset(
     }.items()
     for city in cities.split()
 )
+_SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parallel, where traffic keeps right
+_VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,4 +58,11 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
 
     zone = TimezoneFinder().timezone_at(lng=longitude_deg, lat=latitude_deg)
     known = zone is not None and not zone.startswith("Etc/")  # those lie at sea
+    if zone == _SHARED and _in_vietnam(longitude_deg, latitude_deg):
+        return Side(lefthand=False, why=f"Vietnam, in time zone {zone}")
     return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "no country is known there")
+
+
+def _in_vietnam(longitude_deg: float, latitude_deg: float) -> bool:
+    """Whether a place of the time zone that Thailand and Vietnam share lies in Vietnam."""
+    return any(longitude_deg > west_deg and latitude_deg > south_deg for west_deg, south_deg in _VIETNAM_DEG)
