@@ -157,6 +157,29 @@ def test_crossings_are_green_while_nobody_may_drive_over_them() -> None:
     assert padded(("ooo",), (30.0,), CROSS) == ("ooooo",)
 
 
+DISTRIBUTIONS = """<routes>
+    <route id="r0" edges="A1B1 B1C1"/>
+    <routeDistribution id="holds"><route edges="A1B1 B1C1"/><route edges="B2C2 C2C1"/></routeDistribution>
+    <routeDistribution id="names" routes="r0 way" probabilities="1 3"/>
+    <routeDistribution id="refers"><route refId="way" probability="1"/></routeDistribution>
+    <flow id="f0" route="holds" begin="50300" end="50340" number="4" departLane="0"/>
+    <flow id="f1" route="names" begin="50300" end="50340" number="4" departLane="1"/>
+    <flow id="f2" route="refers" begin="50300" end="50340" number="4" departLane="0" arrivalLane="1"/>
+    <vehicle id="f3" depart="50341" departLane="1"><routeDistribution routes="way r0"/></vehicle>
+</routes>"""
+
+
+def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(theirs: Path, tmp_path: Path) -> None:
+    theirs.with_name("u.rou.xml").write_text(DISTRIBUTIONS, encoding="utf-8")
+    told = pave_town(open_town(theirs), tmp_path / "ours")
+    found = {element.get("id"): element for element in elements(tmp_path / "ours", "u.rou.xml")}
+    assert [found[f"f{k}"].get("departLane") for k in range(4)] == ["1", "2", "1", "2"]
+    assert found["f2"].get("arrivalLane") == "2"
+    options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 50.0), "--no-step-log", "--xml-validation", "never"]
+    run = run_tool("sumo", options, tmp_path)
+    assert run.returncode == 0 and "Error" not in run.output, run.output
+
+
 def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
     head = '<?xml version="1.0" encoding="ISO-8859-1"?>\n<!-- \xe4 > -->\n'
     text = head + '<a b=\'1\'>\n  <c lane = "\xe4_0" d=">"/></a>\n'

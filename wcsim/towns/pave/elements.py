@@ -34,6 +34,7 @@ class Paving:
     lanes: LaneMap
     signals: Mapping[str, SignalLinks]
     routes: dict[str, Ends] = field(default_factory=dict)  # by id, of all files
+    members: dict[str, str] = field(default_factory=dict)  # a distribution of routes -> its first, where it names that
     placed: int = 0  # elements that lie on a lane
     programs: int = 0
     moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
@@ -42,11 +43,23 @@ class Paving:
     parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
 
 
-def routes_of(root: Element) -> dict[str, Ends]:
-    """The first and the last edge of every route of a file that has a name."""
-    named = (element for element in root.iter() if _tag(element) == "route" and element.get("id"))
-    found = {element.get("id", ""): element.get("edges", "").split() for element in named}
-    return {name: (edges[0], edges[-1]) for name, edges in found.items() if edges}
+def note_routes(root: Element, paving: Paving) -> None:
+    """Note the first and the last edge of every route, and of every distribution of routes, that has a name."""
+    for element in root.iter():
+        name, tag = element.get("id", ""), _tag(element)
+        if name and tag == "route" and (edges := element.get("edges", "").split()):
+            paving.routes[name] = (edges[0], edges[-1])
+        elif name and tag == "routeDistribution":
+            if member := _first_member(element):
+                paving.members[name] = member
+            elif ends := _ends(element, paving):
+                paving.routes[name] = ends
+
+
+def _first_member(distribution: Element) -> str:
+    """The name of the route that a distribution names first; empty where it holds its first route itself."""
+    names = distribution.get("routes", "").split()
+    return names[0] if names else next((child.get("refId", "") for child in distribution), "")
 
 
 def edits_of(root: Element, paving: Paving) -> dict[int, dict[str, str]]:
@@ -156,7 +169,9 @@ def _ends(element: Element, paving: Paving) -> Ends | None:
     edges = inner.get("edges", "").split() if inner is not None else []
     if edges:
         return edges[0], edges[-1]
-    named = paving.routes.get(element.get("route", ""))
+    inside = (child for child in element if _tag(child) == "routeDistribution")
+    route = element.get("route", "") or next((_first_member(child) for child in inside), "")
+    named = paving.routes.get(paving.members.get(route, route))
     start, end = element.get("from", ""), element.get("to", "")
     return named or ((start or end, end or start) if start or end else None)
 

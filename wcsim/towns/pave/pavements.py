@@ -13,7 +13,7 @@ from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, paved_streets, slowest_street_mps
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.pave.edit import edited
-from wcsim.towns.pave.elements import Paving, edits_of, routes_of
+from wcsim.towns.pave.elements import Paving, edits_of, note_routes
 from wcsim.towns.pave.lanes import lane_map
 from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
@@ -145,7 +145,7 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
     """Change what names lanes, positions or signals in the copies, and write those that differ."""
     others = [path for path in files if path != net and path.suffix != ".sumocfg" and _is_xml(path)]
     for path in others:
-        paving.routes |= routes_of(_root(path))
+        note_routes(_root(path), paving)
     for path in others:
         data, root = read_bytes(path), _root(path)
         if root.tag == "net":
