@@ -57,7 +57,7 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
     data = reading.read_toml(path, CONFIG_FILE)
     where = f"preset {preset}"
     if file is not None:
-        data, where = _merged(data, reading.read_toml(file, CONFIG_FILE)), shown(file)
+        data, where = _merged(data, _asked(reading.read_toml(file, CONFIG_FILE))), shown(file)
     return _overridden(data, overrides, where)
 
 
@@ -68,13 +68,25 @@ def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
 
 def with_file(config: RunConfig, file: Path) -> RunConfig:
     """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
-    return parse(RunConfig, _merged(config.model_dump(mode="json"), reading.read_toml(file, CONFIG_FILE)), shown(file))
+    own = _asked(reading.read_toml(file, CONFIG_FILE))
+    return parse(RunConfig, _merged(config.model_dump(mode="json"), own), shown(file))
 
 
 def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
     for text in overrides:
-        data, where = _merged(data, _override(text)), f"--set {shown(text)}"
+        data, where = _merged(data, _asked(_override(text))), f"--set {shown(text)}"
     return parse(RunConfig, data, where)
+
+
+def _asked(own: dict[str, Any]) -> dict[str, Any]:
+    """What a user set; a warm-up among it holds in towns that have one of their own, too.
+
+    A resolved configuration names every key, so that the user meant this one has to be said beside it.
+    """
+    world = own.get("world")
+    if not isinstance(world, dict) or "warmup_s" not in world:
+        return own
+    return {**own, "world": {"town_warmup": False, **world}}
 
 
 def _override(text: str) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class TownFile(Model):
     chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (  # where users drive
         "sidewalk", "crossing", "shared",
     )  # fmt: skip
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None  # goes before world.warmup_s
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = None  # before the usual world.warmup_s, not a set one
     sumocfg: Text = ""  # where the scenario lies, when it is not the only .sumocfg beside this file
     source: Text = ""  # of its map
     attribution: Text = ""  # that pictures of it have to carry

@@ -30,6 +30,9 @@ class WorldConfig(Model):
     substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics, in a tick; None: 120 a second
     contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where something is met; None: 240
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # traffic that SUMO drives before the first step
+    town_warmup: Annotated[bool, Field(exclude_if=lambda on: on)] = (
+        True  # a town's own `warmup_s` counts before this one; false where somebody sets `warmup_s`
+    )
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # of the town's own traffic
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0  # around a chair: who is drawn and may react
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own

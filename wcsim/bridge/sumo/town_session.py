@@ -42,8 +42,9 @@ def open_session(
 
 
 def warmup_s(town: Town, config: RunConfig) -> float:
-    """How long the traffic runs before a world begins: as the town says, else as the configuration does."""
-    return config.world.warmup_s if town.file.warmup_s is None else town.file.warmup_s
+    """How long the traffic runs before a world begins: as the user set it, as the town says, or as usual."""
+    own_s = town.file.warmup_s if config.world.town_warmup else None
+    return config.world.warmup_s if own_s is None else own_s
 
 
 def warm_up(sumo: SumoSession, for_s: float, tick_s: float) -> None:
