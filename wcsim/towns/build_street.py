@@ -29,6 +29,7 @@ from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
 from wcsim.towns.ground.tiled_geometry import buffered
 from wcsim.towns.ground.tiles import Packed, pack_tiles
 from wcsim.towns.ground.triangulation import build_ground
+from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
 def build_street(town: Town) -> Packed:
     """Make the street of a town from its net and polygons, without any cache; `street_of` opens it."""
     whole = read_net(town.net, town.file.origin_m)
-    items = read_items(town.additional, town.file.origin_m, whole)
+    additional = with_included(town.additional, town.border)
+    items = read_items(additional, town.file.origin_m, whole)
     relief = relief_of(whole)
     net = on_land(whole, relief)
     surfaces = covered(surfaces_of(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
@@ -55,12 +57,12 @@ def build_street(town: Town) -> Packed:
     buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
-    space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, town.additional)
+    space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)
     walk = build_walk_graph(net, space, town.file.chair_ways, phases)
     place = FreeGround(
         low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
     )
-    things = fittings_of(items, net, town.additional, place, placed)
+    things = fittings_of(items, net, additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
     mesh = build_mesh(ground, walls, large, pieces, relief)

@@ -21,6 +21,7 @@ from wcsim.towns.ground.plane import length_of
 from wcsim.towns.ground.relief import on_land, relief_of
 from wcsim.towns.ground.tiles import CELL_M
 from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.stage import require_files
 from wcsim.towns.scenario.town import Town
@@ -106,7 +107,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 def demand_classes(town: Town) -> tuple[str, ...]:
     """SUMO vehicle classes that the town's demand can hold, sorted."""
     class_of, members, used = dict(_DEFAULT_CLASSES), {}, set()
-    for path in (*town.additional, *town.routes):
+    for path in with_included((*town.additional, *town.routes), town.border):
         for element in read_root(path).iter():
             if element.tag == "vType":
                 class_of[element.get("id", "")] = element.get("vClass", "passenger")
@@ -128,7 +129,8 @@ def unroutable_trips(town: Town) -> int:
         names = OutputNames(Path(folder))
         met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
-        needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
+        more = with_included(town.additional, town.border)
+        needed = _for_routes([met.place(path, town.sumocfg) for path in more])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + _CHECKED_S:.12g}", "--ignore-errors"]
@@ -142,7 +144,7 @@ def unroutable_trips(town: Town) -> int:
 
 
 def _for_routes(files: list[Path]) -> ElementTree:
-    """What a demand needs of additional files."""
+    """What a demand needs of additional files, and of those that they include, without naming these again."""
     found = Element("additional")
     for path in files:
         found.extend(element for element in read_root(path) if element.tag in FOR_ROUTES)

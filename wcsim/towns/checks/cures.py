@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.stage import seconds_of
 from wcsim.towns.scenario.town import Town
@@ -23,7 +24,7 @@ from wcsim.towns.sumo.xml_io import read_root
 _HOUR_S = 3600.0
 FOR_ROUTES = frozenset(
     (
-        "vType", "vTypeDistribution", "route", "routeDistribution", "include",
+        "vType", "vTypeDistribution", "route", "routeDistribution",
         "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea"
     )
 )  # fmt: skip
@@ -111,11 +112,12 @@ def grade_cure(town: Town) -> str:
 
 def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
     """The command that routes a town's demand again and drops what finds no way."""
-    roots = {path: read_root(path) for path in town.additional}
-    needed = [path for path, root in roots.items() if any(element.tag in FOR_ROUTES for element in root)]
-    typed = [path.name for path in needed if _has_types(roots[path])]
-    twice = typed if any(_has_types(read_root(path)) for path in town.routes) else []
-    deadly = [path.name for path in needed if roots[path].find(DEADLY) is not None]
+    read = {path: _whole(path, town) for path in town.additional}
+    needed = [path for path, parts in read.items() if any(_for_routes(root) for root in parts.values())]
+    inside = {path: root for named in needed for path, root in read[named].items()}
+    typed = [path.name for path, root in inside.items() if _has_types(root)]
+    twice = typed if any(_has_types(root) for path in town.routes for root in _whole(path, town).values()) else []
+    deadly = [path.name for path, root in inside.items() if root.find(DEADLY) is not None]
     more = f" -a {_paths(needed)}" if needed else ""
     more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
     return (
@@ -129,6 +131,15 @@ def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
     """What has to be done by hand to files of these names before a demand is routed into `name`."""
     first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
     return first + (f"take the types out of {', '.join(twice)}, for {name} will have them, " if twice else "")
+
+
+def _for_routes(root: Element) -> bool:
+    return any(element.tag in FOR_ROUTES for element in root)
+
+
+def _whole(path: Path, town: Town) -> dict[Path, Element]:
+    """The roots of a file and of all that it includes, for duarouter reads these with it."""
+    return {part: read_root(part) for part in with_included((path,), town.border)}
 
 
 def _has_types(root: Element) -> bool:

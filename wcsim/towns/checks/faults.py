@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from wcsim.towns.checks.cures import (
     walkers_cure,
 )
 from wcsim.towns.ground.relief import steepest_grade
+from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.scenario.manifest import changes_of, own_work
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, Net
 from wcsim.towns.walking.islands import CutOff
@@ -78,7 +80,7 @@ def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str,
         notes.append(f"changed since the import: {name}; traffic takes new ways when it is routed again: {again}")
     if over and not _large(net, over):
         notes.append(_overlap(over))
-    if town.poly is None:
+    if _polygons(town) is None:
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
 
@@ -100,20 +102,27 @@ def projection_faults(town: Town, net: Net) -> tuple[str, ...]:
 
 def _foreign_polygons(town: Town, net: Net) -> list[str]:
     """Buildings and trees that were made for another net, or for another state of this one."""
-    if town.poly is None:
+    poly = _polygons(town)
+    if poly is None:
         return []
     streets_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
     low_m, high_m = streets_m.min(axis=0) - AROUND_M, streets_m.max(axis=0) + AROUND_M
-    things_m = [item.points_W_m for item in read_items((town.poly,), town.file.origin_m, net)]
+    files = with_included((poly,), town.border)
+    things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
     if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
         return []
-    cure = f"polyconvert --osm-files EXTRACT --net-file {town.net.name} -o {town.poly.name}"
+    cure = f"polyconvert --osm-files EXTRACT --net-file {town.net.name} -o {poly.name}"
     if town.file.rebuild:
         cure = _again(town, town.file.rebuild)
     return [
-        f"none of the {len(things_m)} things of {town.poly.name} lies at the streets, so it was made for another net; "
+        f"none of the {len(things_m)} things of {poly.name} lies at the streets, so it was made for another net; "
         f"build it for this one: {cure}"
     ]
+
+
+def _polygons(town: Town) -> Path | None:
+    """The file of buildings and trees, named by the scenario or included."""
+    return town.poly or polygons_among(with_included(town.additional, town.border))
 
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:

@@ -22,11 +22,11 @@ from wcsim.towns.scenario.elements import (
     writes,
     writes_parameter,
 )
+from wcsim.towns.scenario.includes import MAX_DEPTH
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
 
-MAX_DEPTH = 16
 _TEXT = FileKind(what="a file that SUMO reads", limit_bytes=MAX_XML_BYTES, error=TownError)
 _PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
 

@@ -12,6 +12,7 @@ from wcsim.config import TownFile, parse
 from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.border import require_file, require_inside
+from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
 from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
 
@@ -21,6 +22,7 @@ NOT_TOWNS = ("scenes",)
 TOWN_TOML = "town.toml"
 _BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
+_POLYGONS = re.compile(r"\.poly\.xml(\.gz)?$")
 _TOWN_FILE = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
 
@@ -146,7 +148,6 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
     routes, additional = config.files("route-files"), config.files("additional-files")
     for item in (*nets, *routes, *additional):
         require_file(item, border, sumocfg)
-    poly = next((item for item in additional if re.search(r"\.poly\.xml(\.gz)?$", item.name)), None)
     file = _town_file(folder, config)
     return Town(
         name=file.name,
@@ -155,11 +156,16 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
         file=file,
         sumocfg=sumocfg,
         net=nets[0],
-        poly=poly,
+        poly=polygons_among(additional),
         routes=routes,
         additional=additional,
         border=border,
     )
+
+
+def polygons_among(files: tuple[Path, ...]) -> Path | None:
+    """The first file that its name says to hold buildings and trees, None where there is none."""
+    return next((path for path in files if _POLYGONS.search(path.name)), None)
 
 
 def _town_file(folder: Path, config: Configuration) -> TownFile:
@@ -203,8 +209,15 @@ def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
 
 
 def content_hash(town: Town) -> str:
-    """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped; file names do not count."""
-    digests = sorted(content_digest(path) for path in {town.net, *town.routes, *town.additional})
+    """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped; file names do not count.
+
+    What these include counts too: SUMO reads it as a part of them.
+
+    Raises:
+        TownError: A file cannot be read, or what it includes is missing, or outside of the town's border.
+    """
+    named = (*town.routes, *town.additional)
+    digests = sorted(content_digest(path) for path in {town.net, *named, *with_included(named, town.border)})
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
