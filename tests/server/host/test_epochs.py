@@ -13,14 +13,27 @@ import pytest
 from tests.server.host.test_process import BOTH, audited, drive_through, two_seats
 from tests.server.servers import Server, stand_in_order, together
 from tests.support.worlds import quick_config
+from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.config import with_overrides
-from wcsim.server.host.epoch_cap import SETTLED_TICKS, EpochCap
-from wcsim.server.journal.journal import JOURNAL, EpochBegun, iter_part, journal_digest, read_header
+from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
+from wcsim.server.host.made_world import epoch_seed
+from wcsim.server.host.recovery import open_server
+from wcsim.server.journal.journal import (
+    JOURNAL,
+    Admitted,
+    Ended,
+    EpochBegun,
+    iter_journal,
+    iter_part,
+    journal_digest,
+    read_header,
+)
 from wcsim.server.journal.ledger import read_ledger
 from wcsim.server.journal.parts import part_files, put_aside
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.types import SeatSpec
 
 CAP, TICKS = 20, 47
 
@@ -96,6 +109,34 @@ def test_a_world_that_died_between_two_parts_goes_on_with_the_next_epoch(first, 
     assert read_header(run / JOURNAL).capacity == 2
     with Server(capped(tmp_path / "a"), tmp_path) as server:
         assert server.status().epoch == 3
+
+
+def written(order, *records):
+    """A world's beginning, and these records after it."""
+    journal = open_server(order, FakeWorld).journal
+    for record in records:
+        journal.append(record)
+    journal.close()
+
+
+@pytest.mark.parametrize("recovery", ["new_epoch", "replay"])
+def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(tmp_path, recovery):
+    order, path = capped(tmp_path, recovery=recovery), tmp_path / "run" / JOURNAL
+    both = [Admitted(epoch=0, tick=0, seat=seat, spec=SeatSpec(), name=name) for seat, name in enumerate("ab")]
+    written(order, *both, Ended(reason=f"{EPOCH_OVER}: of a test"))
+
+    def dying(*_, **__):
+        raise SystemExit(0)
+
+    for _ in range(2):  # the second one comes upon a part in which nothing has begun
+        with pytest.raises(SystemExit):
+            open_server(order, dying)
+        assert len(part_files(path)) == 2 and list(iter_part(path)) == []
+    opened = open_server(order, FakeWorld)
+    opened.journal.close()
+    assert (opened.core.cycle.epoch, opened.core.cycle.rules.expected) == (1, 2)
+    begun = [(record.epoch, record.seed) for record in iter_journal(path) if isinstance(record, EpochBegun)]
+    assert begun == [(epoch, epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
 
 
 def ready_at(tick):

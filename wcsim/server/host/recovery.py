@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -53,26 +54,30 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
         Path(order.run).mkdir(parents=True, exist_ok=True)
         return _begun(order, make, JournalWriter(path, header), 0, order.rules)
     _require_same(parts[-1], header)
-    last = _last_epoch(parts[-1])
-    if last.is_over or parts[-1] != path:
-        return _next(order, make, path, header)
-    nobody_was_in = last.epoch < 0
-    gather_s = order.rules.gather_s if nobody_was_in else min(order.rules.gather_s, REGATHER_S)
-    again = replace(order.rules, gather_s=gather_s)
-    if last.epoch < 0 or order.recovery == "new_epoch":
+    last = _last_epoch(parts)
+    if last.epoch < 0:
+        return _begun(order, make, _opened_part(path, header), 0, order.rules)
+    if last.is_over or last.part != path:
+        return _next(order, make, path, header, last)
+    again = replace(order.rules, gather_s=min(order.rules.gather_s, REGATHER_S))
+    if order.recovery == "new_epoch":
         return _begun(order, make, _appended(path), last.epoch + 1, again)
     return _gone_on(order, make, path, again)
 
 
-def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: JournalHeader) -> Opened:
+def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: JournalHeader, last: _LastEpoch) -> Opened:
     """The epoch after one that ended as planned, in a new part of the journal; all who were in it are waited for."""
-    if path.exists():
+    if last.part == path:
         _appended(path).close()
         put_aside(path)
-    last = _last_epoch(part_files(path)[-1])
     gather_s = min(order.rules.gather_s, GATHER_AGAIN_S)
     rules = replace(order.rules, gather_s=gather_s, expected=max(1, last.seated))
-    return _begun(order, make, JournalWriter(path, header), last.epoch + 1, rules)
+    return _begun(order, make, _opened_part(path, header), last.epoch + 1, rules)
+
+
+def _opened_part(path: Path, header: JournalHeader) -> JournalWriter:
+    """The part to write in: a new one, or one whose world ended before its epoch began."""
+    return _appended(path) if path.exists() else JournalWriter(path, header)
 
 
 def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: JournalWriter, epoch: int, rules: Rules) -> Opened:
@@ -140,11 +145,18 @@ def _require_same(path: Path, new: JournalHeader) -> None:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LastEpoch:
     epoch: int = -1  # -1 where none was begun
+    part: Path | None = None  # of the journal, that it began in
     seated: int = 0  # clients in it at its end
     is_over: bool = False  # it ended as planned
 
 
-def _last_epoch(part: Path) -> _LastEpoch:
+def _last_epoch(parts: Sequence[Path]) -> _LastEpoch:
+    """How the last epoch of a journal stands; parts whose world ended while it was made have none."""
+    each = map(_epoch_of, reversed(parts))
+    return next((found for found in each if found.epoch >= 0), _LastEpoch())
+
+
+def _epoch_of(part: Path) -> _LastEpoch:
     """How the last epoch in a part of a journal stands."""
     seats, epoch, is_over = Seats(), -1, False
     for record in iter_part(part, ticks=False):
@@ -152,4 +164,4 @@ def _last_epoch(part: Path) -> _LastEpoch:
         if isinstance(record, EpochBegun):
             epoch = max(epoch, record.epoch)
         is_over = isinstance(record, Ended) and record.reason.startswith(EPOCH_OVER)
-    return _LastEpoch(epoch=epoch, seated=len(seats.kept()), is_over=is_over)
+    return _LastEpoch(epoch=epoch, part=part, seated=len(seats.kept()), is_over=is_over)
