@@ -65,6 +65,7 @@ class WorldSpec:
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
     recovery: Recovery = "new_epoch"
     epochs_end: bool = False  # by world.epoch_ticks and world.epoch_growth_mb; whoever starts it has to start it again
+    begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
 

@@ -12,8 +12,9 @@ import pytest
 from tests.server.servers import stand_in_order
 from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import ConfigError
+from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.recovery import REGATHER_S, open_server
-from wcsim.server.journal.journal import JOURNAL, JournalWriter, read_header
+from wcsim.server.journal.journal import JOURNAL, Ended, JournalWriter, read_header
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol.events import Rules
@@ -119,3 +120,16 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
         assert (opened.core.cycle.epoch, opened.core.cycle.rules.gather_s) == (epoch, gather_s)
         assert opened.journal is not None
         opened.journal.close()
+
+
+@pytest.mark.parametrize("reason", ["asked to end", EPOCH_OVER])
+def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal_says(tmp_path, reason):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=Rules(capacity=2, expected=2, gather_s=600.0))
+    first = open_server(order, FakeWorld).journal
+    assert first is not None
+    with first:
+        first.append(Ended(reason=reason))
+    resumed = open_server(replace(order, begins=True), FakeWorld)
+    assert resumed.journal is not None
+    resumed.journal.close()
+    assert (resumed.core.cycle.epoch, resumed.core.cycle.rules) == (1, order.rules)

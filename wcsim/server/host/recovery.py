@@ -59,7 +59,7 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
         return _begun(order, make, _opened_part(path, header), 0, order.rules)
     if last.is_over or last.part != path:
         return _next(order, make, path, header, last)
-    again = replace(order.rules, gather_s=min(order.rules.gather_s, REGATHER_S))
+    again = _rules_again(order, REGATHER_S)
     if order.recovery == "new_epoch":
         return _begun(order, make, _appended(path), last.epoch + 1, again)
     return _gone_on(order, make, path, again)
@@ -70,9 +70,15 @@ def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: Jou
     if last.part == path:
         _appended(path).close()
         put_aside(path)
-    gather_s = min(order.rules.gather_s, GATHER_AGAIN_S)
-    rules = replace(order.rules, gather_s=gather_s, expected=max(1, last.seated))
+    rules = _rules_again(order, GATHER_AGAIN_S)
+    if not order.begins:
+        rules = replace(rules, expected=max(1, last.seated))
     return _begun(order, make, _opened_part(path, header), last.epoch + 1, rules)
+
+
+def _rules_again(order: WorldSpec, most_s: float) -> Rules:
+    """The rules of an order, waiting for `most_s` at most where those who come were in a world of this launch."""
+    return order.rules if order.begins else replace(order.rules, gather_s=min(order.rules.gather_s, most_s))
 
 
 def _opened_part(path: Path, header: JournalHeader) -> JournalWriter:

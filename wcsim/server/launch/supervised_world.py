@@ -62,7 +62,7 @@ class SupervisedWorld(Supervised[WorldStatus]):
         self._order_file.unlink(missing_ok=True)
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
-        write_order(self._order_file, to_line(replace(self._order, status_fd=status_fd)))
+        write_order(self._order_file, to_line(replace(self._order, begins=not self._loaded, status_fd=status_fd)))
         return (*WORLD_ARGV, str(self._order_file))
 
     def _begun(self, now_s: float) -> None:

@@ -1,0 +1,30 @@
+"""What a launcher orders from each life of its world."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.server.launch.test_launcher import STUB, launcher
+from tests.server.servers import OtherWorlds
+from wcsim.server.launch.supervised_world import WORLD_ARGV
+
+
+class OrdersSeen(OtherWorlds):
+    """Keeps what each world is told of who comes to it."""
+
+    def __init__(self):
+        super().__init__(*STUB, "world")
+        self.begins = []
+
+    def start(self, argv, env, log, status_fd):
+        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
+            self.begins.append(json.loads(Path(argv[-1]).read_text())["begins"])
+        return super().start(argv, env, log, status_fd)
+
+
+def test_worlds_know_that_clients_have_yet_to_load_until_one_of_them_was_there(tmp_path):
+    seen = OrdersSeen()
+    words = "die=0x2 die=30x3"  # two lives end before they say that they are loaded, and one later
+    outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen).run()
+    assert (outcome.code, seen.begins) == (0, [True, True, True, False])
