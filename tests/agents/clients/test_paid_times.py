@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
+from wcsim.server.host.status import Stragglers
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.view.live_table import PAYS, pays_of
@@ -43,6 +46,38 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
     again = PaidTimesLog(tmp_path)
     again.add(state((1.0, 1.0), 1.0, pid=3))
     assert again.times.clients["a"].learning_s == 8.5 and again.times.waited_s["a"]["b"] == 4.5
+
+
+def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):
+    log = PaidTimesLog(tmp_path)
+    for pid, waited_s in ((1, 60.0), (0, 60.0), (0, 60.0), (2, 1.0), (0, 1.0), (3, 0.5)):
+        log.add(state((5.0, 6.0), waited_s, pid=pid))
+    assert log.times.waited_s["a"]["b"] == 61.5
+
+
+def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before(tmp_path):
+    waits, now, log = Stragglers(), [0.0], PaidTimesLog(tmp_path)
+
+    def seen(*members):
+        world = WorldStatus(stage="collect", members=members, waited_s=waits.waited(members))
+        log.add(replace(state((5.0, 6.0), 0.0), world=world))
+
+    def wait(waiting_s, *after):
+        """b lets a wait for so long; these are in afterwards."""
+        waits.saw(("a", "b"), ("a", "b"), now[0])
+        waits.saw(("a", "b"), ("b",), now[0])
+        now[0] += waiting_s
+        waits.saw(after, (), now[0])
+        seen(*after)
+
+    wait(100.0, "a", "b")
+    for _ in range(3):  # b is given up after a second, and comes back
+        wait(1.0, "a")
+        seen("a", "b")
+    assert log.times.waited_s["a"]["b"] == 103.0
+    seen("b")  # a was away, and the world has forgotten what it paid
+    wait(2.0, "a", "b")
+    assert log.times.waited_s["a"]["b"] == 105.0
 
 
 def test_a_table_says_who_waits_for_whom(tmp_path):

@@ -98,7 +98,8 @@ class PaidTimesLog:
         self._sums = dict(known.clients)
         self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
         self._last: dict[str, PaidShares] = {}  # reading of each client
-        self._world: tuple[int, WorldStatus | None] = (0, None)  # the same of the world
+        self._world_pid = 0
+        self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
 
     @property
     def times(self) -> PaidTimes:
@@ -109,7 +110,7 @@ class PaidTimesLog:
         """Take in how things are."""
         for client in state.clients:
             self._client(client)
-        if state.world is not None and state.world.members:
+        if state.world is not None and state.world_pid:  # without a process these are a dead world's last words
             self._pairs(state.world_pid, state.world)
 
     def write(self) -> None:
@@ -128,13 +129,19 @@ class PaidTimesLog:
         self._last[client.name] = now
 
     def _pairs(self, pid: int, world: WorldStatus) -> None:
-        known_pid, before = self._world
-        last = _by_name(before) if before is not None and pid == known_pid else {}
-        for (who, whom), seconds in _by_name(world).items():
+        """Add what a world tells of waits.
+
+        It forgets what those have waited who left, but not for whom the others have: that goes on when they are back.
+        """
+        if pid != self._world_pid:
+            self._world_pid, self._pairs_s = pid, {}
+        last = {(who, whom): s for (who, whom), s in self._pairs_s.items() if who in world.members}
+        now = _by_name(world)
+        for (who, whom), seconds in now.items():
             was_s = last.get((who, whom), 0.0)
             row = self._waited_s.setdefault(who, {})
             row[whom] = round(row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2)
-        self._world = (pid, world)
+        self._pairs_s = last | now
 
 
 def _by_name(world: WorldStatus) -> dict[tuple[str, str], float]:

@@ -76,7 +76,7 @@ class Stragglers:
         return tuple(Held(name=name, seconds=seconds) for name, seconds in self._seconds.items())
 
     def waited(self, members: Sequence[str]) -> tuple[tuple[float, ...], ...]:
-        """Seconds that each of these members (rows) has waited for each (columns); those of others are forgotten."""
+        """Seconds that each of these members (rows) has waited for each (columns); rows of others are forgotten."""
         self._pairs = {name: self._pairs.get(name, {}) for name in members}
         return tuple(tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values())
 
