@@ -169,6 +169,9 @@ class ManifestFile(Model):
     overrides: Annotated[tuple[OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
     files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)
+    files_to_come_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
+        default_factory=dict
+    )  # while a longer run is written: each file is still the one before, or already this one
     seal: Sha256 | Literal[""] = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")

@@ -7,8 +7,16 @@ from pathlib import Path
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.clients_folder import ClientsFolder, create_clients_folder
+from wcsim.agents.clients.clients_folder import (
+    CONFIGS,
+    ClientsFolder,
+    create_clients_folder,
+    open_clients_folder,
+    rewrite_client_configs,
+)
 from wcsim.agents.runs.run_folder import make_manifest
+from wcsim.core import files
+from wcsim.errors import PolicyError
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.specs import RunInfo
 
@@ -43,3 +51,33 @@ def test_a_run_whose_ledger_is_damaged_is_somebodys_work(folder):
     data[5] ^= 1
     folder.ledger("a").write_bytes(data)
     assert not folder.fruitless()
+
+
+def longer(config, steps):
+    return config.model_copy(update={"learn": config.learn.model_copy(update={"total_steps": steps})})
+
+
+@pytest.mark.parametrize("written", [0, 1, 2, 3])
+def test_a_process_that_ends_while_configurations_are_written_leaves_a_run_that_goes_on(folder, monkeypatch, written):
+    more = {name: longer(folder.config, 900) for name in folder.clients}
+    with monkeypatch.context() as dying:
+        left, write = [written], files.write_bytes
+
+        def last_words(path, data):
+            if not left[0]:
+                raise KeyboardInterrupt
+            left[0] -= 1
+            write(path, data)
+
+        dying.setattr(files, "write_bytes", last_words)
+        with pytest.raises(KeyboardInterrupt):
+            rewrite_client_configs(folder, more)
+            folder.with_status("running", 0)
+    again = open_clients_folder(folder.path)
+    rewrite_client_configs(again, more)
+    again = again.with_status("running", 7)
+    assert open_clients_folder(folder.path) == again
+    assert {again.client_config(name).learn.total_steps for name in "ab"} == {900}
+    (folder.path / CONFIGS / "b.json").write_text(folder.config.model_dump_json(indent=2))
+    with pytest.raises(PolicyError, match="changed by hand"):
+        open_clients_folder(folder.path)

@@ -31,7 +31,7 @@ from wcsim.server.journal.ledger import iter_ledger
 from wcsim.server.journal.parts import part_files
 from wcsim.types import CLIENT_NAME
 
-_SEAL, _FILES = "seal", "files_sha256"
+_SEAL, _FILES, _FILES_TO_COME = "seal", "files_sha256", "files_to_come_sha256"
 _NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
@@ -111,15 +111,32 @@ def create_clients_folder(
         raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
-    write_client_configs(path, clients)
+    for name, text in _texts(clients).items():
+        files.write_bytes(path / name, text.encode())
     return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
 
 
-def write_client_configs(path: Path, clients: Mapping[str, RunConfig]) -> None:
-    """Write down what each client is made with. Raises DiskFullError."""
-    (path / CONFIGS).mkdir(exist_ok=True)
-    for name, config in clients.items():
-        files.write_bytes(path / CONFIGS / f"{name}.json", config.model_dump_json(indent=2).encode())
+def rewrite_client_configs(folder: ClientsFolder, clients: Mapping[str, RunConfig]) -> None:
+    """Write other configurations of clients over theirs.
+
+    Killed on the way, it leaves a run that can be opened, with some of them written; do it again, or write a status.
+
+    Args:
+        folder: The run.
+        clients: The configuration of each.
+
+    Raises:
+        DiskFullError: There is no room.
+    """
+    texts = _texts(clients)
+    _written(folder, {name: files.sha256_text(text) for name, text in texts.items()})
+    for name, text in texts.items():
+        files.write_bytes(folder.path / name, text.encode())
+
+
+def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
+    """What the files with the clients' configurations hold, by their paths in the run folder."""
+    return {f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2) for name, config in clients.items()}
 
 
 def open_clients_folder(path: Path) -> ClientsFolder:
@@ -147,11 +164,16 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
     return best
 
 
-def _written(folder: ClientsFolder) -> ClientsFolder:
-    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself."""
+def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) -> ClientsFolder:
+    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself.
+
+    `to_come` are hashes of files that are about to be written, and may already be in place when the run is opened.
+    """
     configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
     hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    if to_come:
+        data[_FILES_TO_COME] = dict(to_come)
     files.write_json(folder.path / MANIFEST, {**data, _SEAL: _seal(data)})
     return folder
 
@@ -162,12 +184,12 @@ def _require_sealed(path: Path, data: dict[str, Any]) -> None:
     Raises:
         PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
     """
-    seal, hashes = data.pop(_SEAL, None), data.get(_FILES, {})
+    seal = data.pop(_SEAL, None)
     if seal is not None and seal != _seal(data):
         raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
-    data.pop(_FILES, None)
+    hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
     for name, digest in hashes.items() if seal is not None else ():
-        if not (path / name).is_file() or files.sha256(path / name) != digest:
+        if not (path / name).is_file() or files.sha256(path / name) not in (digest, to_come.get(name)):
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 

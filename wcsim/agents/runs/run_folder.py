@@ -45,7 +45,8 @@ _LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
-_NOT_OF_ONE = {"clients", "files_sha256", "seal", "config_was_sha256"}  # of many, or of a moment alone
+_OF_A_MOMENT = {"config_was_sha256", "files_to_come_sha256"}
+_NOT_OF_ONE = {"clients", "files_sha256", "seal", *_OF_A_MOMENT}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from wcsim.agents.clients.clients_folder import (
     ClientsFolder,
     create_clients_folder,
     open_clients_folder,
-    write_client_configs,
+    rewrite_client_configs,
 )
 from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
@@ -209,7 +209,7 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             _mend(folder)
             for client in run.clients:
                 _lengthen(folder.path / client.name, client.ordered)
-            write_client_configs(folder.path, configs)
+            rewrite_client_configs(folder, configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
     wanted = make_manifest(world, run.info, [config.learn.network for config in configs.values()])
