@@ -8,23 +8,27 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import QUICK, files_in
 from tests.support.events import read_events
-from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.agents.clients.clients_folder import create_clients_folder, open_clients_folder
+from wcsim.agents.clients.group_run import GroupRun
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
-from wcsim.agents.runs.run_folder import open_run
+from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import learning, steps_note, with_steps
-from wcsim.cli.training.clients import client_names, resolved
+from wcsim.cli.training.clients import ALL_DONE, client_names, resolved, train_clients
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town, streets_hash
 
 SMALL = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
@@ -137,6 +141,66 @@ def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
     with pytest.raises(ConfigError, match="small and gru ask for different worlds"):
         resolved(options)
+
+
+# --- how a run ends, without its processes ---
+
+STEPS = 8
+
+
+@pytest.fixture
+def halfway(tmp_path, corner):
+    """A run of two clients, of which the first is done, and its town."""
+    town = find_town(str(corner))
+    words = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
+    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(town), command=words)
+    clients = resolved(Options(clients="small,gru", steps=STEPS, preset="dqn"))
+    configs, world = {client.name: client.config for client in clients}, clients[0].config
+    folder = create_clients_folder(tmp_path / "run", world, make_manifest(world, info), configs)
+    create_run(folder.path / "small", world, make_manifest(world, info)).with_status("done", STEPS)
+    return GroupRun(clients=clients, out=folder.path, info=info, resume=True), town
+
+
+class NoProcesses:
+    """Stands in for a launcher: shows these states, and ends with the last one's clients, or as `ends` does."""
+
+    states, ends = (), None
+
+    def __init__(self, *given, signals):
+        self._show = given[-1]
+
+    def run(self):
+        for state in self.states:
+            self._show(state)
+        if self.ends is not None:
+            self.ends()
+        clients = self.states[-1].clients if self.states else ()
+        return replace(ALL_DONE, clients=clients)
+
+
+def ended(monkeypatch, halfway, states=(), ends=None, last=True):
+    """What comes of a run whose processes do that."""
+    monkeypatch.setattr(NoProcesses, "states", states)
+    monkeypatch.setattr(NoProcesses, "ends", None if ends is None else staticmethod(ends))
+    monkeypatch.setattr("wcsim.cli.training.clients.Launcher", NoProcesses)
+    run, town = halfway
+    return train_clients(Options(preset="dqn"), replace(run, last=last), town)
+
+
+def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatch, halfway, capsys):
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+
+    def tell(*_):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("wcsim.cli.training.clients.print_report", tell)
+    try:
+        with pytest.raises(InterruptedRunError, match="--resume"):
+            ended(monkeypatch, halfway, last=False)
+        assert ended(monkeypatch, halfway) == Exit.DONE, "nothing is to follow"
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(number, handler)
 
 
 # --- whole runs ---

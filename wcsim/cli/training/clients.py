@@ -93,7 +93,10 @@ def train_clients(
             outcome = launcher.run() if left else ALL_DONE
         with suppress(DiskFullError):  # what was learned is of more weight
             paid.write()
-        return _told(run, folder, options.json, outcome, (rate, paid.times))
+        code = _told(run, folder, options.json, outcome, (rate, paid.times))
+    if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun
+        raise InterruptedRunError(f"stopped; {run.out} holds what was learned so far; continue with --resume")
+    return code
 
 
 def resolved(options: Options) -> tuple[Client, ...]:
