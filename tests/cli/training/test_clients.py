@@ -17,6 +17,7 @@ from tests.cli.conftest import QUICK, files_in
 from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import create_clients_folder, open_clients_folder
 from wcsim.agents.clients.group_run import GroupRun
+from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
@@ -27,7 +28,8 @@ from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
-from wcsim.server.specs import RunInfo
+from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.specs import ClientStatus, RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 SMALL = (
@@ -201,6 +203,33 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     finally:
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, handler)
+
+
+def learning_state(elapsed_s, learned_s, step=1):
+    """The second client learns, in a world that does not tick yet."""
+    status = ClientStatus(name="gru", step=step, learning_s=learned_s)
+    client = ClientState(name="gru", seat=1, standing="running", status=status)
+    told = {"elapsed_s": elapsed_s, "world_standing": "running", "world_pid": 1, "world_restarts": 0, "world": None}
+    return LaunchState(**told, clients=(client,))
+
+
+def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypatch, halfway):
+    run, _ = halfway
+    kept = []
+
+    def states():
+        for elapsed_s in (1.0, 59.0, 61.0, 90.0):
+            yield learning_state(elapsed_s, learned_s=elapsed_s)
+            times = read_paid_times(run.out)
+            kept.append(None if times is None else times.clients["gru"].learning_s)
+
+    def fail():
+        raise RuntimeError("in the launcher")
+
+    with pytest.raises(RuntimeError):
+        ended(monkeypatch, halfway, states(), fail)
+    assert kept == [None, None, 61.0, 61.0]
+    assert read_paid_times(run.out).clients["gru"].learning_s == 90.0
 
 
 # --- whole runs ---

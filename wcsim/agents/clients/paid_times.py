@@ -1,23 +1,25 @@
 """What sharing a world costs each client of a run: who waited for whom, and where each one's time went.
 
 Kept in the run folder as waits.json, over all lives of all processes and over `--resume`. What a process did in the
-half second before it was killed is not in it.
+half second before it was killed is not in it, nor the last minute of a launcher that was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from wcsim.agents.runs.run_folder import read_json
 from wcsim.core import files
-from wcsim.errors import PolicyError
+from wcsim.errors import DiskFullError, PolicyError
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
 
 WAITS = "waits.json"
+KEEP_S = 60.0  # a launcher that is killed loses so much at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +100,7 @@ class PaidTimesLog:
         self._sums = dict(known.clients)
         self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
         self._last: dict[str, PaidShares] = {}  # reading of each client
+        self._kept_s = 0.0
         self._world_pid = 0
         self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
 
@@ -113,11 +116,18 @@ class PaidTimesLog:
         if state.world is not None and state.world_pid:  # without a process these are a dead world's last words
             self._pairs(state.world_pid, state.world)
 
-    def write(self) -> None:
-        """Leave it in the run folder. Raises DiskFullError."""
+    def keep_each(self, now_s: float) -> None:
+        """Leave it in the run folder when that was done a while ago; `now_s` are seconds since the begin."""
+        if now_s - self._kept_s >= KEEP_S:
+            self._kept_s = now_s
+            self.keep()
+
+    def keep(self) -> None:
+        """Leave it in the run folder, unless the disk is full: what is learned is of more weight."""
         times = self.times
         if times.clients:
-            files.write_json(self._run / WAITS, asdict(times))
+            with suppress(DiskFullError):
+                files.write_json(self._run / WAITS, asdict(times))
 
     def _client(self, client: ClientState) -> None:
         if client.status is None:

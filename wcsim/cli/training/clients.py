@@ -6,7 +6,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,10 +76,12 @@ def train_clients(
         terms = WorldTerms(expected=len(left), lease_s=options.lease, recovery=options.recovery)
         order = world_order(run, town.address, folder, place, terms)
         rate, paid = TickRate(), PaidTimesLog(folder.path)
+        held.callback(paid.keep)
         with LiveTable() as table:
 
             def show(state: LaunchState) -> None:
                 paid.add(state)
+                paid.keep_each(state.elapsed_s)
                 if rate.add(state):
                     note = "" if run.resume else steps_note(run.clients[0].config, options.steps)
                     notes, told = (note,) if note else (), run.info.overrides
@@ -91,8 +93,6 @@ def train_clients(
             rules = LaunchRules(client_lease_s=max(30.0, options.lease))
             launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
-        with suppress(DiskFullError):  # what was learned is of more weight
-            paid.write()
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
     if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun
         raise InterruptedRunError(f"stopped; {run.out} holds what was learned so far; continue with --resume")
