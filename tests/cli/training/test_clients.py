@@ -232,6 +232,13 @@ def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypat
     assert read_paid_times(run.out).clients["gru"].learning_s == 90.0
 
 
+def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, halfway):
+    run, _ = halfway
+    for step, total in ((5, STEPS + 5), (0, STEPS)):  # in the second sitting the other one said nothing yet
+        ended(monkeypatch, halfway, (learning_state(1.0, 1.0, step),))
+        assert open_clients_folder(run.out).manifest.steps == total
+
+
 # --- whole runs ---
 
 

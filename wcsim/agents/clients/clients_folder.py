@@ -67,10 +67,16 @@ class ClientsFolder:
 
     def done(self, name: str, steps: int) -> bool:
         """Whether a client has learned for so many steps in all."""
+        return self._own_manifest(name).get("status") == "done" and self.steps(name) >= steps
+
+    def steps(self, name: str) -> int:
+        """Steps that a client has learned for, as far as its own run has them."""
+        done = self._own_manifest(name).get("steps", 0)
+        return done if isinstance(done, int) else 0
+
+    def _own_manifest(self, name: str) -> dict[str, Any]:
         folder = self.path / name
-        manifest = read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
-        done = manifest.get("steps", 0)
-        return manifest.get("status") == "done" and isinstance(done, int) and done >= steps
+        return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
         """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""

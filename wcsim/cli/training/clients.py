@@ -275,8 +275,9 @@ def _told(
     """
     if folder.fruitless() and not run.resume:
         _nothing_came(outcome)
-    steps = sum(client.status.step for client in outcome.clients if client.status is not None)
-    folder = _with_status(run, folder, steps or folder.manifest.steps)
+    told = {client.name: client.status.step for client in outcome.clients if client.status is not None}
+    steps = sum(max(told.get(name, 0), folder.steps(name)) for name in folder.clients)  # not all were launched
+    folder = _with_status(run, folder, steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, *seen)
