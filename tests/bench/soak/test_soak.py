@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.support.worlds import quick_config
 from wcsim.bench.soak.faults import Chaos, Fault
-from wcsim.bench.soak.soak import SoakFacts, SoakOrder, overlapping, recovery_s, rejoin_s, soak
+from wcsim.bench.soak.soak import SoakFacts, SoakOrder, _Watch, overlapping, recovery_s, rejoin_s, soak
 from wcsim.bench.soak.stub_client import StubSight
 from wcsim.cli.bench.soak import faults_of, result
 from wcsim.server.launch.states import ClientState, LaunchState
@@ -89,6 +90,34 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
     assert all(len(fault.others) == 2 + (fault.who == "world") for fault in chaos.faults)
     paused = sum(fault.what == "pause" or (fault.what == "stop" and fault.who != "world") for fault in chaos.faults)
     assert sum(number == signal.SIGCONT for _, number in sent) == paused
+
+
+class Asked:
+    """Stands in for a launcher that is asked to stop."""
+
+    def stop(self):
+        pass
+
+
+def test_an_epoch_is_reckoned_at_the_pace_of_the_run_and_not_of_a_world_that_ends(monkeypatch, tmp_path):
+    now = [0.0]
+    monkeypatch.setattr("wcsim.bench.soak.faults._send", lambda pid, number: None)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path)
+    watch = _Watch(order, lambda done_s: None)
+    watch.launcher = Asked()
+    for step in range(400):
+        now[0] = 0.25 * step
+        ending = replace(state(tick=1_000 + step), stopping=True)  # its last ticks come slowly
+        life = state(tick=1 + 3 * (step % 100))  # 12 ticks a second
+        watch.show(ending if step >= 240 else replace(life, world_pid=100 + step // 100))
+    assert watch.pace.ticks_per_s == pytest.approx(12.0)
+    shown = [state(tick=0), replace(state(tick=9), world=None), replace(state(tick=9), world_pid=0)]
+    for number, each in enumerate(shown):
+        watch.pace.look(each, 1000.0 + number)
+    watch.pace.look(state(tick=10_000), 2000.0)
+    watch.pace.look(state(tick=10_001), 2100.0, settled=False)
+    assert watch.pace.ticks_per_s == pytest.approx(12.0)
 
 
 def soaked(corner: Path, folder: Path, seconds: float, seed: int) -> SoakFacts:

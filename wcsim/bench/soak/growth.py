@@ -178,6 +178,30 @@ class GrowthLog:
             self._seen.add((process.pid, process.create_time()))
 
 
+class SettledPace:
+    """How fast a settled run ticks: over all lives of its world, without the time in which there was none."""
+
+    def __init__(self) -> None:
+        self._ticks, self._spent_s = 0, 0.0
+        self._last: tuple[int, int, float] | None = None  # process, its ticks, and when
+
+    def look(self, state: LaunchState, now_s: float, *, settled: bool = True) -> None:
+        """Take in how things are; what a world does before the run has settled, or while it ends, does not count."""
+        world, before = state.world, self._last
+        if state.stopping or not settled or world is None or not (state.world_pid and world.ticks):
+            self._last = None
+            return
+        self._last = state.world_pid, world.ticks, now_s
+        if before is not None and before[0] == state.world_pid:
+            self._ticks += world.ticks - before[1]
+            self._spent_s += now_s - before[2]
+
+    @property
+    def ticks_per_s(self) -> float:
+        """The mean; 0 when it is not known."""
+        return self._ticks / self._spent_s if self._spent_s > 0.0 else 0.0
+
+
 def long_run(
     memory: Mapping[str, Slope],
     disk: Slope,

@@ -17,7 +17,7 @@ from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
 from wcsim.agents.learning.checkpoint_file import KEEP
 from wcsim.bench.soak.faults import WORLD
-from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predicted_s
+from wcsim.bench.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from wcsim.bench.soak.planned import FaultOrder, PlannedFaults, Recovered
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
@@ -82,7 +82,7 @@ class _Watch:
         self._settled = False
         self.faults = PlannedFaults(order.faults, self._progress)
         self.growth = GrowthLog(order.folder, WARM_S)
-        self.ticks_per_s = 0.0
+        self.pace = SettledPace()
         self._begun_s: float | None = None  # of the first tick
 
     def look(self, state: LaunchState) -> bool:
@@ -94,8 +94,7 @@ class _Watch:
         self.faults.act(state)
         self._settled = self._settled or all(_step(client) >= self._settled_step for client in state.clients)
         self.growth.look(state, now_s, settled=self._settled)
-        if state.world is not None and state.world.ticks_per_s > 0.0:
-            self.ticks_per_s = state.world.ticks_per_s
+        self.pace.look(state, now_s, settled=self._settled)
         return self._order.steps is None and self._progress(state) >= 1.0
 
     def _progress(self, state: LaunchState) -> float:
@@ -179,7 +178,7 @@ def slowed(client: Client, times: int) -> Client:
 def _epoch_h(run: GroupRun, watch: _Watch) -> float:
     """Hours that an epoch lasts at the pace of this soak."""
     ticks = run.clients[0].config.world.epoch_ticks or math.inf
-    return ticks / max(watch.ticks_per_s, 1e-3) / 3600.0
+    return ticks / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
 
 
 def _recovery_s(order: LearnersOrder, run: GroupRun, recovered: Sequence[Recovered]) -> float:

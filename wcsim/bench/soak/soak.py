@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wcsim.bench.soak.faults import WORLD, Chaos, Fault
-from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope, long_run, predicted_s
+from wcsim.bench.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from wcsim.bench.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
 from wcsim.server.journal.journal import JOURNAL, iter_journal
@@ -173,7 +173,7 @@ class _Watch:
     def __init__(self, order: SoakOrder, progress: Callable[[float], object]) -> None:
         self.chaos, self.growth = Chaos(order.seed, math.inf), GrowthLog(order.folder)
         self.launcher: Launcher | None = None
-        self.ticks_per_s = 0.0
+        self.pace = SettledPace()
         self._end_s = math.inf  # known from the first tick on: a world may take its time to load
         self._seconds, self._progress = order.seconds, progress
 
@@ -186,8 +186,7 @@ class _Watch:
         self._progress(max(0.0, min(self._seconds, self._seconds - (self._end_s - now_s))))
         self.chaos.act(state)
         self.growth.look(state, now_s)
-        if state.world is not None and state.world.ticks_per_s > 0.0:
-            self.ticks_per_s = state.world.ticks_per_s
+        self.pace.look(state, now_s)
         if now_s > self._end_s and self.launcher is not None and not state.stopping:
             self.chaos.wake_all()
             self.launcher.stop()
@@ -195,7 +194,7 @@ class _Watch:
 
 def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
     """For a run of many hours; a recovery by replay is not in it, for which learners' soaks know the ticks."""
-    epoch_h = (order.config.world.epoch_ticks or math.inf) / max(watch.ticks_per_s, 1e-3) / 3600.0
+    epoch_h = (order.config.world.epoch_ticks or math.inf) / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
     recovery_s = predicted_s([(0.0, took_s) for took_s in times.world_s], 0.0)
     return long_run(watch.growth.memory, watch.growth.disk, epoch_h, recovery_s)
 
