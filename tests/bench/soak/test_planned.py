@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 from tests.bench.soak.test_soak import state
@@ -47,3 +48,29 @@ def test_the_next_fault_waits_until_the_last_one_is_got_over(monkeypatch):
     assert len(faults.faults) == 8
     assert sum(first_s < fault.time_s < first_s + 60.0 for fault in faults.faults) == 0
     assert max(each.after_s for each in faults.recovered) > 60.0
+
+
+def struck(monkeypatch, said, who):
+    """After how many seconds a kill of `who` was got over, by what the world said so many seconds after it."""
+    now = [100.0]
+    monkeypatch.setattr("wcsim.bench.soak.faults._send", lambda pid, number: None)
+    monkeypatch.setattr("wcsim.bench.soak.planned._TARGETS", ((who, 1.0),))
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    faults = PlannedFaults(FaultOrder(kills=1, stops=0, lease_s=4.0), lambda state: 0.5)
+    faults.act(state(tick=40))
+    assert len(faults.faults) == 1
+    for after_s, tick, ticks in said:
+        now[0] = 100.0 + after_s
+        told = state(tick=tick)
+        faults.act(replace(told, world=replace(told.world, ticks=ticks)))
+    return [each.after_s for each in faults.recovered]
+
+
+def test_word_from_before_a_fault_tells_of_no_recovery(monkeypatch):
+    said = [(0.2, 41, 41), (0.5, 43, 43), (1.0, 43, 43), (5.0, 44, 44), (5.5, 45, 45)]  # all waits for the lease
+    assert struck(monkeypatch, said, "client") == [5.5]
+
+
+def test_a_world_that_was_made_again_has_recovered_with_its_first_tick(monkeypatch):
+    said = [(0.2, 41, 41), (6.0, 44, 0), (7.0, 44, 0), (8.0, 45, 1)]
+    assert struck(monkeypatch, said, "world") == [8.0]

@@ -26,7 +26,7 @@ _MENU: tuple[tuple[str, What, float], ...] = (
     (WORLD, "pause", 0.05),
 )
 _FORWARD_TICKS = 5  # the world has gone on by so much before the next fault comes
-_TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
+TOLD_S = 0.8  # after a fault, until the world's word of how far it is cannot be from before
 GAP_S = (0.5, 3.0)  # ... and then so long
 _HASTE = 0.25  # share of faults on which the next one follows before anybody has got over them
 _HASTE_GAP_S = (0.1, 2.5)
@@ -91,7 +91,7 @@ class Chaos:
         if state.stopping or now_s > self.until_s or state.world is None or state.world_standing != "running":
             return
         here = (state.world.epoch, state.world.tick)
-        if self.faults and now_s - self.faults[-1].time_s < _TOLD_S:
+        if self.faults and now_s - self.faults[-1].time_s < TOLD_S:
             self._base = here
         new = here[0] > self._base[0]
         went_on = here[1] >= (0 if new else self._base[1]) + _FORWARD_TICKS

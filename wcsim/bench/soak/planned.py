@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wcsim.bench.soak.faults import WORLD, Fault, Striker, What
+from wcsim.bench.soak.faults import TOLD_S, WORLD, Fault, Striker, What
 from wcsim.core import seeding
 from wcsim.server.launch.states import LaunchState
 
@@ -32,7 +32,7 @@ class Recovered:
     """How long a fault was felt."""
 
     fault: Fault
-    after_s: float  # from the fault to the first word of two more ticks, or of a new epoch
+    after_s: float  # to the first word of two more ticks than were heard of in the first TOLD_S, or of a new epoch
     ticks: int  # that the world had done in its epoch, and does again to recover by replay
 
 
@@ -48,7 +48,7 @@ class PlannedFaults:
         deck = [(self._target(), what) for what in (*([kill] * order.kills), *([stop] * order.stops))]
         self.planned = tuple(deck[int(k)] for k in self._rng.permutation(len(deck)))
         self._striker = Striker()
-        self._felt: tuple[Fault, tuple[int, int]] | None = None  # a fault, and epoch and tick when it struck
+        self._felt: tuple[Fault, tuple[int, int]] | None = None  # a fault, and epoch and tick that it struck at
         self.recovered: list[Recovered] = []
 
     @property
@@ -109,7 +109,13 @@ class PlannedFaults:
         world = state.world
         if self._felt is None or world is None or state.world_standing != "running":
             return
-        fault, (epoch, tick) = self._felt
-        if (world.epoch > epoch and world.tick > 0) or (world.epoch == epoch and world.tick >= tick + 2):
+        fault, base = self._felt
+        here = (world.epoch, world.tick)
+        if now_s - fault.time_s < TOLD_S:  # this may be word from before the fault
+            self._felt = fault, max(base, here)
+            return
+        epoch, tick = base
+        made_again = fault.who == WORLD and world.ticks == 0  # up to where it was, and nobody has gone on yet
+        if not made_again and ((here[0] > epoch and here[1] > 0) or (here[0] == epoch and here[1] >= tick + 2)):
             self.recovered.append(Recovered(fault=fault, after_s=now_s - fault.time_s, ticks=tick))
             self._felt = None
