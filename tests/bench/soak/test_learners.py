@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from tests.cli.training.test_clients import SMALL, start
+from wcsim.bench.soak.planned import FaultOrder
+from wcsim.cli.bench.soak import SoakOptions, _soaked
+from wcsim.server.launch.backoff import RestartRules, Restarts
+from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
 SIX = "fig6,stack,gru,patch,small,convlstm"
@@ -20,6 +25,18 @@ def soaked(folder, corner, *words, timeout_s=280):
     told = json.loads((folder / "soak.json").read_text())
     assert (child.returncode, told["wrong"]) == (0, []), (out, err)
     return told["runs"]
+
+
+def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("wcsim.cli.training.clients.train_clients", lambda *given: asked.append(given[-1]))
+    monkeypatch.setattr("wcsim.bench.soak.learners.soak_learners", lambda order, run, told, train: train(None))
+    options = SoakOptions(networks="small,patch", kills=150, stops=140)
+    _soaked(options, find_town(str(corner)), tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
+    plain = RestartRules()
+    assert asked == [replace(plain, deaths=290 + plain.deaths)]
+    restarts = Restarts(asked[0])
+    assert [restarts.died(progressed=False) for _ in range(290)][-1] == plain.longest_s
 
 
 @pytest.mark.proof

@@ -28,6 +28,7 @@ from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
+from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -166,10 +167,10 @@ def halfway(tmp_path, corner):
 class NoProcesses:
     """Stands in for a launcher: shows these states, and ends with the last one's clients, or as `ends` does."""
 
-    states, ends = (), None
+    states, ends, rules = (), None, None
 
     def __init__(self, *given, signals):
-        self._show = given[-1]
+        *_, NoProcesses.rules, self._show = given
 
     def run(self):
         for state in self.states:
@@ -180,13 +181,13 @@ class NoProcesses:
         return replace(ALL_DONE, clients=clients)
 
 
-def ended(monkeypatch, halfway, states=(), ends=None, last=True):
+def ended(monkeypatch, halfway, states=(), ends=None, last=True, **asked):
     """What comes of a run whose processes do that."""
     monkeypatch.setattr(NoProcesses, "states", states)
     monkeypatch.setattr(NoProcesses, "ends", None if ends is None else staticmethod(ends))
     monkeypatch.setattr("wcsim.cli.training.clients.Launcher", NoProcesses)
     run, town = halfway
-    return train_clients(Options(preset="dqn"), replace(run, last=last), town)
+    return train_clients(Options(preset="dqn"), replace(run, last=last), town, **asked)
 
 
 def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatch, halfway, capsys):
@@ -203,6 +204,13 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     finally:
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, handler)
+
+
+def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):
+    for asked in (RestartRules(deaths=99), None):
+        ended(monkeypatch, halfway, (learning_state(1.0, 1.0),), restarts=asked)
+        rules = NoProcesses.rules
+        assert rules.client == rules.world == (asked or RestartRules())
 
 
 def learning_state(elapsed_s, learned_s, step=1):

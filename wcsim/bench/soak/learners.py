@@ -26,7 +26,7 @@ from wcsim.server.specs import Recovery
 
 SETTINGS = ("learn.replay_frames=1000", "learn.checkpoint_every=100", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay; and checkpoints that
-come more often than kills, as a learner that never gets beyond its last one is given up.
+come more often than kills, as a learner that never gets beyond its last one learns nothing.
 """
 WARM_S = 60.0  # of a process that loads PyTorch, and fills its replay
 ENDLESS = 10_000_000  # steps, of a soak that ends by the clock

@@ -132,6 +132,7 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     from wcsim.cli.shared.run_config import in_town
     from wcsim.cli.training.clients import resolved, train_clients
     from wcsim.cli.training.train import Options
+    from wcsim.server.launch.backoff import RestartRules
     from wcsim.server.specs import RunInfo
 
     order = LearnersOrder(
@@ -157,7 +158,9 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     info = in_town(RunInfo(seed=options.seed, command=("wcsim", "bench", "soak")), town, last.config)
     run = GroupRun(clients=(*clients, slowed(last, options.slow)), out=folder, info=info)
     told = folder.with_name(f"{folder.name}.json")
-    return soak_learners(order, run, told, lambda watch: train_clients(trained, run, town, watch))
+    deaths = RestartRules().deaths + struck.kills + struck.stops  # those that faults cause, which may come in a row
+    restarts = RestartRules(deaths=deaths)
+    return soak_learners(order, run, told, lambda watch: train_clients(trained, run, town, watch, restarts))
 
 
 def learners_result(facts: LearnersFacts) -> dict[str, int | float | str | None]:

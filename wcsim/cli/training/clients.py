@@ -39,6 +39,7 @@ from wcsim.server.journal.journal import JOURNAL, JournalWriter
 from wcsim.server.journal.ledger import LedgerWriter
 from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
+from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
@@ -54,11 +55,20 @@ _TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report
 
 
 def train_clients(
-    options: Options, run: GroupRun, town: Town, watch: Callable[[LaunchState], bool] = lambda state: False
+    options: Options,
+    run: GroupRun,
+    town: Town,
+    watch: Callable[[LaunchState], bool] = lambda state: False,
+    restarts: RestartRules | None = None,
 ) -> int:
     """Train them all; returns the exit code: FAILED when a client was given up, or the world.
 
-    `watch` is told how things are a few times a second; the run is stopped, as by SIGTERM, when it says True.
+    Args:
+        options: What was typed.
+        run: The clients, and where their run goes.
+        town: The town.
+        watch: Told how things are a few times a second; the run is stopped, as by SIGTERM, when it says True.
+        restarts: When a process that dies is given up, for a run whose processes somebody kills on purpose.
 
     Raises:
         InterruptedRunError: The user stopped it.
@@ -90,7 +100,8 @@ def train_clients(
                 if watch(state) and not state.stopping:
                     launcher.stop()
 
-            rules = LaunchRules(client_lease_s=max(30.0, options.lease))
+            again = RestartRules() if restarts is None else restarts
+            rules = LaunchRules(client_lease_s=max(30.0, options.lease), client=again, world=again)
             launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+_MOST_DOUBLINGS = 64  # beyond any wait, and still a number
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestartRules:
@@ -22,6 +24,9 @@ class Restarts:
     [0.5, 1.0, 2.0, 4.0, None]
     >>> restarts.died(progressed=True)
     0.5
+    >>> patient = Restarts(RestartRules(deaths=10_000))
+    >>> [patient.died(progressed=False) for _ in range(2_000)][-1]
+    30.0
     """
 
     def __init__(self, rules: RestartRules) -> None:
@@ -35,4 +40,4 @@ class Restarts:
         self.in_vain = 1 if progressed else self.in_vain + 1
         if self.in_vain >= self.rules.deaths:
             return None
-        return min(self.rules.first_s * 2.0 ** (self.in_vain - 1), self.rules.longest_s)
+        return min(self.rules.first_s * 2.0 ** min(self.in_vain - 1, _MOST_DOUBLINGS), self.rules.longest_s)
