@@ -72,6 +72,25 @@ def with_file(config: RunConfig, file: Path) -> RunConfig:
     return parse(RunConfig, _merged(config.model_dump(mode="json"), own), shown(file))
 
 
+def sets_key(override: str, key: str) -> bool:
+    """Whether a `section.key=value` sets a key, or a part of it; `section={key=value}` does as well.
+
+    >>> sets_key("env.profile=slow", "env.profile"), sets_key("env={profile='slow'}", "env.profile")
+    (True, True)
+    >>> sets_key("env.window=2", "env.profile")
+    False
+
+    Raises:
+        ConfigError: It is no `section.key=value`.
+    """
+    data: Any = _override(override)
+    for part in key.split("."):
+        if not isinstance(data, dict) or part not in data:
+            return False
+        data = data[part]
+    return True
+
+
 def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
     for text in overrides:
         data, where = _merged(data, _asked(_override(text))), f"--set {shown(text)}"

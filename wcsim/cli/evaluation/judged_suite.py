@@ -16,6 +16,7 @@ from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
 from wcsim.cli.shared.machine_options import machines_of, said_of
+from wcsim.cli.shared.run_config import require_unset
 from wcsim.errors import ConfigError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines
@@ -26,6 +27,10 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
 _TOLD_EVERY_S = 20.0
+_LISTED = {
+    "env.profile": "each episode of a list has its own user: expected --town and --profile without --suite",
+    "env.max_steps": "each episode of a list has its own steps: expected --town and --max-steps without --suite",
+}
 
 
 @dataclass
@@ -68,6 +73,7 @@ def run_suites(words: list[str]) -> int:
     """Judge policies on a list; a table for each part and one for all."""
     options = parse(SuiteOptions, words, "test")
     machines_of(options.cluster, options.jobs, "--jobs")
+    require_unset(options.set, _LISTED)
     in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
     from wcsim.agents.evaluation.suite.list_file import open_suite
 

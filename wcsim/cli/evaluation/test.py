@@ -21,7 +21,7 @@ from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, says, some_words, write_json
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
+from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.plugins import find_class
@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # loads torch, which --help must not
 
 TRAFFIC_LOG = "wcsim.bridge.sumo.session"
 MAX_STEPS = 1_000_000  # as in env.max_steps
+SAID_ELSEWHERE = {"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}
 UNEVENTFUL = "no danger was met: all who follow the user did the same; drive longer (--max-steps) or more (--episodes)"
 
 
@@ -187,6 +188,7 @@ def _told_of(plan: TestPlan, names: Sequence[str]) -> str:
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
+    require_unset(options.set, SAID_ELSEWHERE)
     in_bounds("--episodes", options.episodes, 1, math.inf)
     in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
     profiles = some_words("--profile", options.profile)

@@ -15,7 +15,7 @@ from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, sets_key, with_file, with_overrides
 from wcsim.core import reading, seeding
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
@@ -85,6 +85,21 @@ def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
         )
 
 
+def require_unset(settings: Sequence[str], instead: Mapping[str, str]) -> None:
+    """Refuse settings that a command would not hear of, as it is told the same in another way.
+
+    Args:
+        settings: section.key=value that were typed.
+        instead: What to do instead, by key.
+
+    Raises:
+        ConfigError: One of these keys was set.
+    """
+    for key, expected in instead.items():
+        if any(sets_key(text, key) for text in settings):
+            raise ConfigError(f"--set {key}: is not heard of here; {expected}")
+
+
 def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:
     """Refuse a user who never sits in a chair where they are drawn from `collect.profiles`, and ones that are none.
 
@@ -98,7 +113,7 @@ def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path |
     """
     require_user(config.env.profile)
     own = _file_of(file).get("env", {})
-    if "profile" in own or any(_key_of(text) == "env.profile" for text in settings):
+    if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
             f"env.profile={shown(name)}: a network that learns in rounds draws its users from collect.profiles; "
