@@ -92,6 +92,21 @@ def test_noise_goes_by_a_word_or_part_by_part():
     assert depth_only.depth.baseline_m == 0.1 and depth_only.depth.sigma_px == noise.depth.sigma_px
 
 
+def test_a_number_of_typical_noise_leaves_the_other_noises_on(tmp_path):
+    word, own = "cameras.0.noise=typical", "cameras.0.noise.depth.sigma_px=0.2"
+    wanted = with_overrides(load_run_config("quick", (word,)), (own,)).cameras[0].noise
+    assert wanted is not None and wanted.classes is not None and wanted.rgb is not None
+    assert load_run_config("quick", (word, own)).cameras[0].noise == wanted
+    laptop = load_run_config("laptop")
+    assert load_run_config("laptop", (own,)) == with_overrides(laptop, (own,))
+    file = tmp_path / "own.toml"
+    file.write_text("[cameras.0.noise.depth]\nsigma_px = 0.2\n")
+    assert load_run_config("laptop", (), file).cameras[0].noise == wanted
+    assert load_run_config("laptop", (own, word)) == laptop
+    alone = load_run_config("quick", ("cameras.0.noise=none", own)).cameras[0].noise
+    assert alone is not None and alone.depth is not None and alone.classes is None
+
+
 def test_an_unknown_preset_names_the_known_ones():
     with pytest.raises(ConfigError, match=r"paper.*quick"):
         load_run_config("fast")

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from wcsim.config.base import Model, fault
 from wcsim.config.run import RunConfig
+from wcsim.config.sensors import by_word
 from wcsim.core import reading
 from wcsim.core.reading import FileKind, shown
 from wcsim.errors import ConfigError
@@ -132,6 +133,8 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _laid(old: Any, value: Any, key: str) -> Any:
+    if isinstance(value, dict):
+        old = by_word(key, old)  # a key inside it changes that key alone
     if isinstance(old, dict) and isinstance(value, dict):
         return _merged(old, value)
     if isinstance(old, list) and isinstance(value, dict):

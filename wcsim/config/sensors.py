@@ -15,9 +15,20 @@ Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
 Pixels = Annotated[int, Field(ge=8, le=2048)]
 
 
-def _by_word(given: Any, typical: dict[str, Any]) -> Any:
-    """What a table's place holds: a table, or the word "none" or "typical" for one."""
-    return {"none": None, "typical": typical}.get(given, given) if isinstance(given, str) else given
+_TYPICAL: dict[str, dict[str, Any]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}  # without a line: no keys
+
+
+def by_word(key: str, given: Any) -> Any:
+    """What stands in the place of a sensor's table: the same, or the table for the word "none" or "typical".
+
+    >>> by_word("odometry", "typical"), by_word("noise", "none"), by_word("noise", {"rgb": {}})
+    ({}, None, {'rgb': {}})
+
+    Args:
+        key: Of the table.
+        given: A table, a word, or anything else, which stays as it is.
+    """
+    return {"none": None, "typical": _TYPICAL.get(key, {})}.get(given, given) if isinstance(given, str) else given
 
 
 class DepthNoiseConfig(Model):
@@ -80,7 +91,7 @@ class CameraConfig(Model):
     @field_validator("noise", mode="before")
     @classmethod
     def _noise_by_name(cls, noise: Any) -> Any:
-        return _by_word(noise, {"depth": {}, "classes": {}, "rgb": {}})
+        return by_word("noise", noise)
 
     @model_validator(mode="after")
     def _sees_something(self) -> CameraConfig:
@@ -157,7 +168,7 @@ class SensorsConfig(Model):
     def _by_name(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return {} if data == "none" else data
-        return {key: _by_word(value, {}) for key, value in data.items()}
+        return {key: by_word(key, value) for key, value in data.items()}
 
     odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None
 
