@@ -279,6 +279,12 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
     assert files_in(folder) == {"new", "new/film.webm"}
 
 
+def test_a_video_without_a_policy_shows_the_user_who_was_asked_for(wcsim, folder, corner):
+    for words, who in (((), "competent"), (("--profile", "slow"), "slow")):
+        told = wcsim("video", corner, "--seconds", "0.2", "--width", "80", *words)
+        assert told.code == 0 and told.out.endswith(f"0.2 s, a user {who}\n")
+
+
 def test_settings_are_laid_over_those_of_pictures_and_films(wcsim, folder, corner):
     wrong, slow = ("--set", "chair.plant=none-of-these.toml"), ("--set", "chair.v_max_mps=0.2")
     shows = {"snapshot": ("--width", "80"), "look": (), "video": ("--width", "80"), "video --policy follow": ()}

@@ -25,6 +25,7 @@ _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= Cl
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
 MAP_SPAN_M = 60.0
+FILMED_USER = "competent"  # who drives where nobody is named
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 
 
@@ -42,10 +43,12 @@ class Shot:
 class FilmedDrive:
     """A world with one chair, made to be looked at."""
 
-    def __init__(self, town: Town, seed: int, width: int, settings: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, town: Town, seed: int, width: int, settings: tuple[str, ...] = (), profile: str = FILMED_USER
+    ) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         config = with_overrides(RunConfig(cameras=(camera,)), settings)
-        self.world = World(town, config, (SeatSpec(profile="competent"),), seed)
+        self.world = World(town, config, (SeatSpec(profile=profile),), seed)
         self._camera = config.cameras[0]
         self.tick_s = self.world.config.world.tick_s
 
@@ -178,14 +181,25 @@ class Film:
 
 
 @contextmanager
-def open_stage(town: Town, seed: int, width: int, settings: tuple[str, ...] = ()) -> Iterator[FilmedDrive]:
-    """A stage that is closed at the end; `settings` (section.key=value) are laid over the usual ones.
+def open_stage(
+    town: Town, seed: int, width: int, settings: tuple[str, ...] = (), profile: str = FILMED_USER
+) -> Iterator[FilmedDrive]:
+    """A stage that is closed at the end.
 
-    Raises TownError, or ConfigError for a width out of bounds or settings that cannot be.
+    Args:
+        town: Where.
+        seed: Of the world.
+        width: Of the camera's picture in pixels.
+        settings: section.key=value, laid over the usual ones.
+        profile: Of the user who drives.
+
+    Raises:
+        TownError: The town cannot be opened.
+        ConfigError: The width is out of bounds, there is no such user, or the settings cannot be.
     """
     if not 64 <= width <= 1920:
         raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-    stage = FilmedDrive(town, seed, width, settings)
+    stage = FilmedDrive(town, seed, width, settings, profile)
     try:
         yield stage
     finally:

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.pictures.snapshot import keep_shot
+from wcsim.cli.pictures.snapshot import OF_VIDEO, keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
 from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made, write_whole
+from wcsim.cli.shared.run_config import require_unset
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
 
@@ -36,6 +37,7 @@ class Options:
 def run(words: list[str]) -> int:
     """One drive: it is filmed, and its busiest moment is the picture."""
     options = parse(Options, words, "look")
+    require_unset(options.set, OF_VIDEO)
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)

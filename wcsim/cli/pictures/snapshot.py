@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, write_whole
+from wcsim.cli.shared.run_config import require_unset
 from wcsim.towns.scenario.town import find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
 MAX_SECONDS = 3600.0
+OF_VIDEO = {"env.profile": "its user is competent; expected `wcsim video --profile NAME` for another"}
 
 
 @dataclass
@@ -38,6 +40,7 @@ class Options:
 def run(words: list[str]) -> int:
     """Take the picture at the moment when most actors are in view."""
     options = parse(Options, words, "snapshot")
+    require_unset(options.set, OF_VIDEO)
     check_output("--out", options.out, ".png")
     in_bounds("--seconds", options.seconds, 0.0, MAX_SECONDS)
     town = find_town(options.town)

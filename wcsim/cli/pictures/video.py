@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Protocol
 
@@ -13,7 +13,7 @@ import tyro
 from wcsim.agents.evaluation.suite.named_policy import is_plain
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made
-from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -41,22 +41,23 @@ class Options:
     """Width of the camera image in pixels."""
     policy: str = ""
     """Who drives: a run, shipped, a baseline, module:Class of your own; "" gives the user what the stick says."""
-    profile: str = "inattentive"
-    """The simulated user whose stick a policy sees."""
+    profile: str = ""
+    """The simulated user, whose stick a policy sees. (default: inattentive with --policy, competent without)"""
     set: Repeated = ()
     """section.key=value, laid over those of the policy, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:
     """Film it."""
-    options = parse(Options, words, "video")
+    options = _with_user(parse(Options, words, "video"))
+    require_unset(options.set, {"env.profile": "expected --profile NAME"})
     check_output("--out", options.out, ".webm")
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     in_bounds("--start", options.start, 0.0, MAX_SECONDS)
     town = find_town(options.town)
     if options.policy:
         require_policy(options.policy)
-        require_user(options.profile)
+    require_user(options.profile)
     missing = missing_folder(options.out)
     with StageBar("filming") as bar, _opened(options, town) as film:
         before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
@@ -68,10 +69,15 @@ def run(words: list[str]) -> int:
             second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
             bar.show(done / (before + frames), second)
     tell_made(missing)
-    who = f", {options.policy} for a user {options.profile}" if options.policy else ""
+    who = f"{options.policy} for a user" if options.policy else "a user"
     after = f" after {options.start:g} s" if before else ""
-    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}{who}")
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who} {options.profile}")
     return 0
+
+
+def _with_user(options: Options) -> Options:
+    """The options with who drives where nobody is named."""
+    return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))
 
 
 def require_policy(name: str) -> None:
@@ -102,5 +108,8 @@ def _opened(options: Options, town: Town) -> Iterator[_Filmed]:
         return
     from wcsim.view.filming import open_stage
 
-    with open_stage(town, options.seed, options.width, options.set) as stage, stage.film(options.out) as film:
+    with (
+        open_stage(town, options.seed, options.width, options.set, options.profile) as stage,
+        stage.film(options.out) as film,
+    ):
         yield film
