@@ -41,7 +41,7 @@ def finished(corner, tmp_path_factory):
     (place / "own.py").write_text(OWN, encoding="utf-8")
     written_list(corner, place, max_steps=30)
     with contextlib.chdir(place):
-        assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "out"]) == 0
+        assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "runs/out"]) == 0
     (place / "ran").unlink()
     return place
 
@@ -49,19 +49,19 @@ def finished(corner, tmp_path_factory):
 @pytest.fixture
 def tested(finished, folder):
     shutil.copytree(finished, folder, dirs_exist_ok=True)
-    return folder / "out"
+    return folder / "runs" / "out"
 
 
 @pytest.mark.proof
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
     with in_this_process():
-        told = wcsim("report", "out", "--pictures", "1")
+        told = wcsim("report", "runs/out", "--pictures", "1")
     assert told.code == 0 and "report.html" in told.out
     text = (tested / "report.html").read_text(encoding="utf-8")
     driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
     assert {record["status"] for record in driven} == {"timed_out"}
     assert text.count("seen 0.0 s before") == 1 and text.count('class="street"') == 1
-    command = "wcsim test follow --suite corner.json --play 0.0 --out out"
+    command = "wcsim test follow --suite corner.json --play 0.0 --out runs/out"
     assert command in text
     assert wcsim(*command.split()[1:]).code == 0
 
@@ -72,8 +72,9 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
     episodes["follow"][0]["m"] += 1.0
     path.write_text(json.dumps(episodes), encoding="utf-8")
     with in_this_process():
-        assert wcsim("report", "out", "--pictures", "2").code == 0
+        assert wcsim("report", "runs/out", "--pictures", "2").code == 0
     text = (tested / "report.html").read_text(encoding="utf-8")
+    assert "wcsim test follow --suite corner.json --play 0.0 --out runs/out" in text
     assert "No pictures: episode 0.0 went another way" in text and text.count('class="street"') == 1
 
 
@@ -100,8 +101,8 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
 
 def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):
     with in_this_process():
-        assert wcsim("report", "out", "--pictures", "1").code == 0
+        assert wcsim("report", "runs/out", "--pictures", "1").code == 0
     page = tested / "report.html"
     assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
-    assert wcsim("report", "out", "--pictures", "1", "--own", "own:Still").code == 0
+    assert wcsim("report", "runs/out", "--pictures", "1", "--own", "own:Still").code == 0
     assert (folder / "ran").exists() and "runs when you name it" not in page.read_text(encoding="utf-8")

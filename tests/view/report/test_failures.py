@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.result_files import KeptEpisode, read_result
 from wcsim.config import RewardConfig
 from wcsim.types import Events, Joystick
-from wcsim.view.report.failures import failures_of, judged, last_speed_mps, worst_of
+from wcsim.view.report.failures import failures_of, judged, last_speed_mps, where_typed, worst_of
 from wcsim.view.report.illustrate import chosen
 
 NOTHING = Events(
@@ -97,3 +97,12 @@ def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tm
         "wcsim", "test", SCRIPT, "--suite", "my list.json", "--play", "0.0", "--out", "out", "--preset", "paper",
         "--network", "a:B", "--set", "world.tick_s=0.1",
     ]  # fmt: skip
+
+
+def test_the_command_names_the_folder_as_the_test_did(tmp_path):
+    write_result(tmp_path / "runs" / "out")
+    assert where_typed(read_result(tmp_path / "runs" / "out")) == "in which that of the test lies"
+    (tmp_path / "runs" / "out" / "asked.json").write_text('{"suite": "dev", "out": "runs/out"}')
+    result = read_result(tmp_path / "runs" / "out")
+    command = worst_of(failures_of(result, tmp_path / "runs" / "out"), SCRIPT).command
+    assert "--suite dev --play 0.0 --out runs/out" in command and where_typed(result) == "in which the test was typed"

@@ -168,5 +168,6 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     write_json(order.out / RESULT, result)
     episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
     write_json(order.out / EPISODES, episodes)
-    write_json(order.out / ASKED, {"suite": name, "preset": order.preset, "network": order.network})
+    asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
+    write_json(order.out / ASKED, asked)
     return result

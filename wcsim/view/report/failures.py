@@ -119,13 +119,18 @@ def last_speed_mps(episode: KeptEpisode) -> float | None:
 
 
 def command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
-    """The command that drives an episode again, typed where the folder of the test lies."""
+    """The command that drives an episode again, typed where the test was; see `where_typed`."""
     words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
-    words += ["--out", folder.resolve().name]  # a page is read by others, elsewhere
+    words += ["--out", result.out or folder.resolve().name]  # policies and lists have names from where they were typed
     words += ["--preset", result.preset] if result.preset != "quick" else []
     words += ["--network", result.network] if result.network else []
     words += [word for setting in result.changed for word in ("--set", setting)]
     return shlex.join(words)
+
+
+def where_typed(result: KeptResult) -> str:
+    """Where the commands of a page run, in words."""
+    return "in which the test was typed" if result.out else "in which that of the test lies"
 
 
 def worst_of(failures: Sequence[FailedEpisode], policy: str) -> FailedEpisode | None:

@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
-from wcsim.view.report.failures import FailedEpisode
+from wcsim.view.report.failures import FailedEpisode, where_typed
 from wcsim.view.report.figures import figures_of
 from wcsim.view.report.glossary import conclusion, glossary
 from wcsim.view.report.illustrate import Illustration, Key
@@ -23,8 +23,7 @@ _COLOURS_SAY = (
     "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
     "people and riders, dark red bicycles, dark blue cars, black unknown), below the depth (red near, blue far, black "
     "out of range, white not measured); the last one is of the end. The camera looks ahead alone. Sticks are x to the "
-    "right and y ahead; asked is the user's, given the policy's. A command is typed in the folder in which that of the "
-    "test lies."
+    "right and y ahead; asked is the user's, given the policy's. A command is typed in the folder "
 )
 
 
@@ -55,11 +54,12 @@ def write_suite_page(
     against, weights = comparison_table(pairs), weights_table(result)
     drawn, listed = figures_of(result, folder), failure_exhibit(result, failures, pictures, why_none)
     episodes = _episodes(result)
+    pictured = el("p", f"{_COLOURS_SAY}{where_typed(result)}.", class_="says")
     sections = (
         Section(name="results", title="Results", body=joined((shown(pooled), legend(), _who(result, parts)))),
         Section(name="decided", title="What the test decides", body=_decided(pairs, parts, against, weights)),
         Section(name="figures", title="Figures", body=el("div", *map(shown, drawn), class_="charts")),
-        Section(name="failures", title="Failures", body=shown(listed, el("p", _COLOURS_SAY, class_="says"))),
+        Section(name="failures", title="Failures", body=shown(listed, pictured)),
         Section(name="parts", title="Part by part", body=joined(map(shown, by_part))),
         Section(name="episodes", title="Episodes", body=shown(episodes)),
     )

@@ -52,6 +52,7 @@ class KeptResult:
     list_name: str  # of a list that comes with wcsim, or its path
     preset: str
     network: str
+    out: str  # the folder as it was typed, or "" where an older version did not write it down
 
 
 def read_episodes(folder: Path) -> dict[str, tuple[KeptEpisode, ...]]:
@@ -88,6 +89,7 @@ def read_result(folder: Path) -> KeptResult:
         list_name=_text(asked.get("suite", data.get("set")), path),
         preset=_text(asked.get("preset", "quick"), path),
         network=_text(asked.get("network", ""), path),
+        out=_text(asked.get("out", ""), path),
     )
 
 
