@@ -1,5 +1,6 @@
 """Figures: the same bytes each time, and nothing from outside in them."""
 
+import dataclasses
 import re
 from itertools import pairwise
 from xml.etree import ElementTree
@@ -49,6 +50,13 @@ def test_a_chart_is_the_same_bytes_each_time_and_asks_for_nothing(name):
     links = [value for node in root.iter() for key, value in node.attrib.items() if key.endswith("href")]
     assert all(link.startswith(("#", "data:image/png")) for link in links)
     assert not re.search(rb"<dc:date>|url\(http|<script", svg)
+
+
+@pytest.mark.parametrize("name", ["_run", "_" * 28])
+def test_a_run_whose_name_begins_with_a_line_has_its_curve_and_its_legend(name):
+    svg = curve_chart("fig", "y", [dataclasses.replace(CURVE, name=name)])
+    assert f"_{name[1:]}".encode() in svg or f"…{name[1:]}".encode() in svg
+    assert obedience_chart({name: (SOME, SOME)}, [], {name: 0}).count(b"legend_") > 0
 
 
 def test_levels_of_one_policy_are_joined_in_their_order():

@@ -256,12 +256,14 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | N
 
 def _legend(axes: Axes, entries: int) -> None:
     """Below the axes: it never hides a point."""
-    if entries:
-        longest = max(len(label) for label in axes.get_legend_handles_labels()[1])
+    labels = axes.get_legend_handles_labels()[1]
+    if entries and labels:
+        longest = max(map(len, labels))
         columns = max(1, min(3, entries, _LEGEND_CHARACTERS // (longest + 6)))
         axes.figure.legend(loc="outside lower center", ncols=columns)
 
 
 def _short(name: str, most: int = 28) -> str:
-    """A name that fits: the end of a path says which it is."""
+    """A name that fits: the end of a path says which it is. Matplotlib leaves names out that begin with "_"."""
+    name = f" {name}" if name.startswith("_") else name
     return name if len(name) <= most else f"…{name[-(most - 1):]}"
