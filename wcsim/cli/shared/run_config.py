@@ -15,7 +15,8 @@ from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, sets_key, with_file, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
+from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
