@@ -25,6 +25,7 @@ from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.runs.own_terms import find_reward_term
+from wcsim.config import load_run_config, with_overrides
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.types import Events, PlantState, RewardTerms
 
@@ -417,6 +418,16 @@ def test_an_argument_that_no_face_takes_is_refused_and_the_nearest_one_named(fac
 def test_the_options_are_named_where_an_editor_shows_them(face):
     told = next(line for line in face.__init__.__doc__.splitlines() if "**options:" in line)
     assert set(EnvOptions.__annotations__) <= set(told.replace(":", ",").replace(" ", "").split(","))
+
+
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_refused(face):
+    config = load_run_config("quick", TINY)
+    env = face(config=config, overrides=("env.max_steps=7",))
+    found = (env.unwrapped if face is by_id else env).config
+    assert found == with_overrides(config, ("env.max_steps=7",)) != config
+    with pytest.raises(ConfigError, match=r"config and preset='laptop': expected one of them"):
+        face(config=config, preset="laptop")
 
 
 def test_wrong_settings_are_named_before_a_world_is_made():

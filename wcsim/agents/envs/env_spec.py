@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 
 from wcsim.agents.envs.frame_window import windowed_space
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import MAX_INTEGER, shown_value
 from wcsim.errors import ConfigError, meant
 from wcsim.server.specs import WorldOrder, seat_spec
@@ -35,11 +35,11 @@ class EnvOptions(TypedDict, total=False):
     """What every environment of a town takes by name; all may be left out."""
 
     config: RunConfig | None
-    """A resolved configuration; `preset` and `overrides` make one otherwise."""
+    """A resolved configuration, in the place of a preset."""
     preset: str
     """Name of a preset, "quick" by default."""
     overrides: Sequence[str]
-    """Laid over the preset: "section.key=value"."""
+    """Laid over the configuration or the preset: "section.key=value"."""
     seed: int | None
     """Seed of the first reset when that brings none; drawn from the system when both are missing."""
     reward_terms: Sequence[RewardTerm]
@@ -105,8 +105,7 @@ def make_face(town: str, options: EnvOptions) -> Face:
         TypeError: There is no such option.
     """
     _require_known(options)
-    render_mode, config = options.get("render_mode"), options.get("config")
-    resolved = config or load_run_config(options.get("preset", "quick"), tuple(options.get("overrides", ())))
+    render_mode, resolved = options.get("render_mode"), _resolved(options)
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
         raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
@@ -114,6 +113,19 @@ def make_face(town: str, options: EnvOptions) -> Face:
         resolved = with_colours(resolved)
     run, hook = options.get("run"), options.get("hook", "")
     return Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
+
+
+def _resolved(options: EnvOptions) -> RunConfig:
+    """The configuration that was given, or that of the preset, with the overrides laid over it."""
+    config, overrides = options.get("config"), tuple(options.get("overrides", ()))
+    if config is None:
+        return load_run_config(options.get("preset", "quick"), overrides)
+    if "preset" in options:
+        raise ConfigError(
+            f"config and preset={options['preset']!r}: expected one of them; a preset's configuration is "
+            "wcsim.config.load_run_config(preset)"
+        )
+    return with_overrides(config, overrides) if overrides else config
 
 
 def _require_known(options: Iterable[str]) -> None:
