@@ -362,6 +362,27 @@ def test_an_own_reward_term_is_added(corner, monkeypatch):
         assert total < -0.05
 
 
+class Summing:
+    """A reward term that remembers an episode."""
+
+    steps = 0
+
+    def reset(self) -> None:
+        self.steps = 0
+
+    def reward(self, before: Any, after: Any) -> float:
+        self.steps += 1
+        return float(self.steps)
+
+
+def test_an_environment_has_copies_of_its_own_of_the_reward_terms(corner):
+    term = Summing()
+    with made(corner, reward_terms=[term]) as env:
+        env.reset(seed=1)
+        assert [env.step(44)[4]["reward_terms"].extra for _ in range(2)] == [1.0, 2.0]
+    assert term.steps == 0, "another environment may have been given it as well"
+
+
 @pytest.mark.parametrize(("actions", "size"), [("square81", 81), ("disc69", 69)])
 def test_action_sets_have_their_size(corner, actions, size):
     with made(corner, f'env.actions="{actions}"') as env:

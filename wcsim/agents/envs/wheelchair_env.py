@@ -9,6 +9,7 @@ With `join` the environment makes no world: it takes its seat in a running one, 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any, Unpack
 
@@ -62,7 +63,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
         self.due_work: Callable[[], Callable[[], None] | None] = lambda: None  # to be done while a step is waited for
-        self._chair = Chair(self._face.config, options.get("reward_terms", ()))
+        terms = copy.deepcopy(tuple(options.get("reward_terms", ())))  # others may have these as well
+        self._chair = Chair(self._face.config, terms)
         self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
         self.observation_space = self._face.observation_space()  # type: ignore[assignment]
