@@ -189,6 +189,7 @@ def test_what_sb3_asks_environments_one_by_one(made):
     assert vec.get_attr("render_mode") == ["rgb_array"] * 3
     assert vec.get_attr("config", indices=[0, 2]) == [vec.config] * 2
     assert not vec.has_attr("no_such_thing")
+    assert vec.metadata == {"render_modes": ["human", "rgb_array"], "render_fps": 10}
     assert vec.env_is_wrapped(Monitor) == [False] * 3
     with pytest.raises(ConfigError, match="make another"):
         vec.set_attr("config", None)

@@ -39,6 +39,7 @@ class StreetVecEnv(VecEnv):
         self._waiting = False  # for what comes of a step
         self.config, self.render_mode = face.config, face.render_mode
         super().__init__(chairs, face.observation_space(), face.action_space())
+        self.metadata = {**self.metadata, "render_fps": face.metadata["render_fps"]}  # SB3 makes one without it
 
     def reset(self) -> VecEnvObs:
         """Begin an episode in every chair: after `seed`, and for the first time, in a world made anew."""
