@@ -2,9 +2,11 @@
 
 import pytest
 
-from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest
+from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
+from wcsim.cli.main import main
+from wcsim.cli.shared.run_config import learning
 from wcsim.cli.training.resume import Typed, resumed
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, load_run_config
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -46,6 +48,22 @@ def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, mo
             steps_of(run, 300)
     assert steps_of(run) == (100 if written < 2 else 300)
     assert steps_of(run, 300) == steps_of(run) == 300
+
+
+def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_path, capsys):
+    town = find_town(str(corner))
+    info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
+    refused = {
+        "quick": (("--steps 40000", "--steps: a danger network"), ("--data mine", '--set collect.data=["mine"]')),
+        "dqn": (("--data mine", "--data: only"), ("--worlds 2", "--worlds: only"), ("--lease 9", "--lease: there")),
+    }
+    for preset, words in refused.items():
+        config = learning(load_run_config(preset))
+        create_run(tmp_path / preset, config, make_manifest(config, info))
+        for typed, told in words:
+            assert main(["train", "--resume", "--out", str(tmp_path / preset), *typed.split()]) == 2
+            assert told in capsys.readouterr().err
+        assert open_run(tmp_path / preset).config == config
 
 
 def test_a_configuration_that_somebody_changed_is_refused(run):

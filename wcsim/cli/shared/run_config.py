@@ -40,6 +40,10 @@ class Asked(Protocol):
 QUICK, DQN = "quick", "dqn"
 """The presets that a training begins with where none is named: dangers in rounds, or Q-learning."""
 
+BY_STEPS = "expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
+IN_ROUNDS = "expected --preset quick, laptop or best without options of Q-learning, or leave that out"
+"""What to do where an option is not used by how a network learns."""
+
 
 def preset_of(asked: Asked, network: str = "", by_steps: bool = False) -> str:
     """The preset that was asked for, or the one that the other options mean.
@@ -66,12 +70,13 @@ def _key_of(setting: str) -> str:
     return setting.partition("=")[0].strip()
 
 
-def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
+def require_heard(config: RunConfig, asked: Mapping[str, object], instead: str = BY_STEPS) -> None:
     """Refuse options that a network would not hear of that learns in rounds.
 
     Args:
         config: Of the run.
         asked: What was asked for, by option; what is false was not.
+        instead: What to do.
 
     Raises:
         ConfigError: There are some.
@@ -82,7 +87,26 @@ def require_heard(config: RunConfig, asked: Mapping[str, object]) -> None:
     if found:
         raise ConfigError(
             f"{', '.join(found)}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
-            "not use that; expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
+            f"not use that; {instead}"
+        )
+
+
+def require_rounds(config: RunConfig, asked: Mapping[str, object], instead: str = IN_ROUNDS) -> None:
+    """Refuse options that only a network hears of that learns in rounds.
+
+    Args:
+        config: Of the run.
+        asked: What was asked for, by option; what is false was not.
+        instead: What to do.
+
+    Raises:
+        ConfigError: There are some.
+    """
+    found = [name for name, value in asked.items() if value]
+    if found and not learns_in_rounds(config):
+        raise ConfigError(
+            f"{', '.join(found)}: only a danger network that learns in rounds uses that, and this one learns from "
+            f"every step; {instead}"
         )
 
 

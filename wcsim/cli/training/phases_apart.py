@@ -57,6 +57,11 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
         raise ConfigError(f"clients have different learn.select_by ({told}); expected one suite")
     (name,) = asked
     if not name or len(run.clients) == 1:
+        if options.worlds is not None:
+            raise ConfigError(
+                f"--worlds {options.worlds}: no clients are compared; expected several and --select-by LIST, or leave "
+                "that out"
+            )
         return train_clients(options, run, town)
     from wcsim.agents.evaluation.suite.list_file import open_suite
 

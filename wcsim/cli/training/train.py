@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, require_no_cluster
@@ -24,6 +24,7 @@ from wcsim.cli.shared.run_config import (
     preset_of,
     require_drawn_users,
     require_heard,
+    require_rounds,
     resolve_config,
     resolve_run,
     steps_note,
@@ -35,6 +36,8 @@ from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
+
+_OF_CLIENTS = ("config_for", "lease", "recovery")  # options that one network would not hear of
 
 
 @dataclass
@@ -102,16 +105,17 @@ def run(words: list[str]) -> int:
     if options.clients is not None:
         return _train_clients(options, words)
     machines_of(options.cluster, options.worlds, "--worlds")
+    _require_one(words)
     if options.resume:
         return _resume(options, words)
     if options.select_by:
         raise ConfigError("--select-by: there is one network; expected --clients A,B,... to choose from")
     config = resolve_config(options, options.network)
     require_heard(config, _only_by_steps(options, config))
+    require_rounds(config, _only_in_rounds(options))
     if learns_in_rounds(config):
         require_drawn_users(config, options.set, options.config)
-    if options.data:
-        config = with_overrides(config, (f"collect.data={json.dumps(options.data)}",))
+    config = with_overrides(config, _data(options))
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     note = steps_note(config, options.steps)
@@ -139,12 +143,32 @@ def _only_by_steps(options: Options, config: RunConfig) -> dict[str, object]:
     }
 
 
+def _only_in_rounds(options: Options) -> dict[str, object]:
+    """Options that only a network hears of that learns in rounds, by name."""
+    return {"--data": options.data, "--worlds": options.worlds is not None}
+
+
+def _require_one(words: list[str]) -> None:
+    """Refuse options that are for several clients. Raises ConfigError."""
+    found = [f"--{name.replace('_', '-')}" for name in _OF_CLIENTS if name in given(words)]
+    if found:
+        raise ConfigError(f"{', '.join(found)}: there is one network; expected --clients A,B,..., or leave that out")
+
+
+def _data(options: Options) -> tuple[str, ...]:
+    """`--data` as the setting that it is."""
+    return (f"collect.data={json.dumps(options.data)}",) if options.data else ()
+
+
 def _resume(options: Options, words: list[str]) -> int:
     """Go on with a run of one network, by what its folder says."""
     out = options.out
     if out is None:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
+    config, own = open_run(out).config, "a run goes on as it was made; leave that out"
+    require_heard(config, {"--steps": options.steps is not None}, own)
+    require_rounds(config, _only_in_rounds(options), own)
     resolved, town = resumed(out, typed(options, words))
     train_in(resolved, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
@@ -163,7 +187,7 @@ def typed(options: Options, words: list[str]) -> Typed:
         town=options.town if "town" in names else None,
         preset=options.preset if "preset" in names else None,
         config=options.config,
-        set=options.set,
+        set=(*options.set, *_data(options)),
         network=options.network or None,
         reward=options.reward,
         hook=options.hook if "hook" in names else None,
@@ -194,6 +218,8 @@ def _train_clients(options: Options, words: list[str]) -> int:
     from wcsim.cli.training.phases_apart import train_group
 
     require_no_cluster(options.cluster, "is of several clients, which share a world")
+    if options.data:
+        raise ConfigError("--data and --clients: expected one of them; only a network that learns in rounds reads data")
     if options.network:
         raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
     if options.resume:
