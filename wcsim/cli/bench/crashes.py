@@ -23,7 +23,7 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
-from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -73,6 +73,7 @@ def run(options: CrashesOptions) -> int:
     in_bounds("--chairs", options.chairs, 1, MAX_CHAIRS)
     in_bounds("--steps", options.steps, options.chairs, MAX_STEPS)
     in_bounds("--seed", options.seed, 0, MAX_SEED)
+    require_unset(options.set, {"env.profile": "expected --profile NAME"})
     if options.out is not None:
         check_folder("--out", options.out / "x")
     names, config = _policies(options.policy), _config(options)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.run_config import require_unset
 from wcsim.config import RunConfig, load_run_config
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.users.profiles import profile, profile_names
@@ -57,6 +58,7 @@ def run(options: UsersOptions) -> int:
     in_bounds("--routes", options.routes, 1, 1000)
     in_bounds("--crossings", options.crossings, 0, 1000)
     in_bounds("--seconds", options.seconds, 20.0, LONGEST_S)
+    require_unset(options.set, {"env.profile": "expected --profiles NAME,..."})
     if options.pictures is not None:
         check_folder("--pictures", options.pictures)
     names = tuple(profile(name).name for name in some_words("--profiles", options.profiles))

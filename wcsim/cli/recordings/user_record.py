@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, write_json
-from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import load_run_config
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import shown
@@ -47,6 +47,7 @@ class UserRecordOptions:
 
 def run(options: UserRecordOptions) -> int:
     """Drive and record."""
+    require_unset(options.set, {"env.profile": "expected --profile NAME"})
     in_bounds("--minutes", options.minutes, 0.01, _MOST_MINUTES)
     check_output("--out", options.out)
     if os.path.lexists(options.out):

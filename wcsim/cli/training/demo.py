@@ -14,7 +14,14 @@ from rich.console import Console
 
 from wcsim.cli.evaluation import test
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse, write_json
-from wcsim.cli.shared.run_config import QUICK, learning, learns_in_rounds, resolve_run
+from wcsim.cli.shared.run_config import (
+    QUICK,
+    learning,
+    learns_in_rounds,
+    require_drawn_users,
+    require_unset,
+    resolve_run,
+)
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, load_run_config
@@ -78,7 +85,10 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=Console(highlight=False))
+    require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = learning(load_run_config(QUICK, options.set))
+    if learns_in_rounds(config):
+        require_drawn_users(config, options.set, None)
     demo.say(f"wcsim demo: a network learns in {school.name}, and shows in {', '.join(tested)} what it has learned.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
