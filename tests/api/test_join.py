@@ -14,7 +14,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import load_run_config
-from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError
+from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.links import socket
 from wcsim.server.links.local import LocalServer
@@ -100,6 +100,14 @@ def test_a_seat_of_a_world_process_shows_what_a_world_of_ones_own_shows(corner, 
         again = WheelchairEnv(config=CONFIG, join=server.seat("other", spec=SPEC))
         assert again.reset()[1]["events"].step == 0, "the seat is free for others"
         again.close()
+
+
+def test_one_that_is_to_end_does_not_wait_for_a_world_that_is_not_there(tmp_path):
+    nobody = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="a")
+    env = WheelchairEnv(config=CONFIG, join=nobody)
+    env.wait_no_more()
+    with pytest.raises(ServerGoneError, match="asked to end"):
+        env.reset()
 
 
 def test_a_world_that_begins_again_cuts_the_episode(pair):

@@ -31,6 +31,20 @@ class Asked(Exception):
     """SIGTERM came."""
 
 
+class Waits:
+    """A client that sits and waits for its world: SIGTERM ends it when it is back, SIGUSR1 now, two SIGTERM tear it."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        signal.signal(signal.SIGTERM, self._ask)
+        signal.signal(signal.SIGUSR1, _ask)
+
+    def _ask(self, number: int, frame: object) -> None:
+        if self.asked:
+            os._exit(9)
+        self.asked = True
+
+
 def lives(folder: Path) -> int:
     """How often this was begun, this time included."""
     counter = folder / "lives"
@@ -108,6 +122,10 @@ def client(words: list[str]) -> int:
     try:
         while "patient" in words and not (folder.parent / "a" / "step").is_file():
             time.sleep(TICK_S)
+        if "waits" in words:
+            Waits()
+            say(fd, json.dumps({"name": folder.name, "step": step, "total_steps": total}).encode() + b"\n")
+            time.sleep(FOREVER_S)
         while step < total:
             step += 1
             misbehave(words, step, life, stop="deaf" not in words)

@@ -53,7 +53,7 @@ def test_how_a_client_ends(error, code):
 
 def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
-    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda grace_s, code: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda *words: None)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="c")
     order = ClientSpec(
         join=join,
@@ -97,7 +97,7 @@ def test_status_lines_come_half_a_second_apart_and_in_the_end():
 
 def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
-    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda grace_s, code: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda *words: None)
     reads, writes = os.pipe()
     os.close(reads)
     assert main([str(tmp_path / "none"), "--status-fd", str(writes)]) == ClientExit.SERVER_GONE
@@ -143,6 +143,9 @@ def test_a_client_may_be_a_danger_network_that_learns_as_it_drives(tmp_path, mon
         def beat(self, progress):
             self.beats += 1
 
+        def wait_no_more(self):
+            pass
+
     seat = Seat()
     monkeypatch.setattr("wcsim.agents.clients.client.WheelchairEnv", lambda *town, **options: seat)
     settings = danger_config("learn.total_steps=60", "learn.phase1_steps=20", "learn.learning_starts=10")
@@ -163,6 +166,9 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
         waits = Waits()
 
         def beat(self, progress):
+            pass
+
+        def wait_no_more(self):
             pass
 
         @property

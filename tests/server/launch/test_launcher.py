@@ -262,6 +262,10 @@ class Elsewhere:
         self.asked.append("terminate")
         self._looks = 0
 
+    def wait_no_more(self):
+        """It waits for nobody."""
+        self.asked.append("wait no more")
+
     def kill(self):
         """It ends at once."""
         self.asked.append("kill")

@@ -224,6 +224,29 @@ def test_nobody_there_is_said_in_time(tmp_path):
         a.join()
 
 
+@pytest.mark.parametrize("works", [False, True])
+def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(tmp_path, works):
+    """Also one that learns while it waits, in whose stead another thread listens."""
+    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+        a.join()
+        server.kill()
+        a.send(0, AHEAD)
+        if works:
+            a.while_waiting(a.wait_no_more)
+        else:
+            a.wait_no_more()
+        with pytest.raises(ServerGoneError, match="asked to end"):
+            a.receive()
+
+
+def test_a_client_that_is_to_end_takes_an_answer_that_is_there(tmp_path):
+    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+        a.join()
+        a.wait_no_more()
+        assert a.core.master and not a.core.waiting
+        assert a.join().tick == 0
+
+
 def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(tmp_path):
     """It is waited for as any other: whoever started it starts it again."""
     with socket.socket(socket.AF_UNIX) as door:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from wcsim.agents.clients.clients_folder import has_work
 from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
@@ -118,15 +119,16 @@ def learn(
     def alive() -> None:  # else a server that hears nothing gives the seat away
         env.beat(next(beats))
 
+    told: dict[str, Any] = {"alive": alive, "say": say, "wait_no_more": env.wait_no_more}
     try:
         if config.learn.head == "danger":
             from wcsim.agents.online.train_online import Listeners, train_online  # loads what drives worlds
 
-            around = {"deciding": shares.inference.around, "learning": shares.learning.around}
-            listeners = Listeners(progress=pipe.show, progress_every=1, alive=alive, say=say, **around)
+            told |= {"deciding": shares.inference.around, "learning": shares.learning.around}
+            listeners = Listeners(progress=pipe.show, progress_every=1, **told)
             train_online(run, lambda: env, listeners)
         else:
-            train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), alive=alive, say=say)
+            train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
     except InterruptedRunError as error:
         if growth.told:
             raise ProcessGrownError(f"{growth.told}; a fresh one goes on") from error

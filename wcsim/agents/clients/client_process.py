@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import argparse
 import select
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from wcsim.errors import WcsimError
 from wcsim.server.launch.parent_death import die_with_parent, outlive_parent_by
-from wcsim.server.launch.states import ClientExit
+from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.specs import ClientSpec, read_order
 
@@ -30,8 +31,9 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--status-fd", type=int, default=-1)
     options = parser.parse_args(words)
+    signal.signal(WAIT_NO_MORE, signal.SIG_IGN)  # before and after it learns it waits for nobody
     die_with_parent()
-    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE)
+    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)  # nobody starts its world again
     if _nobody_reads(options.status_fd):  # the launcher died before it could be watched
         return ClientExit.SERVER_GONE
     return _learned(options.order, options.resume, options.status_fd)

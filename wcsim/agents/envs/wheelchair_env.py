@@ -62,6 +62,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._join = join
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
+        self._waits_no_more = False
         self.due_work: Callable[[], Callable[[], None] | None] = lambda: None  # to be done while a step is waited for
         terms = copy.deepcopy(tuple(options.get("reward_terms", ())))  # others may have these as well
         self._chair = Chair(self._face.config, terms)
@@ -141,6 +142,12 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if self._link is not None:
             self._link.beat(progress)
 
+    def wait_no_more(self) -> None:
+        """From now on waiting for the world is a ServerGoneError; may be called by a signal's handler."""
+        self._waits_no_more = True
+        if self._link is not None:
+            self._link.wait_no_more()
+
     def _first_frame(self, seed: int | None) -> ClientSnapshot:
         """The first frame of the next episode."""
         link, now = self._link, self._chair.now
@@ -164,6 +171,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
 
             self._link = open_seat(self._join)
+        if self._waits_no_more:  # said before there was a link
+            self._link.wait_no_more()
         try:
             return self._link.join()
         except BaseException:

@@ -19,6 +19,7 @@ from wcsim.agents.learning.watching.metrics import MetricsFile, Value
 from wcsim.agents.learning.watching.tensorboard import BoardLog
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
+from wcsim.server.launch.states import WAIT_NO_MORE
 
 GREEDY_EVERY = 5  # steps between two looks at what the agent would do while the user's action is executed
 
@@ -215,16 +216,23 @@ class StopWhenAsked(SeqCallback):
 
 
 class StopRequest:
-    """While open, SIGINT and SIGTERM ask for a stop; a second signal stops at once. Only in the main thread."""
+    """While open, SIGINT and SIGTERM ask for a stop; a second signal stops at once. Only in the main thread.
 
-    def __init__(self) -> None:
+    Where a launcher ends this process, nobody is there who would want it at once, and a second signal comes of the
+    first one having been sent to all: it, and the launcher's own `WAIT_NO_MORE`, end the waiting for a world alone.
+    """
+
+    def __init__(self, wait_no_more: Callable[[], object] | None = None) -> None:
+        """`wait_no_more` ends the waiting, and is called within a signal's handler; None without a launcher."""
+        self._wait_no_more = wait_no_more
         self.asked, self.forced = False, False
         self.ending = False  # the last files are being written: what is asked for again is under way
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            ends_waiting = () if self._wait_no_more is None else (WAIT_NO_MORE,)
+            for number in (signal.SIGINT, signal.SIGTERM, *ends_waiting):
                 self._before[number] = signal.signal(number, self._handle)
         return self
 
@@ -236,8 +244,11 @@ class StopRequest:
         self._before.clear()
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        if self.asked and not self.ending:
+        del frame
+        again = self.asked or number == WAIT_NO_MORE
+        self.asked = True
+        if again and self._wait_no_more is not None:
+            self._wait_no_more()
+        elif again and not self.ending:
             self.forced = True
             raise KeyboardInterrupt
-        self.asked = True

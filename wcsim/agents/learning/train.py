@@ -49,6 +49,7 @@ def train(
     callbacks: Sequence[BaseCallback] = (),
     alive: Callable[[], object] = lambda: None,
     say: Callable[[str], object] = lambda text: None,
+    wait_no_more: Callable[[], object] | None = None,
 ) -> Path:
     """Learn both phases and leave a run folder.
 
@@ -61,6 +62,7 @@ def train(
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
         alive: Called now and then while something takes long that is no step of the environment.
         say: Told what a person should know, such as checkpoints that could not be used.
+        wait_no_more: Makes a LinkError of waiting for a world, where a launcher ends this process: see `StopRequest`.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
@@ -74,7 +76,7 @@ def train(
     if run.config.learn.tensorboard:
         require_tensorboard()
     folder = folder_of(run, with_window)
-    with files.locked(folder.path), torch_settings(run.config), StopRequest() as request:
+    with files.locked(folder.path), torch_settings(run.config), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([_shielded(make_env, folder)])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
@@ -165,15 +167,12 @@ class _Session:
             if self.request.asked and not self.request.forced:
                 with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
                     self._checkpoint()
-            self.request.ending = True
-            self._finish("interrupted")
-            raise InterruptedRunError(
-                f"stopped after {self.model.num_timesteps} of {total} steps; {self.run.path} holds the policy so far "
-                "and can be continued with --resume"
-            ) from None
-        except (LinkError, DiskFullError):  # the world is gone, or the seat: what was learned before is worth keeping
+            raise self._interrupted() from None
+        except (LinkError, DiskFullError) as error:  # the world is gone, or the seat: what was learned is worth keeping
             if self.model.num_timesteps > 0:
                 self._checkpoint()
+            if self.request.asked and isinstance(error, LinkError):
+                raise self._interrupted() from error
             raise
         if not self.switch.done and self.learn_config.phase1_steps > 0:
             self.switch.done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
@@ -181,6 +180,15 @@ class _Session:
         self._checkpoint()
         self._finish("done")
         return self.run.path
+
+    def _interrupted(self) -> InterruptedRunError:
+        """Write the last files; what is to be raised then."""
+        self.request.ending = True
+        self._finish("interrupted")
+        return InterruptedRunError(
+            f"stopped after {self.model.num_timesteps} of {self.learn_config.total_steps} steps; {self.run.path} holds "
+            "the policy so far and can be continued with --resume"
+        )
 
     def _switched(self) -> None:
         self._save("phase1")

@@ -56,6 +56,7 @@ class Listeners:
     say: Callable[[str], object] = lambda text: None  # told what a person should know
     deciding: Callable[[Callable[..., Any]], Callable[..., Any]] = _as_it_is  # put around decisions, to measure them
     learning: Callable[[Callable[..., Any]], Callable[..., Any]] = _as_it_is  # and around updates
+    wait_no_more: Callable[[], object] | None = None  # ends waiting for a world: see `StopRequest`
 
 
 def train_online(run: ResolvedRun, make_env: MakeEnv, listeners: Listeners | None = None) -> Path:
@@ -72,11 +73,11 @@ def train_online(run: ResolvedRun, make_env: MakeEnv, listeners: Listeners | Non
         LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
         PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the environment tells no truth.
     """
-    folder = folder_of(run, with_window)
-    with files.locked(folder.path), torch_settings(run.config), StopRequest() as request:
+    folder, heard_by = folder_of(run, with_window), listeners or Listeners()
+    with files.locked(folder.path), torch_settings(run.config), StopRequest(heard_by.wait_no_more) as request:
         env = make_env()
         try:
-            return _OnlineSession(folder, env, request, listeners or Listeners(), run.resume).learn()
+            return _OnlineSession(folder, env, request, heard_by, run.resume).learn()
         finally:
             env.close()
 
@@ -113,21 +114,27 @@ class _OnlineSession:
             if self._request.asked and not self._request.forced:
                 with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
                     self._checkpoint()
-            self._request.ending = True
-            self._finish("interrupted")
-            raise InterruptedRunError(
-                f"stopped after {self._now.step} of {total} steps; {self.run.path} holds the policy so far and can be "
-                "continued with --resume"
-            ) from None
-        except (LinkError, DiskFullError):  # the world is gone: what was learned before is worth keeping
+            raise self._interrupted() from None
+        except (LinkError, DiskFullError) as error:  # the world is gone: what was learned before is worth keeping
             if self._now.step > 0:
                 self._checkpoint()
+            if self._request.asked and isinstance(error, LinkError):
+                raise self._interrupted() from error
             raise
         if not self._now.phase1_done and self._learn.phase1_steps > 0:
             self._switch()
         self._checkpoint()
         self._finish("done")
         return self.run.path
+
+    def _interrupted(self) -> InterruptedRunError:
+        """Write the last files; what is to be raised then."""
+        self._request.ending = True
+        self._finish("interrupted")
+        return InterruptedRunError(
+            f"stopped after {self._now.step} of {self._learn.total_steps} steps; {self.run.path} holds the policy so "
+            "far and can be continued with --resume"
+        )
 
     def _drive(self, total: int) -> None:
         learn = self._learn

@@ -21,7 +21,7 @@ from types import FrameType
 
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
 from wcsim.server.launch.parent_death import die_with_parent
-from wcsim.server.launch.states import ClientExit
+from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.specs import ClientStatus, SeatRequest, read_order, to_line
@@ -96,6 +96,7 @@ def main(words: Sequence[str]) -> int:
         order = read_order(SeatRequest, options.order)
         notes = _Notes(options.sights, order.name, options.status_fd)
         with open_seat(order) as link:
+            signal.signal(WAIT_NO_MORE, lambda number, frame: link.wait_no_more())
             _drive(link, notes, ends, options.steps, 1e-3 * options.think_ms)
     except WcsimError as error:
         sys.stderr.write(f"wcsim: {type(error).__name__}: {error}\n")

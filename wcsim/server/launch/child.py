@@ -71,6 +71,10 @@ class Child:
         """Ask it to end; nothing happens when it has ended."""
         self._process.terminate()
 
+    def wait_no_more(self) -> None:
+        """Ask it not to wait for others before it ends; nothing happens when it has ended."""
+        self._process.wait_no_more()
+
     def kill(self) -> None:
         """End it now; nothing happens when it has ended."""
         self._process.kill()

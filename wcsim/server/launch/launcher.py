@@ -24,8 +24,8 @@ from wcsim.server.specs import WorldSpec
 
 LOOK_S = 0.1
 SHOW_S = 0.25
-SECOND_ASK_S = 240.0  # a client that still has not ended may wait for something that does not come ...
-IDLE_ASK_S = 2.0  # ... as in a world that does not tick
+WAITED_S = 240.0  # a client that still has not ended may wait for something that does not come ...
+IDLE_S = 2.0  # ... as in a world that does not tick
 
 Show = Callable[[LaunchState], None]
 
@@ -79,7 +79,7 @@ class Launcher:
         )
         self._step = LaunchStep.RUN
         self._since_s = 0.0  # of this step
-        self._asked_again = self._asked_world = False
+        self._waits_end = self._asked_world = False
         self._given, self._heard = signals, StopSignals() if signals is None else signals
         self._asked = 0
         self._stopped = False
@@ -172,10 +172,10 @@ class Launcher:
         if waited_s > self._rules.saving_s:
             for client in self._clients:
                 client.kill()
-        elif not self._asked_again and waited_s > (SECOND_ASK_S if self._world.ticks else IDLE_ASK_S):
-            self._asked_again = True
+        elif not self._waits_end and waited_s > (WAITED_S if self._world.ticks else IDLE_S):
+            self._waits_end = True  # who saves its work is not disturbed by that
             for client in self._clients:
-                client.ask_to_end()
+                client.wait_no_more()
 
     def _await_world(self, now_s: float) -> None:
         if not self._world.running:
@@ -195,6 +195,8 @@ class Launcher:
         """Something failed in here: let the clients save their work before their processes are ended."""
         for client in self._clients:
             client.ask_to_end()
+            if not self._world.ticks:  # nobody starts it again
+                client.wait_no_more()
         deadline_s = time.monotonic() + self._rules.saving_s
         while time.monotonic() < deadline_s and not all(client.ended for client in self._clients):
             time.sleep(LOOK_S)

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from wcsim.server.launch.states import WAIT_NO_MORE
+
 
 class ProcessHandle(Protocol):
     """A process that a spawner has started; to terminate or kill one that has ended does nothing."""
@@ -20,6 +22,9 @@ class ProcessHandle(Protocol):
 
     def terminate(self) -> None:
         """Ask it to end, as SIGTERM does."""
+
+    def wait_no_more(self) -> None:
+        """Ask it not to wait for others before it ends, as the signal `WAIT_NO_MORE` does."""
 
     def kill(self) -> None:
         """End it now."""
@@ -64,3 +69,7 @@ class _LocalProcess(subprocess.Popen[bytes]):
                 start_new_session=True,
             )
         self.end_fd: int | None = os.pidfd_open(self.pid)
+
+    def wait_no_more(self) -> None:
+        """See `ProcessHandle`."""
+        self.send_signal(WAIT_NO_MORE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -9,6 +10,12 @@ from typing import Literal
 
 from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.specs import ClientStatus, WorldStatus
+
+WAIT_NO_MORE = signal.SIGUSR1
+"""Asks a client to end that would else wait for a world which does not go on.
+
+A second SIGTERM would not do: it may come while the first one is being obeyed, and both may come as one.
+"""
 
 
 class ClientExit(IntEnum):

@@ -63,6 +63,11 @@ class SupervisedClient(Supervised[ClientStatus]):
         if not (self.running or self.settled):
             self.standing = "stopped"
 
+    def wait_no_more(self) -> None:
+        """Have one that was asked to end do so without its world, which does not go on."""
+        if self._child is not None:
+            self._child.wait_no_more()
+
     def _command(self, status_fd: int) -> tuple[str, ...]:
         if self.plan.order_file is not None:
             write_order(self.plan.order_file, self.plan.order)

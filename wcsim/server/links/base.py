@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wcsim.core.closing import Closing
-from wcsim.errors import LinkClosedError, ProtocolError, WcsimError
+from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
@@ -38,7 +38,7 @@ class WorldLink(Closing):
         self._ledger = ledger
         self._frame: ClientSnapshot | None = None
         self._error: WcsimError | None = None
-        self._closed = False
+        self._closed = self._waits_no_more = False
         self._steps, self._simulation_s, self._link_s, self._worked_s = 0, 0.0, 0.0, 0.0
 
     # --- what a transport does ---
@@ -150,6 +150,13 @@ class WorldLink(Closing):
             steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s
         )
 
+    def wait_no_more(self) -> None:
+        """From now on an answer that is not there yet is a ServerGoneError; for a client that is to end.
+
+        May be called by a signal's handler.
+        """
+        self._waits_no_more = True
+
     def close(self) -> None:
         """Leave; a second call does nothing."""
         if self._closed:
@@ -194,6 +201,8 @@ class WorldLink(Closing):
         begun_s = time.perf_counter()
         while self.core.waiting and self._error is None:
             self._pump()
+            if self._waits_no_more and self.core.waiting and self._error is None:
+                self._error = ServerGoneError("the world has not answered, and this client was asked to end")
         self._link_s += time.perf_counter() - begun_s
         self._raise_error()
         if self._frame is None:

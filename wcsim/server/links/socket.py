@@ -97,7 +97,7 @@ class SocketSeat(WorldLink):
         self._worked_s += min(worked_s, listener.ended_s) - begun_s
 
     def _listened(self, recalled: Callable[[], bool]) -> None:
-        while self.core.waiting and self._error is None and not recalled():
+        while self.core.waiting and self._error is None and not (recalled() or self._waits_no_more):
             self._pump()
 
     def _post(self, message: m.Request) -> None:
