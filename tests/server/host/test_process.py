@@ -17,7 +17,7 @@ from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedEr
 from wcsim.server.host.process import main
 from wcsim.server.journal.journal import JOURNAL, Ended, EpochBegun, Ticked, read_journal
 from wcsim.server.journal.ledger import audit, read_ledger
-from wcsim.server.journal.replay import verify
+from wcsim.server.journal.replay import ALIVE_EVERY, verify
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
@@ -67,6 +67,18 @@ def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_pa
     assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
     assert sum(isinstance(record, EpochBegun) for record in records) == 1 + restarts
     assert isinstance(records[-1], Ended)
+
+
+def test_a_world_that_is_made_again_says_now_and_then_that_it_lives(tmp_path):
+    """Whoever started it ends one that is silent."""
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), recovery="replay")
+    ticks, heard = 6 * ALIVE_EVERY, []
+    with Server(order, tmp_path) as server, open_seat(server.seat("a")) as a:
+        driven([a], ticks)
+        server.kill()
+        server.start()
+        assert server.status(lambda s: heard.append(s.stage) or s.stage != "loading").tick == ticks
+    assert heard.count("loading") > ticks / ALIVE_EVERY
 
 
 @pytest.mark.proof

@@ -1,4 +1,4 @@
-"""What a launcher orders from each life of its world."""
+"""What a launcher orders from each life of its world, and what it says of one that dies again and again."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tests.server.launch.test_launcher import STUB, launcher
 from tests.server.servers import OtherWorlds
+from wcsim.server.journal.journal import JOURNAL, EpochBegun, JournalHeader, JournalWriter, Ticked
 from wcsim.server.launch.supervised_world import WORLD_ARGV
 
 
@@ -28,3 +29,16 @@ def test_worlds_know_that_clients_have_yet_to_load_until_one_of_them_was_there(t
     words = "die=0x2 die=30x3"  # two lives end before they say that they are loaded, and one later
     outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen).run()
     assert (outcome.code, seen.begins) == (0, [True, True, True, False])
+
+
+def test_where_a_world_died_that_never_came_up_is_read_from_its_journal(tmp_path):
+    header = JournalHeader(
+        name="", town="", town_sha256="", config="{}", seed=0, capacity=1, tick_s=0.1, fingerprint=""
+    )
+    with JournalWriter(tmp_path / JOURNAL, header) as journal:
+        for epoch, ticks in ((0, 9), (1, 5)):
+            journal.append(EpochBegun(epoch=epoch, seed=0, fresh=True))
+            for tick in range(1, ticks + 1):
+                journal.append(Ticked(epoch=epoch, tick=tick, commands=(), state_hash=""))
+    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=0").run()
+    assert outcome.code == 1 and "died 5 times at tick 5" in outcome.message

@@ -75,7 +75,7 @@ def _prepared(
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(Lifelines(order.status_fd))
-    opened = open_server(order, make)
+    opened = open_server(order, make, reporter.loading)  # a long silence would be taken for a hang
     if opened.journal is not None:
         held.enter_context(opened.journal)
     held.callback(opened.world.close)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,12 +35,15 @@ class Opened:
     journal: JournalWriter | None
 
 
-def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) -> Opened:
+def open_server(
+    order: WorldSpec, make: MakesWorld[SeatWorld] = street_world, alive: Callable[[], object] = lambda: None
+) -> Opened:
     """Make the world of an order, or go on with the journal in its run folder.
 
     Args:
         order: The order.
         make: Makes the worlds; a stand-in's have no town.
+        alive: Called now and then while a world is made again from its journal.
 
     Raises:
         ConfigError: The order cannot be used, or does not fit the journal.
@@ -62,7 +65,7 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
     again = _rules_again(order, REGATHER_S)
     if order.recovery == "new_epoch":
         return _begun(order, make, _appended(path), last.epoch + 1, again)
-    return _gone_on(order, make, path, again)
+    return _gone_on(order, make, path, again, alive)
 
 
 def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: JournalHeader, last: _LastEpoch) -> Opened:
@@ -97,11 +100,13 @@ def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: JournalWriter
     return Opened(world=world, core=ServerCore(rules, epoch), journal=journal)
 
 
-def _gone_on(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, rules: Rules) -> Opened:
+def _gone_on(
+    order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, rules: Rules, alive: Callable[[], object]
+) -> Opened:
     """Exactly the world that there was; its clients have to come back."""
     journal = _appended(path)  # cuts a torn record off before anybody reads on
     try:
-        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order.world, specs, seed, epoch=epoch))
+        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order.world, specs, seed, epoch=epoch), alive)
     except BaseException:
         journal.close()
         raise

@@ -40,6 +40,7 @@ from wcsim.towns.scenario.town import find_town, streets_hash
 T = TypeVar("T")
 W = TypeVar("W", bound=SeatWorld)
 Progress = Callable[[int], None]  # (ticks done)
+ALIVE_EVERY = 10  # records between two signs of life
 Iterations = Generator[T, None, None]
 """An iterator that holds a world, which ends with it: exhaust it, or close it."""
 
@@ -108,10 +109,15 @@ def verify(
     return result
 
 
-def rebuild_world(journal: Path, make: MakesEpoch[W]) -> tuple[W, tuple[Kept, ...]]:
+def rebuild_world(
+    journal: Path, make: MakesEpoch[W], alive: Callable[[], object] = lambda: None
+) -> tuple[W, tuple[Kept, ...]]:
     """The world exactly as it was after the last record, and who sits in it.
 
-    `make` makes the world of the last epoch: that of `journal_worlds`, or a stand-in's.
+    Args:
+        journal: The file.
+        make: Makes the world of the last epoch: that of `journal_worlds`, or a stand-in's.
+        alive: Called now and then, for it takes long.
 
     Raises:
         ReplayMismatchError: A tick gave another state than the journal says.
@@ -128,9 +134,11 @@ def rebuild_world(journal: Path, make: MakesEpoch[W]) -> tuple[W, tuple[Kept, ..
     if not records or not isinstance(records[0], EpochBegun):
         raise WcsimError(f"{journal}: no epoch has begun in it; there is no world to make again")
     try:
-        for record in records:
+        for number, record in enumerate(records):
             world = player.play(record)
             _require_equal(world, record)
+            if number % ALIVE_EVERY == 0:
+                alive()
         return world, player.seats.kept()
     except BaseException:
         player.close()

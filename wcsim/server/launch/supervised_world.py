@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from wcsim.errors import WcsimError
-from wcsim.server.journal.journal import JOURNAL, Ticked, iter_part
+from wcsim.server.journal.journal import JOURNAL, EpochBegun, Ticked, iter_part
 from wcsim.server.launch.child import Child
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner
@@ -20,7 +20,6 @@ from wcsim.server.specs import WorldSpec, WorldStatus, to_line, write_order
 WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
 WORLD = "world"  # its name in logs and events
 _ERROR_NAME = re.compile(r"^[A-Za-z]+Error: ")
-REPLAY_S_A_TICK = 0.2  # time for each tick that a world has to do again before it goes on
 MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 A_START = 10  # ticks; a life that ends before has achieved nothing
 
@@ -81,8 +80,7 @@ class SupervisedWorld(Supervised[WorldStatus]):
             write_order(self._order_file, b"")
             child.kill()
             return
-        again_s = REPLAY_S_A_TICK * max(0, self._death_tick) if self._order.recovery == "replay" else 0.0
-        lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s + again_s
+        lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
         if now_s - self._heard_s > lease_s:
             self._hangs(child, silent_s=round(now_s - self._heard_s, 3))
             self._heard_s = now_s
@@ -123,14 +121,16 @@ class SupervisedWorld(Supervised[WorldStatus]):
         self._log.add("given up", who=WORLD, reason=fault)
 
     def _last_tick(self) -> int:
-        """The last tick that is known to have been done, exactly where there is a journal."""
+        """The last tick of its epoch that is known to have been done, exactly where there is a journal."""
         tick = 0 if self.status is None else self.status.tick
         journal = Path(self._order.run) / JOURNAL
         if not self._order.run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
             return tick
-        epoch = 0 if self.status is None else self.status.epoch
+        done = 0
         try:
-            done = [r.tick for r in iter_part(journal) if isinstance(r, Ticked) and r.epoch == epoch]
+            for record in iter_part(journal):  # a world that died while it loaded has not said which epoch it was in
+                if isinstance(record, Ticked | EpochBegun):
+                    done = record.tick if isinstance(record, Ticked) else 0
         except WcsimError:
             return tick
-        return done[-1] if done else 0
+        return done
