@@ -44,6 +44,13 @@ def test_the_newest_is_that_of_the_largest_number(bench, folder):
     assert load_checkpoint(folder, bench.model).path.name == "step-100000001"
 
 
+def test_one_that_is_read_is_heard_of_meanwhile(bench, folder):
+    heard = []
+    load_checkpoint(folder, bench.model, lambda: heard.append(bench.model.replay_buffer.total))
+    assert len(heard) >= 2
+    assert max(heard) < bench.model.replay_buffer.total, "before all of it was there"
+
+
 def test_one_that_was_just_written_is_kept_whatever_others_there_are(bench, folder):
     load_checkpoint(folder, bench.model)
     bench.model.num_timesteps = 7

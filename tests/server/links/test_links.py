@@ -159,6 +159,7 @@ def test_a_world_that_dies_is_noticed_and_a_closed_link_says_so(corner):
         with pytest.raises(LinkClosedError, match="ended"):
             link.act(0, AHEAD)
     link.close()
+    link.beat(1)  # nobody is there to hear it
     with pytest.raises(LinkClosedError, match="closed"):
         link.act(0, AHEAD)
 

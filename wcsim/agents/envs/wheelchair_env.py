@@ -190,6 +190,10 @@ class SeatedEnv(WheelchairEnv):
         super().__init__(town, config=config, reward_terms=reward_terms)
         self._seat = link
 
+    def beat(self, progress: int) -> None:
+        """Show it from the beginning on: the seat is held before the first reset."""
+        self._seat.beat(progress)
+
     def _open(self, seed: int | None) -> ClientSnapshot:
         """The frame that the seat has; the world's seed is the server's."""
         del seed

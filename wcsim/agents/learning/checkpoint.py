@@ -100,8 +100,10 @@ def save_checkpoint(
     return target
 
 
-def load_checkpoint(folder: Path, model: SeqDQN) -> Loaded:
+def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Loaded:
     """Restore the newest sound checkpoint of a run into a fresh model built from the same configuration.
+
+    `alive` is called now and then while it is being read.
 
     Raises:
         PolicyError: None is sound and fits the model, which is as it was then.
@@ -110,7 +112,8 @@ def load_checkpoint(folder: Path, model: SeqDQN) -> Loaded:
     for path in reversed(step_folders(folder)):
         try:
             state = read_state(path)
-            _restore(model, state, load_file(path / MODEL), load_file(path / REPLAY))
+            alive()
+            _restore(model, state, load_file(path / MODEL), load_file(path / REPLAY), alive)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
             passed.append(PassedOver(path=path, reason=shown(told, 300)))
@@ -195,7 +198,7 @@ def _model_arrays(model: SeqDQN) -> Arrays:
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
 
-def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays) -> None:
+def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive: Callable[[], object]) -> None:
     """All of it, or, with an exception, nothing."""
     memory = _replay(model)
     slots = _optimizer_slots(model, arrays)
@@ -211,7 +214,7 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays) -> Non
                 {k.removeprefix(head): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(head)}
             )
         model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
-        restore_replay(memory, replay)
+        restore_replay(memory, replay, alive)
         memory.rng, explore_rng = restored_generator(state.replay_rng), restored_generator(state.explore_rng)
         torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
     except BaseException:

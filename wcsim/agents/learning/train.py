@@ -85,7 +85,7 @@ def train(
                 for note in () if memory.disk is None else memory.disk.notes:
                     say(note)
                     folder.event("replay_torn", reason=note)
-                loaded = _loaded(folder, model, say) if run.resume else None
+                loaded = _loaded(folder, model, say, alive) if run.resume else None
                 session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
                 session.callbacks.extend(callbacks)
                 with session.episodes.board or contextlib.nullcontext():
@@ -255,7 +255,9 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Loaded | None:
+def _loaded(
+    run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]
+) -> Loaded | None:
     """The newest sound checkpoint, restored; None for a run that has none yet and begins again.
 
     What was passed over is set aside: it belongs to work that is done again, with another outcome.
@@ -264,7 +266,7 @@ def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object]) -> Load
         say(f"{run.path} was ended before its first checkpoint; it begins again")
         run.event("begin_again")
         return None
-    loaded = load_checkpoint(run.checkpoints, model)
+    loaded = load_checkpoint(run.checkpoints, model, alive)
     for item in loaded.passed_over:
         kept = set_aside(item.path)
         say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")

@@ -151,10 +151,11 @@ def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[in
     }
 
 
-def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
+def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
     """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`require_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
+    `alive` is called now and then.
 
     Raises:
         ValueError: Their frames are not those of their steps; the memory has to be reset then.
@@ -172,7 +173,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
     if replay.disk is None:
-        _restore_frames(replay, arrays, index)
+        _restore_frames(replay, arrays, index, alive)
     else:
         replay.disk.cut(total * replay.n_envs)
         replay.windows.attach(total - size, replay.episode_step[rows] == 0)
@@ -188,7 +189,9 @@ def restore_replay(replay: FrameReplay, arrays: Arrays) -> None:
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64]) -> None:
+def _restore_frames(
+    replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64], alive: Callable[[], object]
+) -> None:
     ends = np.cumsum(arrays["blob_bytes"])
     data = arrays["frames"].tobytes()
     blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]
@@ -200,5 +203,6 @@ def _restore_frames(replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.i
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
         at += len(frames)
+        alive()
     if at != len(index):
         raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import secrets
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.networks.names import client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
@@ -114,9 +116,10 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
         fit = fitted(config, offered)
         env = SeatedEnv(seat, fit, world.town, terms)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
+        beats = count(1)
         with TrainBar(config.learn.total_steps) as bar:
             run = ResolvedRun(config=fit, out=out, info=info, resume=options.resume)
-            return train(run, lambda: env, bar.show)
+            return train(run, lambda: env, bar.show, alive=lambda: env.beat(next(beats)))
 
 
 def _require_known_plant(offered: RunConfig, endpoint: str) -> None:
@@ -150,5 +153,5 @@ def _world(options: Options, seat: SocketSeat) -> WorldOffer:
             f"{options.endpoint}: nobody answered within {options.wait:g} s; is `wcsim serve` running there? "
             "(--wait S waits longer)"
         ) from None
-    seat.core.patience = Patience()
+    seat.core.patience = Patience(reconnect_s=RECONNECT_S)
     return seat.world

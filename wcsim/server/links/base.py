@@ -125,8 +125,9 @@ class WorldLink(Closing):
         return self.receive()
 
     def beat(self, progress: int) -> None:
-        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`."""
-        self.take(self.core.beat(progress))
+        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
+        if not self._closed:
+            self.take(self.core.beat(progress))
 
     @property
     def seat(self) -> int:
