@@ -26,8 +26,9 @@ class SupervisedClient(Supervised[ClientStatus]):
         self._world: WorldStatus | None = None  # as last seen
         self._best_step = 0  # of the lives before this one
         self._left_alone = 0  # deaths in a row that were the world's fault
-        self._seated = False  # in this life
-        self._unseated_s: float | None = None  # since when the world has gone on without it
+        self._seat_epoch: int | None = None  # of the world in which it had its seat last in this life
+        self._gathering = False  # its world waits for all to come
+        self._unseated_s: float | None = None  # since when the world has gone on without it, or has waited for all
         self._replaced = 0  # lives that ended as planned, because their process had grown
 
     @property
@@ -75,7 +76,7 @@ class SupervisedClient(Supervised[ClientStatus]):
         return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
 
     def _begun(self, now_s: float) -> None:
-        self._seated, self._unseated_s = False, None
+        self._seat_epoch, self._unseated_s = None, None
 
     def _heard(self, status: ClientStatus, now_s: float) -> None:
         self.standing = "running"
@@ -119,14 +120,20 @@ class SupervisedClient(Supervised[ClientStatus]):
 
     def _watch(self, child: Child, now_s: float) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
-        world = self._world
-        gathering = world is not None and world.stage == "empty" and not self._seated  # it waits for others to come
-        if world is None or world.stage == "loading" or gathering:
+        world, begun, seated = self._world, self._gathering, self._seat_epoch is not None
+        self._gathering = world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
+        if world is None or world.stage == "loading" or self._gathering != begun or (self._gathering and not seated):
             self._unseated_s = None
         elif self.plan.name in world.members:
-            self._seated, self._unseated_s = True, None
+            self._seat_epoch, self._unseated_s = world.epoch, None
         elif self._unseated_s is None:
             self._unseated_s = now_s
-        elif now_s - self._unseated_s > (self._rules.client_lease_s if self._seated else self._rules.joining_s):
+        elif now_s - self._unseated_s > self._may_take_s:
             self._hangs(child, without_seat_s=round(now_s - self._unseated_s, 3))
             self._unseated_s = now_s
+
+    @property
+    def _may_take_s(self) -> float:
+        """How long it may be without its seat: where all are still waited for it may just wait as well."""
+        lost = self._seat_epoch is not None and not self._gathering
+        return self._rules.client_lease_s if lost else self._rules.joining_s
