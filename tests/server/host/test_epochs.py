@@ -11,7 +11,8 @@ from dataclasses import replace
 import pytest
 
 from tests.server.host.test_process import BOTH, audited, drive_through, two_seats
-from tests.server.servers import Server, stand_in_order, together
+from tests.server.servers import AHEAD, Server, stand_in_order, together
+from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.config import with_overrides
@@ -21,6 +22,7 @@ from wcsim.server.host.recovery import open_server
 from wcsim.server.journal.journal import (
     JOURNAL,
     Admitted,
+    Dismissed,
     Ended,
     EpochBegun,
     iter_journal,
@@ -137,6 +139,20 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
     assert (opened.core.cycle.epoch, opened.core.cycle.rules.expected) == (1, 2)
     begun = [(record.epoch, record.seed) for record in iter_journal(path) if isinstance(record, EpochBegun)]
     assert begun == [(epoch, epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
+
+
+def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
+    with Server(capped(tmp_path), tmp_path) as server, ExitStack() as held:
+        a, b = (held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path))
+        driven_through([a, b], CAP)
+        b.close()
+        a.send(CAP, AHEAD)
+        assert server.wait() == WorldExit.EPOCH_OVER
+    *_, gone, last = iter_part(tmp_path / "run" / JOURNAL)
+    assert gone == Dismissed(epoch=0, tick=CAP, seat=1, reason="left") and isinstance(last, Ended)
+    opened = open_server(capped(tmp_path), FakeWorld)
+    assert opened.core.cycle.rules.expected == 1 and opened.journal is not None
+    opened.journal.close()
 
 
 def ready_at(tick):

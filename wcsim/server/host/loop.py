@@ -18,7 +18,7 @@ from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
+from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.members import Member, Pending
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.seat_world import SeatWorld
@@ -75,8 +75,8 @@ class ServerLoop:
             while not reason:
                 self._turn()
                 reason = asked_to_end() or ("nobody is left who started it" if self._alone else self._cap.reached)
-            if not self._cap.reached:
-                self._feed(Stop(reason))
+            # Who has left by the last tick is in the journal as gone, for those who were in are waited for.
+            self._feed(EpochOver() if self._cap.reached else Stop(reason))
         except WcsimError as error:
             self._tell_all(error)
             raise

@@ -83,7 +83,7 @@ class Barrier:
 
     def admit(self, now_s: float) -> None:
         """Give those who wait their seats, after every chair that was to go has gone."""
-        self._dismiss()
+        self.dismiss()
         coming = sorted(self.roll.pending, key=lambda p: p.seat)
         self.roll.pending = []
         for p in coming:
@@ -134,7 +134,7 @@ class Barrier:
     def step(self) -> None:
         """The master has asked: chairs that were to go are gone, then the world moves."""
         self.stage = BarrierState.STEPPING
-        self._dismiss()
+        self.dismiss()
         actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
         commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
         self.out.append(Step(self.tick, commands))
@@ -157,7 +157,7 @@ class Barrier:
 
     def rebuild(self, seed: int, now_s: float) -> None:
         """A new epoch with the members of now."""
-        self._dismiss()
+        self.dismiss()
         self.epoch, self.tick = self.epoch + 1, 0
         self.stage = BarrierState.COLLECT
         self.out.append(RebuildWorld(self.epoch, seed))
@@ -189,6 +189,12 @@ class Barrier:
             self.advance(now_s)
         else:
             self.admit(now_s)
+
+    def dismiss(self) -> None:
+        """Take the chairs out of the world whose clients have gone; also after the last tick, which no step follows."""
+        for seat, reason in sorted(self.roll.going.items()):
+            self.out.append(Dismiss(seat, reason))
+        self.roll.going.clear()
 
     def promote(self, member: Member | None, tell: bool) -> None:
         """Make a member the master of a new term; without one there is no master."""
@@ -247,11 +253,6 @@ class Barrier:
         for mate in self.roll.members:
             mate.action, mate.respawning, mate.life = None, False, 0
             mate.asked_s = now_s
-
-    def _dismiss(self) -> None:
-        for seat, reason in sorted(self.roll.going.items()):
-            self.out.append(Dismiss(seat, reason))
-        self.roll.going.clear()
 
     def _give_up_overdue(self, now_s: float) -> None:
         for mate in self.roll.by_seat():

@@ -81,7 +81,12 @@ class Stop:
     reason: str = ""
 
 
-Event = Received | Lost | Clock | Stepped | Stop
+@dataclass(frozen=True, slots=True)
+class EpochOver:
+    """The epoch ends with the tick of now; another server goes on with the next one."""
+
+
+Event = Received | Lost | Clock | Stepped | Stop | EpochOver
 
 
 # --- what is to be done, in this order ---

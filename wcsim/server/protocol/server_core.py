@@ -29,7 +29,19 @@ from wcsim.errors import (
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.admission import Admission, admission
 from wcsim.server.protocol.barrier import Barrier, Kept
-from wcsim.server.protocol.events import BarrierState, Clock, Effect, Event, Lost, Peer, Received, Rules, Stepped, Stop
+from wcsim.server.protocol.events import (
+    BarrierState,
+    Clock,
+    Effect,
+    EpochOver,
+    Event,
+    Lost,
+    Peer,
+    Received,
+    Rules,
+    Stepped,
+    Stop,
+)
 from wcsim.server.protocol.members import Member, Pending
 from wcsim.types import Joystick
 
@@ -58,6 +70,8 @@ class ServerCore:
                 cycle.watch(now_s)
             case Stop():
                 cycle.stop(event.reason)
+            case EpochOver():
+                cycle.dismiss()
         return cycle.out
 
     def copied(self) -> ServerCore:
