@@ -22,7 +22,7 @@ from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import Rules, rejoin_within
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import Recovery, WorldSpec
 from wcsim.server.transport.keys import is_loopback, known_names, make_keys
@@ -186,6 +186,7 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Worl
             expected=options.expected,
             gather_s=GATHER_S,
             lease_s=options.lease,
+            rejoin_s=rejoin_within(options.lease),
             max_think_s=options.max_think,
             recordings=recordings([config.env.profile]),
         ),

@@ -11,7 +11,7 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.server.launch.states import ClientPlan
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import Rules, rejoin_within
 from wcsim.server.specs import ClientSpec, Recovery, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
 from wcsim.server.transport.world_folder import endpoint_in
 from wcsim.users.profiles import recordings
@@ -73,6 +73,7 @@ def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, te
         expected=terms.expected,
         gather_s=GATHER_S,
         lease_s=terms.lease_s,
+        rejoin_s=rejoin_within(terms.lease_s),
         recordings=recordings(client.config.env.profile for client in run.clients),
     )
     return WorldSpec(

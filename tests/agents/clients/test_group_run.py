@@ -1,0 +1,26 @@
+"""The orders that the world of several clients gets, from a launcher's and from one by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.worlds import dqn_config
+from wcsim.agents.clients.clients_folder import create_clients_folder
+from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, world_order
+from wcsim.agents.runs.run_folder import make_manifest
+from wcsim.cli import serve
+from wcsim.server.specs import RunInfo
+from wcsim.towns.scenario.town import find_town
+
+
+@pytest.mark.parametrize("lease_s", [10.0, 120.0, 600.0])
+def test_who_may_think_for_so_long_may_do_so_over_the_death_of_a_world_that_replays(tmp_path, lease_s):
+    config, info = dqn_config(), RunInfo(seed=1, town="t")
+    folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
+    run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
+    trained = world_order(run, "t", folder, tmp_path, WorldTerms(expected=1, lease_s=lease_s, recovery="replay"))
+    served = serve._order(serve.Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
+    for rules in (trained.rules, served.rules):
+        assert rules.lease_s == lease_s and rules.rejoin_s >= max(lease_s, 30.0)
