@@ -21,7 +21,7 @@ import wcsim
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, newest_step, restored_generator
+from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
@@ -29,8 +29,7 @@ from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile, read_me
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
-from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, ServerGoneError
-from wcsim.server.launch.states import WAIT_NO_MORE
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
@@ -172,42 +171,6 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     steps = [int(row["step"]) for row in read_metrics(path / "metrics.csv")]
     assert steps == sorted(set(steps))
     assert [int(r["episode"]) for r in read_metrics(path / "metrics.csv")] == list(range(1, len(steps) + 1))
-
-
-def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_path):
-    waits = []
-
-    def away():
-        for number in (signal.SIGTERM, WAIT_NO_MORE):
-            os.kill(os.getpid(), number)
-        assert waits, "nobody says that there is no use in waiting"
-        raise ServerGoneError("nobody answers")
-
-    env, before = Nervous(150, away), signal.getsignal(WAIT_NO_MORE)
-    with pytest.raises(InterruptedRunError, match="--resume"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: env, wait_no_more=lambda: waits.append(True))
-    manifest = open_run(tmp_path / "run").manifest
-    assert (manifest.status, manifest.steps) == ("interrupted", 149)
-    assert newest_step(tmp_path / "run" / "checkpoints") == 149
-    assert signal.getsignal(WAIT_NO_MORE) is before
-
-
-def test_a_second_signal_that_was_sent_to_all_does_not_tear_what_a_client_saves(tmp_path):
-    asked = []
-
-    def saves():
-        if asked:  # the checkpoint before the end is being written
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    def ask():
-        asked.append(True)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    run = a_run(config(), tmp_path / "run", 5)
-    with pytest.raises(InterruptedRunError):
-        train(run, lambda: Nervous(150, ask), alive=saves, wait_no_more=lambda: asked.append(False))
-    assert newest_step(tmp_path / "run" / "checkpoints") == 152
-    assert False in asked
 
 
 def test_a_damaged_checkpoint_is_passed_over(run, tmp_path):

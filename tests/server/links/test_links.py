@@ -240,6 +240,18 @@ def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(
             a.receive()
 
 
+def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
+    monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
+    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+        a.join()
+        a.wait_less()
+        assert a.act(0, AHEAD).tick == 1, "one that answers is waited for"
+        server.kill()
+        with pytest.raises(ServerGoneError, match="silent"):
+            a.act(1, AHEAD)
+        assert a.core.patience.tick_s == QUICK.tick_s
+
+
 def test_a_client_that_is_to_end_takes_an_answer_that_is_there(tmp_path):
     with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
         a.join()

@@ -142,6 +142,11 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if self._link is not None:
             self._link.beat(progress)
 
+    def wait_less(self) -> None:
+        """From now on a world that is silent for some seconds is gone; may be called by a signal's handler."""
+        if self._link is not None:
+            self._link.wait_less()
+
     def wait_no_more(self) -> None:
         """From now on waiting for the world is a ServerGoneError; may be called by a signal's handler."""
         self._waits_no_more = True

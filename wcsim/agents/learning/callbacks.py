@@ -225,6 +225,7 @@ class StopRequest:
     def __init__(self, wait_no_more: Callable[[], object] | None = None) -> None:
         """`wait_no_more` ends the waiting, and is called within a signal's handler; None without a launcher."""
         self._wait_no_more = wait_no_more
+        self.wait_less: Callable[[], object] = lambda: None  # called by the first signal, within its handler
         self.asked, self.forced = False, False
         self.ending = False  # the last files are being written: what is asked for again is under way
         self._before: dict[int, Any] = {}
@@ -247,8 +248,10 @@ class StopRequest:
         del frame
         again = self.asked or number == WAIT_NO_MORE
         self.asked = True
-        if again and self._wait_no_more is not None:
+        if not again:
+            self.wait_less()
+        elif self._wait_no_more is not None:
             self._wait_no_more()
-        elif again and not self.ending:
+        elif not self.ending:
             self.forced = True
             raise KeyboardInterrupt

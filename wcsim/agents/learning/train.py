@@ -81,6 +81,7 @@ def train(
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
             _learn_meanwhile(model, env)
+            request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
             with contextlib.closing(_replay(model)) as memory:
                 for note in () if memory.disk is None else memory.disk.notes:
                     say(note)

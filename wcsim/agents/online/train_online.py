@@ -76,6 +76,7 @@ def train_online(run: ResolvedRun, make_env: MakeEnv, listeners: Listeners | Non
     folder, heard_by = folder_of(run, with_window), listeners or Listeners()
     with files.locked(folder.path), torch_settings(run.config), StopRequest(heard_by.wait_no_more) as request:
         env = make_env()
+        request.wait_less = getattr(env.unwrapped, "wait_less", request.wait_less)
         try:
             return _OnlineSession(folder, env, request, heard_by, run.resume).learn()
         finally:

@@ -10,7 +10,7 @@ import secrets
 import time
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
@@ -18,6 +18,8 @@ from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick
+
+LEAVING_S = 10.0  # who is to end gives up a world that is silent for so long; one that lives speaks every second
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,6 +152,14 @@ class WorldLink(Closing):
         return Waits(
             steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s
         )
+
+    def wait_less(self) -> None:
+        """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
+
+        May be called by a signal's handler.
+        """
+        patience = self.core.patience
+        self.core.patience = replace(patience, reconnect_s=min(patience.reconnect_s, LEAVING_S))
 
     def wait_no_more(self) -> None:
         """From now on an answer that is not there yet is a ServerGoneError; for a client that is to end.
