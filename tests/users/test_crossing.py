@@ -9,8 +9,10 @@ import pytest
 from tests.support.samples import strip_walk
 from tests.users.actors import actor
 from tests.users.kinematics import polyline
+from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
-from wcsim.users.crossing import crossings, has_light, is_red, vehicle_comes
+from wcsim.users.crossing import Kerbs, crossings, has_light, is_red, vehicle_comes
+from wcsim.users.route_line import Path
 
 
 def walk(tls_id="", links=()) -> WalkGraph:
@@ -75,3 +77,14 @@ def test_without_a_light_nothing_is_red():
 )
 def test_vehicles(vehicle, comes):
     assert vehicle_comes(ROAD, (vehicle,)) == comes
+
+
+@pytest.mark.parametrize(
+    ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
+)
+def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
+    here = Kerbs(crossings(ROUTE, walk("t", (1, 2))), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
+    red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
+    assert here.stop_m(10.6, 59.9, red, ()) is not None
+    comes = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
+    assert (here.stop_m(10.6, 60.0, now, (comes,)) is not None) == waits

@@ -30,7 +30,7 @@ def view(time_s=0.0, actors=(), obstacles=(), yaw=0.0) -> UserView:
 
 def notices(name, seed, **what) -> bool:
     seen = Perception(profile(name), generator(seed)).look(view(**what))
-    return bool(seen.things)
+    return bool(seen.things or seen.vehicles)
 
 
 def test_the_chance_to_notice_is_the_profiles():
@@ -58,6 +58,8 @@ def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
         ({"actors": [actor(ActorKind.WHEELCHAIR, 5.0, 0.0)]}, True),
         ({"actors": [actor(ActorKind.CAR, 20.0, 20.0, v=10.0)]}, True),
         ({"actors": [actor(ActorKind.CAR, -20.0, 0.0, v=10.0)]}, True),
+        ({"actors": [actor(ActorKind.CAR, 43.5, 0.0, v=10.0)]}, True),
+        ({"actors": [actor(ActorKind.CAR, 45.0, 0.0, v=10.0)]}, False),
         ({"actors": [actor(ActorKind.PEDESTRIAN, -4.0, 0.0)]}, False),
     ],
 )
@@ -71,6 +73,12 @@ def test_only_vehicles_are_traffic():
         view(actors=[actor(ActorKind.CAR, 9.0, 0.0, name="c"), actor(ActorKind.BICYCLE, 5.0, 0.0, name="b")])
     )
     assert [vehicle.id for vehicle in seen.vehicles] == ["c"]
+
+
+@pytest.mark.parametrize(("ahead_m", "near"), [(24.0, True), (26.0, False)])
+def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, near):
+    seen = Perception(profile("competent"), generator(0)).look(view(actors=[actor(ActorKind.CAR, ahead_m, 0.0, v=9.0)]))
+    assert len(seen.vehicles) == 1 and bool(seen.things) == near
 
 
 def test_attention_has_its_share_and_length():

@@ -17,6 +17,7 @@ _SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to cou
 MOVING_MPS = 0.5
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
 _LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
+_GREEN_SEEN_M = 25.0  # who is farther from a crossing that has green has red, and still brakes for it
 _ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
 _NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
 RING = tuple((math.cos(0.25 * math.pi * k), math.sin(0.25 * math.pi * k)) for k in range(8))
@@ -141,8 +142,14 @@ class Kerbs:
             return True
         if item in self._red_last_s:
             self._green_since_s.setdefault(item, time_s)
-        watched = near and (item in self._red_last_s or not has_light(item, signals))
-        return watched and vehicle_comes(item, vehicles)
+        lit = has_light(item, signals)
+        watched = near and (item in self._red_last_s or not lit)
+        return watched and vehicle_comes(item, _near_kerb(item, vehicles) if lit else vehicles)
+
+
+def _near_kerb(item: Crossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
+    """Those so near to where a crossing begins that they count at green."""
+    return [v for v in vehicles if math.dist(v.p_W_m[:2].tolist(), item.start_W_m) < _GREEN_SEEN_M]
 
 
 def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
@@ -219,7 +226,7 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
     for vehicle in vehicles:
         v: F64 = vehicle.v_W_mps[:2]
         speed = float(np.hypot(v[0], v[1]))
-        if speed < MOVING_MPS:
+        if speed < MOVING_MPS or _passes_wide(vehicle, speed, crossing, 0.5 * length_m):
             continue
         ends_m = 0.5 * vehicle.size_lwh_m[0] / speed * np.array([-1.0, 0.0, 1.0])[:, None] * v  # tail, middle, nose
         points = vehicle.p_W_m[:2] + later_s[:, None, None] * v + ends_m  # (T, 3, 2)
@@ -230,6 +237,17 @@ def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
         if (close & (distance_m < 0.5 * vehicle.size_lwh_m[1] + _SIDE_M)).any():
             return True
     return False
+
+
+def _passes_wide(vehicle: ActorState, speed_mps: float, crossing: Crossing, half_m: float) -> bool:
+    """Whether a vehicle's straight way leads past a crossing, or has left it: so of most in sight, and cheap to say."""
+    (x, y, _), (vx, vy, _) = vehicle.p_W_m.tolist(), vehicle.v_W_mps.tolist()
+    to_x = 0.5 * (crossing.start_W_m[0] + crossing.end_W_m[0]) - x
+    to_y = 0.5 * (crossing.start_W_m[1] + crossing.end_W_m[1]) - y
+    length_m, width_m, _ = vehicle.size_lwh_m
+    near_m = half_m + 0.5 * width_m + _SIDE_M
+    aside_m, ahead_m = abs(to_x * vy - to_y * vx) / speed_mps, (to_x * vx + to_y * vy) / speed_mps
+    return bool(aside_m > near_m or ahead_m < -(near_m + 0.5 * length_m))
 
 
 def _beside(points: F64, start: F64, end: F64) -> tuple[F64, F64]:

@@ -12,7 +12,9 @@ from wcsim.types import ActorKind, ActorState, UserView
 from wcsim.users.profiles import UserProfile
 
 _HALF_VIEW_RAD = rad(80.0)
-PERSON_SIGHT, _VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+_KEPT_SIGHT = 1.5  # what was noticed is known of until it is this many times as far away
+_AROUND_M = 25.0  # what is farther away is watched, but nothing yet to go around or to stop behind
 _FORGET_S = 10.0
 LONGEST_AWAY = 2.0  # times the mean
 UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
@@ -78,13 +80,18 @@ class Perception:
         """Everything noticed by now that is still near."""
         things = [NoticedObject(x_m=x, y_m=y, radius_m=r) for x, y, r in self._obstacles(view)]
         vehicles = []
+        x_m, y_m, _ = view.p_W_m.tolist()
         for actor in view.actors:
             slow = actor.kind in _SLOW_KINDS
-            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else _VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
+            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
             x, y, _ = actor.p_W_m.tolist()
+            gap_m = math.hypot(x - x_m, y - y_m)
+            if gap_m > _KEPT_SIGHT * reach_m:
+                continue  # nearly everybody in a town, so before anything that costs
             if not self._notices(f"a{actor.id}", x, y, reach_m, view, everywhere=not slow):
                 continue
-            things.extend(discs(actor))
+            if gap_m < _AROUND_M:
+                things.extend(discs(actor))
             if not slow:
                 vehicles.append(actor)
         self._forget(view.time_s)
@@ -103,7 +110,7 @@ class Perception:
         """Whether something is noticed; `everywhere` for traffic, which one hears, and turns one's head for."""
         dx, dy = x_m - float(view.p_W_m[0]), y_m - float(view.p_W_m[1])
         distance = math.hypot(dx, dy)
-        if distance > 1.5 * reach_m:
+        if distance > _KEPT_SIGHT * reach_m:
             return False
         known = self._noticed.get(key)
         if known is None:

@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.actors import actor as car
 from tests.support.worlds import follow, quick_config
 from wcsim.bridge.world import World
+from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
+from wcsim.users.perception import Perception
+from wcsim.users.profiles import profile
 
 SPEC = SeatSpec(profile="competent")
 
@@ -172,6 +176,15 @@ def test_a_seat_goes_on_with_its_next_episode_and_another_start(corner):
         world.rebuild(2)
         assert world.admit(1, SPEC).events.episode == 0
         assert tuple(world.snapshot.clients[0].plant.p_WB_m) != starts[1]
+
+
+def test_a_user_knows_of_a_car_three_seconds_away(corner):
+    with empty_world(corner) as world:
+        world.admit(0, SPEC)
+        x, y, _ = world.seats[0].plant.p_WB_m.tolist()
+        coming = car(x=x - 41.0, y=y, speed=13.9)
+        view = world.seats[0].view(0.0, (coming,), ())
+        assert Perception(profile("competent"), generator(0)).look(view).vehicles == (coming,)
 
 
 def test_coming_and_going_thirty_times_leaves_no_body_behind(corner):

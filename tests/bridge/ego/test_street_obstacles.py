@@ -9,6 +9,7 @@ import pytest
 from tests.support.samples import straight_route, strip_street
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch, label_pieces
 from wcsim.types import F64, StreetGrid
+from wcsim.users.profiles import profile, profile_names
 
 ROUTE = straight_route(5.5)
 
@@ -38,6 +39,13 @@ def test_a_thing_keeps_one_number_from_first_to_last(box):
     for x, y, radius, _ in np.concatenate(frames):
         assert box[0] - 0.1 <= x <= box[2] + 0.1 and box[1] - 0.1 <= y <= box[3] + 0.1
         assert radius == pytest.approx(0.1)
+
+
+def test_a_thing_is_offered_from_as_far_as_the_sharpest_user_notices_one():
+    sharpest_m = max(profile(name).see_m * (1.0 + profile(name).spread) for name in profile_names())
+    watch = ObstacleWatch(with_boxes((20.0, 5.4, 20.2, 5.6)))
+    met_m = next(m for m in np.arange(0.0, 20.0, 0.05) if len(watch.on_way(ROUTE, m)))
+    assert 20.0 - met_m >= sharpest_m
 
 
 def test_two_things_have_two_numbers():

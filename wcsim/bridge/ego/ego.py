@@ -56,7 +56,6 @@ from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
 
-SIGHT_M = 25.0
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
 AT_REST = Joystick(0.0, 0.0)
@@ -333,16 +332,15 @@ class Ego:
         self._progress_m = self.user.route_progress_m
 
     def view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
-        """What the user of this seat may know of the street now."""
+        """What the user of this seat may know of the street now; it notices only who is near."""
         plant = self.chair.state()
-        x, y, _ = plant.p_WB_m.tolist()
         return UserView(
             time_s=time_s,
             p_W_m=plant.p_WB_m,
             yaw_rad=plant.yaw_rad,
             speed_mps=float(plant.v_B_mps[0]),
             route=self.route,
-            actors=tuple(a for a in others if _in_sight(a, x, y)),
+            actors=others,
             signals=signals,
             obstacles_W_m=self._obstacles.on_way(self.route, self.user.route_progress_m),
         )
@@ -380,8 +378,3 @@ def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
         v_W_mps=np.array([ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos, 0.0]),
         size_lwh_m=outline.size_lwh_m,
     )
-
-
-def _in_sight(actor: ActorState, x_m: float, y_m: float) -> bool:
-    ax, ay, _ = actor.p_W_m.tolist()
-    return math.hypot(ax - x_m, ay - y_m) < SIGHT_M

@@ -13,7 +13,7 @@ import numpy as np
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, I32, Bool, Ground, Route
 
-LOOK_AHEAD_M = 7.0
+LOOK_AHEAD_M = 8.0  # no user of wcsim's profiles notices a post from farther: 1.3 times 6 m
 LOOK_BACK_M = 1.0
 PIECE_M = 10.0  # of the way are searched at a time, once
 NEAR_WAY_M = 0.55  # what lies further from the line does not touch a chair that follows it
