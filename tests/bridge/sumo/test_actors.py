@@ -86,6 +86,19 @@ def test_who_jumps_into_reach_is_seen_at_once_when_the_session_says_so(running):
     assert names(running, target) == everybody_near(target)
 
 
+@pytest.mark.parametrize("length_m", [7.0, 12.0, 18.0, 26.0])
+def test_who_drives_away_is_there_until_the_rear_is_out_of_reach(running, length_m):
+    libsumo.simulationStep()
+    (name, *_) = libsumo.simulation.getDepartedIDList()
+    libsumo.vehicle.setLength(name, length_m)
+    running.stepped(libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList(), unsure=False)
+    front, yaw_rad = np.array(libsumo.vehicle.getPosition(name)), frames.yaw_from_sumo(libsumo.vehicle.getAngle(name))
+    rear = front - length_m * np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    behind = rear - (RADIUS_M - 1.0) * np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    assert f"v:{name}" in names(running, behind[None])
+    assert f"v:{name}" in [actor.id for actor in running.at(behind[None], RADIUS_M)]
+
+
 def _far_ahead(name: str) -> tuple[str, str, F64]:
     """A vehicle, the first metres of the last street on its way, and where that is."""
     lane = libsumo.vehicle.getRoute(name)[-1] + "_1"

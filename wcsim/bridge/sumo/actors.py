@@ -21,7 +21,7 @@ FASTEST_MPS = {"v:": 70.0, "p:": 35.0}  # nobody and no chair together come near
 _MOVED_M = 1.5  # a chair that is so far from where it was at the last question has been put there
 _LONGEST_WAIT = 100  # steps
 Place = tuple[float, float, float]
-LONG_M = 20.0  # longer vehicles' rears may be near while their fronts are far
+LONG_M = 5.0  # of who is longer, from a van on, the rear may be near while the front, which SUMO tells, is far
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +69,7 @@ class ActorReader:
     def near(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """Every vehicle and person within `radius_m` of any of the points (n, 2), sorted by id.
 
+        By the front, as SUMO tells it; of who is longer than `LONG_M` any part may be so near.
         Who rides in a vehicle is not in the street: SUMO lists riders as persons at the vehicle's front bumper.
         """
         if not len(near_W_m):
