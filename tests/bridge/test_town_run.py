@@ -7,12 +7,16 @@ import pytest
 
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
+from wcsim.bridge.reaction.articulated import Articulation
+from wcsim.bridge.recording.fcd import write_fcd
+from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.recording.trace_file import read_trace
-from wcsim.bridge.town_run import TRACE, RecordOrder, check_mirrored, record_town
+from wcsim.bridge.town_run import TRACE, RecordOrder, as_recorded, check_mirrored, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.scenario.town import find_town
-from wcsim.types import ActorKind, ActorState
+from wcsim.towns.sumo.xml_io import read_root
+from wcsim.types import ActorKind, ActorState, Snapshot
 
 
 def actor(name: str, x_m: float, piece: int = 0) -> ActorState:
@@ -38,6 +42,21 @@ def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
     with pytest.raises(SumoError, match=r"not there: nobody; there but not shown: v:near"):
         check_mirrored((), everyone, chairs, 50.0)
     check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
+
+
+def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of_floating_car_data(tmp_path):
+    tram = replace(actor("v:tram", 20.0), kind=ActorKind.TRAM, size_lwh_m=(26.0, 2.4, 3.4))
+    far, near = replace(tram, id="v:far", p_W_m=np.array([300.0, 0.0, 0.0])), Articulation().bent((tram,))
+    snapshot = Snapshot(epoch=0, tick=1, time_s=0.1, actors=near, signals=(), clients=())
+    recorded = as_recorded(snapshot, (far, tram))
+    assert [(a.id, a.piece) for a in recorded] == [("v:far", 0), ("v:tram", 0), ("v:tram~1", 1), ("v:tram~2", 2)]
+    assert sum(a.size_lwh_m[0] for a in recorded[1:]) == pytest.approx(26.0)
+    header = TraceHeader(name="t", seed=1, tick_s=0.1, seats=0, fingerprint="f")
+    with TraceWriter(tmp_path / TRACE, header) as writer:
+        writer.append(record_of(snapshot, (), recorded))
+    write_fcd(tmp_path / TRACE, tmp_path / "fcd.xml")
+    (step,) = read_root(tmp_path / "fcd.xml")
+    assert [(v.get("id"), float(v.get("x", "nan"))) for v in step] == [("far", 313.0), ("tram", 33.0)]
 
 
 def test_a_recorded_town_holds_everybody_and_the_chairs(corner, tmp_path):

@@ -156,9 +156,14 @@ def _run_alone(traffic: TownTraffic, ticks: int, writer: TraceWriter, progress: 
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
-    """Everybody in town: near a wheelchair as they are shown to it, elsewhere as SUMO has them; rounded."""
-    shown = {actor.id: actor for actor in snapshot.actors if not actor.piece}
-    return [_rounded(shown.get(actor.id, actor)) for actor in everyone]
+    """Everybody in town: near a wheelchair as they are shown to it, in all their pieces, elsewhere as SUMO has them.
+
+    Places and speeds are rounded.
+    """
+    shown: dict[str, list[ActorState]] = {}
+    for actor in snapshot.actors:
+        shown.setdefault(actor.whole_id, []).append(actor)
+    return [_rounded(piece) for actor in everyone for piece in shown.get(actor.id, (actor,))]
 
 
 def check_mirrored(
