@@ -320,3 +320,19 @@ def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
         assert said.visible.danger == alone.danger
         np.testing.assert_array_equal(said.visible.first_s, alone.first_s)
         np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)
+
+
+SOFT = Oracle(STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
+
+
+def test_who_brakes_softly_is_in_danger_from_as_far_as_it_rolls():
+    post_m, full = 25.0, Joystick(0.0, 1.0)
+    here = plant(post_m - 0.8 - 5.2, 6.7, 0.0, 1.67)
+    assert SOFT.danger(here, full, ()) and not ORACLE.danger(here, full, ())
+    assert not SOFT.danger(plant(post_m - 0.8 - 6.5, 6.7, 0.0, 1.67), full, ())
+
+
+def test_a_car_that_comes_while_a_soft_brake_still_slows_the_chair_down_is_seen():
+    here, full = plant(0.0, 5.5, 0.0, 1.67), Joystick(0.0, 1.0)
+    car = actor(ActorKind.CAR, 5.4 + 0.8, 5.5 + 45.0, -math.pi / 2, v=9.0)  # it crosses the way in 5 s
+    assert SOFT.danger(here, full, (car,)) and not ORACLE.danger(here, full, (car,))

@@ -18,11 +18,11 @@ import numpy as np
 from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.joystick import limits_of, shaped_rows
-from wcsim.supervisor.rollout import STEP_S, free_distance, roll_out
+from wcsim.supervisor.rollout import HOLD_S, STEP_S, free_distance, roll_out, rolls_s
 from wcsim.types import F64, ActorKind, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
 
-REACH_M = 4.0  # farther than a chair with its footprint gets in one roll-out
-_LONGEST_ROLL_OUT_S = 2.5
+REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
+_LONGEST_ROLL_OUT_S = 2.5  # which may take so long at least; both more for who brakes softly
 FASTEST_MPS = 5.0  # of any chair
 FAR_M = 25.5
 
@@ -58,6 +58,9 @@ class Oracle:
         self._commands = shaped_rows(actions, chair)
         self._limits = limits_of(chair)
         self._tick_s = tick_s
+        roll_s = float(rolls_s(self._limits))
+        self._roll_s = max(_LONGEST_ROLL_OUT_S, roll_s)
+        self._reach_m = max(REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
 
     def danger(
         self,
@@ -72,17 +75,17 @@ class Oracle:
         `actors` are the others, this chair not among them.
         """
         commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        others = _others_near(plant, actors, later_s=len(waiting) * self._tick_s)
+        others = self._near(plant, actors, len(waiting) * self._tick_s)
         return bool(np.isfinite(self._roll_out(plant, commands, others, waiting, accel_mps2)[0]))
 
     def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
         """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, _others_near(plant, actors), (), 0.0))
+        safe: Bool = np.isinf(self._roll_out(plant, self._commands, self._near(plant, actors), (), 0.0))
         return safe
 
     def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
         """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, _others_near(plant, actors))
+        return self._clearance(plant, self._near(plant, actors))
 
     def assess(
         self,
@@ -100,10 +103,10 @@ class Oracle:
         fades with the drive's jerk, whatever the stick says.
         """
         later_s = len(waiting) * self._tick_s
-        others = _others_near(plant, actors, later_s=later_s)
+        others = self._near(plant, actors, later_s)
         said, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
         if known is not None:
-            few = _others_near(plant, known, later_s=later_s)
+            few = self._near(plant, known, later_s)
             same = few.many == others.many
             visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         gap_m = self._clearance(plant, others)
@@ -115,6 +118,10 @@ class Oracle:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2)
         return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
+
+    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> Others:
+        """Who can meet the chair; the roll-out of a command begins `later_s` from now."""
+        return _others_near(plant, actors, self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s)
 
     def _roll_out(
         self, plant: PlantState, commands: F64, others: Others, waiting: Sequence[Joystick], accel_mps2: float
@@ -164,18 +171,15 @@ class Others(NamedTuple):
         return len(self.boxes) + len(self.people)
 
 
-def _others_near(
-    plant: PlantState, actors: Iterable[ActorState], within_m: float = FAR_M, later_s: float = 0.0
-) -> Others:
-    """Who can meet the chair, or is within `within_m`; the roll-out of a command begins `later_s` from now."""
+def _others_near(plant: PlantState, actors: Iterable[ActorState], reach_m: float, meets_s: float) -> Others:
+    """Who can meet the chair, which gets so far in so many seconds, or is within `FAR_M`."""
     x, y, z = plant.p_WB_m.tolist()
     boxes, people = [], []
     for actor in actors:
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
-        meets_m = REACH_M + later_s * FASTEST_MPS + (_LONGEST_ROLL_OUT_S + later_s) * (abs(vx) + abs(vy))
-        reach = max(meets_m, within_m) + 0.5 * (length + width)
+        reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), FAR_M) + 0.5 * (length + width)
         if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
             continue
         cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import DECEL, JERK, V_MAX, driven
+from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, driven
 from wcsim.supervisor.people import near_people, person_gap, runs_into_any_way, runs_into_going_on, set_margins
 from wcsim.types import F64, U8
 
@@ -22,7 +22,9 @@ I64 = npt.NDArray[np.int64]
 
 HOLD_S = 0.5
 STEP_S = 0.05
-LONGEST_S = 4.0
+LONGEST_S = 4.0  # of a roll-out, unless its chair brakes so softly that it rolls on for longer,
+_LATE_S = 0.5  # with so much to spare,
+SOFTEST_S = 60.0  # and never longer than this
 
 DEEPENING_M = 0.03  # who touches may move, if hardly closer
 SAME_M = 1e-6  # a difference that is none
@@ -98,6 +100,19 @@ def roll_out(
 
 
 @exact_kernel
+def rolls_s(limits: F64) -> float:
+    """Seconds that a command is held and the chair then takes to stand, at most; of a drive's limits (7,)."""
+    straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
+    return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
+
+
+@exact_kernel
+def _most_steps(limits: F64) -> int:
+    """Of a roll-out, after the waiting commands."""
+    return int(max(LONGEST_S, rolls_s(limits) + _LATE_S) / STEP_S)
+
+
+@exact_kernel
 def free_distance(
     state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64, people: F64
 ) -> float:
@@ -148,7 +163,7 @@ def _one(
     before2[:] = before
     now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
-    for i in range(waits + int(LONGEST_S / STEP_S)):
+    for i in range(waits + _most_steps(limits)):
         held = (i - waits) * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
             break
@@ -175,7 +190,7 @@ def _let_go(state: F64, waiting: F64, command: F64, limits: F64, hull: F64, peop
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     waits = len(waiting)
     held = waits + math.ceil(tick_s / STEP_S - 1e-6)
-    for i in range(waits + int(LONGEST_S / STEP_S)):
+    for i in range(waits + _most_steps(limits)):
         if i >= held and v == 0.0 and abs(w) < 1e-3:
             break
         stick_x, stick_y = (command[0], command[1]) if i < held else (0.0, 0.0)
