@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.bridge.recording.fingerprint import engines_fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig, RunConfig
@@ -131,7 +131,7 @@ def _header(world: World, scene: SceneFile) -> TraceHeader:
         seed=scene.seed,
         tick_s=world.config.world.tick_s,
         seats=len(scene.seats),
-        fingerprint=fingerprint(),
+        fingerprint=engines_fingerprint(),
     )
 
 

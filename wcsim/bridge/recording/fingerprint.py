@@ -7,13 +7,21 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-PACKAGES = ("libsumo", "pybullet", "numpy")
+PACKAGES = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
 _CPU_KIND = ("vendor_id", "cpu family", "model")
 """Two kinds of the same vector units still differ in the last bit: numpy, its linear algebra and numba go by kind."""
 
 
 def fingerprint() -> str:
-    """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned to common code."""
+    """The version of wcsim, and `engines_fingerprint`: for what has to be made again to the last bit."""
+    return f"wcsim-{version('wcsim')} {engines_fingerprint()}"
+
+
+def engines_fingerprint() -> str:
+    """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned to common code.
+
+    Without wcsim's own, which a golden trace must outlive.
+    """
     pinned = "pinned" if "hwcaps" in os.environ.get("GLIBC_TUNABLES", "") else "unpinned"
     libc = "-".join(platform.libc_ver())
     versions = (f"{name}-{version(name)}" for name in PACKAGES)
