@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.actors import actor
 from tests.support.samples import KERB_M, strip_street
-from wcsim.bridge.mirror import JUMP_M, moves, on_ground, walked
+from wcsim.bridge.mirror import JUMP_M, in_reach, moves, on_ground, walked
 from wcsim.scenes.run import open_scene, play
 from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import ActorKind, ActorState
@@ -58,6 +58,18 @@ def test_who_is_turned_on_the_spot_does_not_sweep_with_its_length():
 def test_a_body_has_the_new_pitch_from_the_start_of_the_tick():
     old, new = actor(), replace(actor(), pitch_rad=0.05)
     assert moves({old.id: old}, (new,), dt_s=0.1)[0].actor.pitch_rad == 0.05
+
+
+@pytest.mark.parametrize("tick_s", [0.02, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("speed", [0.0, 5.0, 14.0, 30.0])
+def test_who_drives_past_a_chair_within_a_tick_has_a_body_in_it(tick_s, speed):
+    """However long a tick is: whoever was beside the chair at its end, in the middle or at its beginning."""
+    chair = np.zeros((1, 2))
+    for share in (0.0, 0.5, 1.0):
+        past = actor(x=share * speed * tick_s, y=1.3, speed=speed)
+        assert in_reach((past,), chair, tick_s) == (past,)
+    far = actor(x=12.3 + max(0.0, tick_s - 0.1) * (speed + 5.0), y=1.3, speed=speed)
+    assert in_reach((far,), chair, tick_s) == ()
 
 
 def test_actors_that_have_left_are_not_moved():

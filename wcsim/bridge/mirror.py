@@ -20,6 +20,8 @@ from wcsim.types.street import FLAT
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
 JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
 BODY_REACH_M = 10.0  # who ends a tick so near a chair, from its rim on, has a body; others are only seen
+REACH_TICK_S = 0.1  # the longest tick for which that is enough
+_SPARE_MPS = 5.0  # of a longer one: a chair drives too, and who brakes was faster than at its end
 SLIP_MPS = 0.02  # a smaller difference between SUMO's speed and the way somebody went is none
 _SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
 
@@ -80,16 +82,19 @@ def _walked(old: ActorState | None, new: ActorState, dt_s: float) -> ActorState:
     return replace(new, v_W_mps=v_W_mps) if SLIP_MPS < off_mps <= JUMP_M / dt_s else new
 
 
-def in_reach(actors: tuple[ActorState, ...], places_W_m: F64) -> tuple[ActorState, ...]:
-    """Those that may come to touch a chair at one of the places (n, 2) within a tick: they need a body.
+def in_reach(actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float) -> tuple[ActorState, ...]:
+    """Those that may come to touch a chair at one of the places (n, 2) within a tick of `dt_s`: they need a body.
 
-    A car of 30 m/s and a chair of 3 m/s come nearer by 3.3 m in a tick of 0.1 s.
+    A car of 30 m/s and a chair of 3 m/s come nearer by 3.3 m in a tick of 0.1 s; what it drives in the rest of a
+    longer one is added, so that it has a body also where it ends that tick far behind the chair.
     """
-    places = places_W_m.tolist()
+    places, more_s = places_W_m.tolist(), max(0.0, dt_s - REACH_TICK_S)
     found = []
     for actor in actors:
         x, y, _ = actor.p_W_m.tolist()
         near_m = BODY_REACH_M + 0.5 * actor.size_lwh_m[0]
+        if more_s:
+            near_m += more_s * (math.hypot(*actor.v_W_mps.tolist()) + _SPARE_MPS)
         if any(abs(x - px) < near_m and abs(y - py) < near_m for px, py in places):
             found.append(actor)
     return tuple(found)

@@ -198,7 +198,7 @@ class World(Closing):
             near = traffic.read(places_W_m)
         with self.stopwatch.measure("mirror"):
             traffic.move(near, places_W_m)
-            self._bodied = mirror.in_reach(traffic.actors, places_W_m)
+            self._bodied = mirror.in_reach(traffic.actors, places_W_m, self.config.world.tick_s)
             self._choose_step()
             self._open.bodies.place(mirror.moves(traffic.before, self._bodied, self.config.world.tick_s))
         self._load_tiles(places_W_m)
