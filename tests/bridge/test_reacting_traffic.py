@@ -5,11 +5,13 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 import numpy as np
+import pytest
 
 from tests.support.worlds import follow, open_world
 from wcsim.bridge.reacting_traffic import ReactingTraffic
 from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.session import SumoSession
 from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
 from wcsim.core import seeding
 
@@ -40,3 +42,12 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
             traffic.move(traffic.read(places[tick + 1]), places[tick + 1])
             assert (traffic.actors, traffic.signals) == (actors[tick + 1], signals[tick])
     assert any(actor.deflect_m for near in actors for actor in near), "somebody stepped aside"
+
+
+@pytest.mark.parametrize(("range_m", "reach_m"), [(10.0, 60.0), (40.0, 60.0), (150.0, 170.0)])
+def test_lights_are_known_as_far_as_a_camera_sees_their_heads(corner, monkeypatch, range_m, reach_m):
+    asked = []
+    monkeypatch.setattr(SumoSession, "signals", lambda self, places, within_m: asked.append(within_m) or ())
+    with open_world(corner, f"cameras.0.range_m={range_m}") as world:
+        follow(world)
+    assert set(asked) == {reach_m}

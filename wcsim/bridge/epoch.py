@@ -33,9 +33,10 @@ def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -
     attention = street_habits(config.world, seeding.derive(seed, "street"))
     engine = Engine(config.world.tick_s / config.world.usual_substeps)
     bodies = BodyPool(engine)
+    sight_m = max(camera.range_m for camera in config.cameras)
     return Epoch(
         attention=attention,
-        traffic=ReactingTraffic(config.world, ground, sumo, attention),
+        traffic=ReactingTraffic(config.world, ground, sumo, attention, sight_m),
         engine=engine,
         bodies=bodies,
         check=MirrorCheck(bodies),

@@ -19,14 +19,22 @@ from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState, Ground, SignalState
 from wcsim.types.street import FLAT
 
-_SIGNAL_REACH_M = 60.0  # whoever sees a traffic light is nearer
+SIGNAL_REACH_M = 60.0  # what a user or a driver has to know of a traffic light is nearer
+SIGNAL_MORE_M = 20.0  # from a stop line, which says how far off a light is, to its farthest head
 
 
 class ReactingTraffic:
     """Drivers and people of one epoch. In a tick: `react`, SUMO's step, `read`, `move`."""
 
-    def __init__(self, config: WorldConfig, ground: Ground, sumo: SumoSession, attention: AttentionModel) -> None:
-        """Nobody is near a chair yet; `attention` says who of the traffic looks."""
+    def __init__(
+        self,
+        config: WorldConfig,
+        ground: Ground,
+        sumo: SumoSession,
+        attention: AttentionModel,
+        sight_m: float = 0.0,
+    ) -> None:
+        """Nobody is near a chair yet; `attention` says who of the traffic looks, cameras see `sight_m` far."""
         self.chairs: tuple[ChairInStreet, ...] = ()  # as the traffic sees them in this tick
         self.actors: tuple[ActorState, ...] = ()  # near the chairs now, as they are shown
         self.before: dict[str, ActorState] = {}  # the same a tick ago, by id
@@ -35,6 +43,7 @@ class ReactingTraffic:
         self._hilly = ground.around(np.zeros(2)).relief is not FLAT
         self._wide_turns = SwingOut(ground, config.tick_s)
         self._articulation = Articulation()
+        self._signals_m = max(SIGNAL_REACH_M, sight_m + SIGNAL_MORE_M)
         self._drivers = StreetReaction(config, attention, self._wide_turns)
         self._people = PedestrianAvoidance(ground, config.tick_s, attention.people)
 
@@ -87,7 +96,7 @@ class ReactingTraffic:
         """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
         there = mirror.on_ground(self._people.shifted(near), self._ground)
         self.actors = mirror.walked(self.before, there, self._config.tick_s)
-        self.signals = self._sumo.signals(places_W_m, _SIGNAL_REACH_M)
+        self.signals = self._sumo.signals(places_W_m, self._signals_m)
 
     def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """Those on the level of a chair."""
