@@ -187,6 +187,12 @@ def test_a_user_knows_of_a_car_three_seconds_away(corner):
         assert Perception(profile("competent"), generator(0)).look(view).vehicles == (coming,)
 
 
+def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corner):
+    with empty_world(corner, "world.tick_s=0.2") as world:
+        world.admit(0, SPEC)
+        assert world.seats[0].chair._log._kept_ticks == 5
+
+
 def test_coming_and_going_thirty_times_leaves_no_body_behind(corner):
     with empty_world(corner) as world:
         world.admit(0, SPEC)

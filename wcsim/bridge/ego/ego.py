@@ -146,7 +146,8 @@ class Ego:
         self._spawned = self._stands = False
         self._rig = rig
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
-        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig)
+        tick_s = self._config.world.tick_s
+        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s)
         self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors.names}
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:

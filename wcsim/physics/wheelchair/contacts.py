@@ -13,7 +13,7 @@ from wcsim.types import Contact
 
 Vec3 = tuple[float, float, float]
 Cause = Literal["own", "other"]
-_KEPT_TICKS: Final = 10
+KEPT_S: Final = 1.0  # apart, until who came into whom is decided anew
 _STEEP: Final = 0.8  # vertical part of a normal above which one body lies on the other
 _MOVING: Final = (Role.ACTOR, Role.CHAIR)
 
@@ -33,7 +33,9 @@ class ContactLog:
     second: a moment later a chair that was hit moves like the car that hit it, or whirls back against it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tick_s: float) -> None:
+        """Nothing was touched yet; it is closed every `tick_s`."""
+        self._kept_ticks = max(1, round(KEPT_S / tick_s))
         self._impulse_Ns: dict[tuple[int, str], float] = {}
         self._tags: dict[int, BodyTag] = {}
         self._cause: dict[int, Cause] = {}
@@ -61,7 +63,7 @@ class ContactLog:
             for (body, part), impulse in self._impulse_Ns.items()
         ]
         kept = {key: (cause, ticks - 1) for key, (cause, ticks) in self._cause_before.items() if ticks > 1}
-        now = {(body, tag.actor_id): (self._cause[body], _KEPT_TICKS) for body, tag in self._tags.items()}
+        now = {(body, tag.actor_id): (self._cause[body], self._kept_ticks) for body, tag in self._tags.items()}
         self._cause_before = {**kept, **now}
         self._impulse_Ns.clear()
         self._tags.clear()

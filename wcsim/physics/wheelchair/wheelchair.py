@@ -49,6 +49,7 @@ class Wheelchair:
         seat: Number of the seat; its actor id in contacts of other chairs is `chair_actor_id(seat)`.
         others: Sections of its other sensors, by their names in `physics/sensors/registry.py`.
         rig: Which draws the pictures of its cameras, when it has some.
+        tick_s: From one `end_tick` to the next.
 
     Raises:
         ConfigError: `chair.plant` is unknown, cannot stand, or does not go with the limits in `chair` or the step.
@@ -63,12 +64,13 @@ class Wheelchair:
         seat: int,
         others: Mapping[str, object] | None = None,
         rig: CameraRig | None = None,
+        tick_s: float = 0.1,
     ) -> None:
         self.seat: Final = seat
         self._engine = engine
         self._chair = chair
         self._coasted = self._ghosts = 0
-        self._log = ContactLog()
+        self._log = ContactLog(tick_s)
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
         self._state: PlantState | None = None
