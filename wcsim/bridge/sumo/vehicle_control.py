@@ -121,7 +121,7 @@ class VehicleControl:
             else:
                 self._steer(name, order)
         except self._api.TraCIException:
-            self._modes.pop(name, None)
+            self._drop_modes(order.actor_id)
             log.debug("%s has left before it could be told anything", order.actor_id)
 
     def turn_away(self, actor_id: str) -> None:
@@ -131,8 +131,14 @@ class VehicleControl:
             (self._api.person if domain == "p" else self._api.vehicle).remove(name)
         except self._api.TraCIException:
             log.debug("%s has left already", actor_id)
-        self._modes.pop(name, None)
+        self._drop_modes(actor_id)
         log.info("%s came into being on top of a wheelchair and was taken out", actor_id)
+
+    def _drop_modes(self, actor_id: str) -> None:
+        """Forget the modes of who has left; a person may have the name of a vehicle that is still under orders."""
+        domain, _, name = actor_id.partition(":")
+        if domain == "v":
+            self._modes.pop(name, None)
 
     def _steer(self, name: str, order: ActorCommand) -> None:
         vehicle = self._api.vehicle
