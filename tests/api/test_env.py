@@ -383,6 +383,16 @@ def test_an_environment_has_copies_of_its_own_of_the_reward_terms(corner):
     assert term.steps == 0, "another environment may have been given it as well"
 
 
+def test_a_reward_term_that_cannot_be_copied_is_taken_as_it_is(corner, tmp_path):
+    with (tmp_path / "log").open("w") as log:
+        term = Summing()
+        term.log = log
+        with made(corner, reward_terms=[term]) as env:
+            env.reset(seed=1)
+            assert env.step(44)[4]["reward_terms"].extra == 1.0
+    assert term.steps == 1
+
+
 @pytest.mark.parametrize(("actions", "size"), [("square81", 81), ("disc69", 69)])
 def test_action_sets_have_their_size(corner, actions, size):
     with made(corner, f'env.actions="{actions}"') as env:

@@ -105,6 +105,8 @@ def test_a_number_of_typical_noise_leaves_the_other_noises_on(tmp_path):
     assert load_run_config("laptop", (own, word)) == laptop
     alone = load_run_config("quick", ("cameras.0.noise=none", own)).cameras[0].noise
     assert alone is not None and alone.depth is not None and alone.classes is None
+    exact = tuple(f"cameras.0.noise.{part}=none" for part in ("classes", "rgb"))
+    assert load_run_config("laptop", (own, *exact)).cameras[0].noise == alone
 
 
 def test_an_unknown_preset_names_the_known_ones():

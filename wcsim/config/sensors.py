@@ -63,11 +63,16 @@ class ColourNoiseConfig(Model):
 
 
 class CameraNoiseConfig(Model):
-    """Which pictures of a camera are disturbed, and how; a part that is missing is exact."""
+    """Which pictures of a camera are disturbed, and how; a part that is missing, or "none", is exact."""
 
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
     rgb: ColourNoiseConfig | None = None
+
+    @field_validator("depth", "classes", "rgb", mode="before")
+    @classmethod
+    def _without(cls, part: Any) -> Any:
+        return None if part == "none" else part
 
 
 class CameraConfig(Model):

@@ -5,8 +5,8 @@ import pytest
 from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning
-from wcsim.cli.training.resume import Typed, resumed
-from wcsim.config import RunConfig, load_run_config
+from wcsim.cli.training.resume import Typed, require_same_config, resumed
+from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -47,6 +47,8 @@ def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, mo
         with pytest.raises(KeyboardInterrupt):
             steps_of(run, 300)
     assert steps_of(run) == (100 if written < 2 else 300)
+    open_run(run).with_status("running", 0)
+    assert steps_of(run) == (100 if written < 2 else 300)
     assert steps_of(run, 300) == steps_of(run) == 300
 
 
@@ -64,6 +66,16 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
             assert main(["train", "--resume", "--out", str(tmp_path / preset), *typed.split()]) == 2
             assert told in capsys.readouterr().err
         assert open_run(tmp_path / preset).config == config
+
+
+def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was_noted(run):
+    words = ("world.warmup_s=0",)
+    config = with_overrides(open_run(run).config, words)
+    assert not config.world.town_warmup
+    before = config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
+    require_same_config(run, before, Typed(set=words))
+    with pytest.raises(PolicyError, match="another configuration"):
+        require_same_config(run, before, Typed(set=("world.warmup_s=1",)))
 
 
 def test_a_configuration_that_somebody_changed_is_refused(run):

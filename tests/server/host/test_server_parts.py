@@ -14,12 +14,13 @@ from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import ConfigError
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.recovery import REGATHER_S, open_server
-from wcsim.server.journal.journal import JOURNAL, Ended, JournalWriter, read_header
+from wcsim.server.journal.journal import JOURNAL, Admitted, Ended, JournalWriter, read_header
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.rate_limit import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits
 from wcsim.server.transport.sockets import ServerSockets
+from wcsim.types import SeatSpec
 
 
 def nobody():
@@ -133,3 +134,17 @@ def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal
     assert resumed.journal is not None
     resumed.journal.close()
     assert (resumed.core.cycle.epoch, resumed.core.cycle.rules) == (1, order.rules)
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_the_first_world_of_a_launch_keeps_seats_that_it_replayed_until_their_clients_have_loaded(tmp_path, begins):
+    rules = Rules(capacity=2, expected=2, gather_s=600.0, rejoin_s=30.0)
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=rules, recovery="replay")
+    first = open_server(order, FakeWorld).journal
+    assert first is not None
+    with first:
+        first.append(Admitted(epoch=0, tick=0, seat=0, spec=SeatSpec(), name="a"))
+    again = open_server(replace(order, begins=begins), FakeWorld)
+    assert again.journal is not None
+    again.journal.close()
+    assert again.core.cycle.rules.rejoin_s == (600.0 if begins else 30.0)

@@ -12,7 +12,7 @@ from tests.towns.furniture.standing_samples import signal_net
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.checks.check import demand_classes, unroutable_trips
+from wcsim.towns.checks.check import _for_routes, demand_classes, unroutable_trips
 from wcsim.towns.checks.cures import routes_cure
 from wcsim.towns.checks.faults import notes_of
 from wcsim.towns.scenario.includes import with_included
@@ -83,6 +83,22 @@ def test_a_check_knows_who_travels_and_who_has_no_way(including: Town, plain: To
     assert demand_classes(including) == demand_classes(plain) == ("pedestrian", "taxi")
     assert unroutable_trips(including) == unroutable_trips(plain) == 1
     assert not any("no buildings" in note for note in notes_of(including, read_net(including.net)))
+
+
+def test_what_is_included_stands_where_it_is_named(tmp_path: Path) -> None:
+    """A distribution that comes before its types would be empty, and its trips would be routed as cars."""
+    mix = '<vTypeDistribution id="mix" vTypes="train tram"/>'
+    texts = {
+        "types.add.xml": '<include href="deeper/trains.add.xml"/><vType id="tram" vClass="tram"/>',
+        "deeper/trains.add.xml": '<vType id="train" vClass="rail"/><e1Detector id="d"/>',
+        "mix.add.xml": f'<vType id="first"/><include href="types.add.xml"/>{mix}',
+    }
+    (tmp_path / "deeper").mkdir()
+    for name, text in texts.items():
+        (tmp_path / name).write_text(f"<additional>{text}</additional>", encoding="utf-8")
+    needed = _for_routes([tmp_path / "mix.add.xml"]).getroot()
+    assert needed is not None
+    assert [element.get("id") for element in needed] == ["first", "train", "tram", "mix"]
 
 
 def test_the_cure_of_trips_without_a_way_names_the_parts_that_matter(including: Town) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Unpack
 
 import gymnasium
@@ -64,7 +65,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._link: WorldLink | None = None
         self._waits_no_more = False
         self.due_work: Callable[[], Callable[[], None] | None] = lambda: None  # to be done while a step is waited for
-        terms = copy.deepcopy(tuple(options.get("reward_terms", ())))  # others may have these as well
+        terms = tuple(options.get("reward_terms", ()))
+        with suppress(TypeError):  # one that holds a file or the like cannot be copied, and is taken as it is
+            terms = copy.deepcopy(terms)  # others may have these as well
         self._chair = Chair(self._face.config, terms)
         self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
@@ -198,6 +201,10 @@ class SeatedEnv(WheelchairEnv):
     def beat(self, progress: int) -> None:
         """Show it from the beginning on: the seat is held before the first reset."""
         self._seat.beat(progress)
+
+    def wait_less(self) -> None:
+        """From now on, also before the first reset; may be called by a signal's handler."""
+        self._seat.wait_less()
 
     def _open(self, seed: int | None) -> ClientSnapshot:
         """The frame that the seat has; the world's seed is the server's."""

@@ -45,15 +45,16 @@ class EpisodeMeter:
                 events=events,
             )
         )
-        standing = events.on_carriageway and abs(info["speed_mps"]) < STANDS_MPS
-        self._stood_s = self._stood_s + tick_s if standing else 0.0
-        self._in_red = events.on_carriageway and (self._in_red or events.entered_red)
+        if not events.crashed:  # how a chair came into a crash is not told by what that did to it
+            standing = events.on_carriageway and abs(info["speed_mps"]) < STANDS_MPS
+            self._stood_s = self._stood_s + tick_s if standing else 0.0
+            self._in_red = events.on_carriageway and (self._in_red or events.entered_red)
         self._walk(info)
 
     def crash(self, info: Mapping[str, Any]) -> dict[str, Any]:
         """Status, reason, fault and partner of the crash that `info` tells of, under their names in a record.
 
-        The other's fault is the chair's own where it stood on a carriageway or had come onto it at red.
+        The other's fault is the chair's own where it had stood on a carriageway or had come onto it at red.
         """
         events, contacts = info["events"], info.get("contacts", ())
         whose = str(fault(events.crash_reason, contacts, self._reward))
@@ -89,7 +90,8 @@ def sums_of(log: StepLog) -> dict[str, Any]:
     row = summarise(log)
     free = log.free == 1
     moving = free & (np.hypot(log.asked[:, 0], log.asked[:, 1]) > PUSHES)
-    accelerations = np.diff(log.speed_mps) / log.dt_s[1:]
+    driven = len(log.speed_mps) - any(log.crash_reasons)  # how smooth it was is not told by a crash
+    accelerations = np.diff(log.speed_mps[:driven]) / log.dt_s[1:driven]
     return {
         "steps": len(log.distance),
         "m": round(1000.0 * row.km, 6),

@@ -159,7 +159,12 @@ def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -
 def _equal(path: Path, config: RunConfig, other: RunConfig) -> bool:
     """Whether both are one configuration to a run that keeps its plant."""
     same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
-    return same and learning(with_kept_plant(other, path)) == learning(config)
+    return same and _as_asked(learning(with_kept_plant(other, path))) == _as_asked(learning(config))
+
+
+def _as_asked(config: RunConfig) -> RunConfig:
+    """Without whether the warm-up was asked for, which runs of older versions do not know of."""
+    return config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
 
 
 def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:
@@ -187,7 +192,8 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
     town = town_of(path, run.manifest, typed)
     steps = steps_of(path, run.config, typed)
     require_same_config(path, run.config, typed)
-    if steps != run.config.learn.total_steps:
+    begun = "config_was_sha256" in read_json(path, MANIFEST)  # by a process that ended between two files
+    if begun or steps != run.config.learn.total_steps:
         extend(path, steps)
         run = open_run(path)
     return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town

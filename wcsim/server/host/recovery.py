@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.made_world import epoch_seed, street_world
@@ -20,7 +21,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import Town, find_town, streets_hash
 
 GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
 REGATHER_S = 5.0  # how long a server that was restarted waits for all to come back before it goes on with those here
@@ -110,6 +111,8 @@ def _gone_on(
     except BaseException:
         journal.close()
         raise
+    if order.begins:  # those who come back have yet to load what they learn with
+        rules = replace(rules, rejoin_s=max(rules.rejoin_s, rules.gather_s))
     now = world.snapshot
     return Opened(world=world, core=ServerCore(rules, now.epoch, now.tick, kept), journal=journal)
 
@@ -127,12 +130,12 @@ def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWor
 
 
 def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
-    world = order.world
+    world, town = order.world, find_town(order.town) if has_town else None
     return JournalHeader(
         name=order.name,
         town=order.town,
-        town_sha256=streets_hash(find_town(order.town)) if has_town else "",
-        config=world.config.model_dump_json(),
+        town_sha256="" if town is None else streets_hash(town),
+        config=_as_meant(world.config, town).model_dump_json(),
         seed=order.seed,
         capacity=order.rules.capacity,
         tick_s=world.config.world.tick_s,
@@ -140,6 +143,13 @@ def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
         hook=order.hook,
         recovery=order.recovery,
     )
+
+
+def _as_meant(config: RunConfig, town: Town | None) -> RunConfig:
+    """Without whether the warm-up was asked for where a town has none of its own: there it says nothing."""
+    if town is None or town.file.warmup_s is not None:
+        return config
+    return config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
 
 
 def _require_same(path: Path, new: JournalHeader) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
@@ -129,8 +130,7 @@ def unroutable_trips(town: Town) -> int:
         names = OutputNames(Path(folder))
         met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
-        more = with_included(town.additional, town.border)
-        needed = _for_routes([met.place(path, town.sumocfg) for path in more])
+        needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + _CHECKED_S:.12g}", "--ignore-errors"]
@@ -144,11 +144,20 @@ def unroutable_trips(town: Town) -> int:
 
 
 def _for_routes(files: list[Path]) -> ElementTree:
-    """What a demand needs of additional files, and of those that they include, without naming these again."""
+    """What a demand needs of additional files; what they include stands in its place, as SUMO reads it."""
     found = Element("additional")
     for path in files:
-        found.extend(element for element in read_root(path) if element.tag in FOR_ROUTES)
+        found.extend(_needed_of(path))
     return ElementTree(found)
+
+
+def _needed_of(path: Path) -> Iterator[Element]:
+    """Of a file that was placed, so that it does not include itself."""
+    for element in read_root(path):
+        if element.tag == "include":
+            yield from _needed_of(path.parent / element.get("href", ""))
+        elif element.tag in FOR_ROUTES:
+            yield element
 
 
 def mesh_faults(street: Street, rays: int = RAYS) -> int:

@@ -1,5 +1,7 @@
 """A fork says what the user alone would come to, and is the same as driving there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,22 @@ def _edge(grid, here_m, yaw_rad):
     """Whether the ground falls by a kerb on the way of some metres."""
     way = here_m + np.arange(0.0, 3.5, 0.1)[:, None] * [np.cos(yaw_rad), np.sin(yaw_rad)]
     return float(grid.raised_at(way[:8]).min()) - float(grid.raised_at(way).min()) > 0.1
+
+
+def test_a_fork_ends_where_an_episode_does(corner, monkeypatch):
+    """What happens on the way to the next destination is no danger of this one."""
+    with open_world(corner, seed=2) as world:
+        tick, done = world.tick, []
+
+        def arriving(commands):
+            snapshot = tick(commands)
+            (client,) = snapshot.clients
+            done.append(client)
+            events = replace(client.events, arrived=len(done) == 3, crashed=len(done) == 4)
+            return replace(snapshot, clients=(replace(client, events=events),))
+
+        monkeypatch.setattr(world, "tick", arriving)
+        assert crash_alone_s(world, 0, POINTS, 0.1) is None
 
 
 def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner, tmp_path):

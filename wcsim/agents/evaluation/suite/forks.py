@@ -68,8 +68,8 @@ def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
         (client,) = snapshot.clients
         if client.events.crashed:
             return tick * tick_s
-        if client.first is not None:
-            break
+        if client.first is not None or client.events.arrived or client.events.gave_up:
+            break  # an episode ends here, and whatever came on the next way
     return math.inf
 
 
