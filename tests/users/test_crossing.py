@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.samples import strip_walk
-from tests.users.actors import actor
+from tests.support.samples import strip_street, strip_walk
+from tests.users.actors import actor, make_user
 from tests.users.kinematics import polyline
 from wcsim.core.seeding import generator
-from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
+from wcsim.types import ActorKind, Route, SignalState, Street, UserView, WalkGraph
 from wcsim.users.crossing import Kerbs, crossings, has_light, is_red, vehicle_comes
 from wcsim.users.route_line import Path
 
@@ -32,8 +32,22 @@ def lit(street: Street) -> Street:
     return replace(street, walk=walk("t", (1, 2)))
 
 
+STREET = strip_street()
 ROUTE = over_the_road()
 (ROAD,) = crossings(ROUTE, walk("t", (1, 2)))
+
+
+def view(time_s, x, y, yaw=0.0) -> UserView:
+    return UserView(
+        time_s=time_s,
+        p_W_m=np.array([x, y, 0.0]),
+        yaw_rad=yaw,
+        speed_mps=0.5,
+        route=ROUTE,
+        actors=(),
+        signals=(),
+        obstacles_W_m=np.zeros((0, 4)),
+    )
 
 
 def test_the_crossing_is_found_where_it_is():
@@ -88,3 +102,32 @@ def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m
     assert here.stop_m(10.6, 59.9, red, ()) is not None
     comes = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
     assert (here.stop_m(10.6, 60.0, now, (comes,)) is not None) == waits
+
+
+def test_whether_a_light_is_obeyed_does_not_depend_on_how_the_user_came_to_it():
+    """Of two drives of one seed, one corrected its stick (which draws as well) more often than the other."""
+
+    def obeyed(seed, looks_before):
+        user = make_user("ataxic", seed, lit(STREET), law_share=0.5)
+        user.follow(polyline((0, 5.5), (60, 5.5)))
+        for i in range(looks_before):
+            user.look(view(0.5 * i, 5.0, 5.5))
+        user.follow(ROUTE)
+        user.look(view(100.0, 40.0, 6.0, yaw=-0.5 * math.pi))
+        return user.obeys[ROAD]
+
+    answers = []
+    for seed in range(12):
+        answers.append({obeyed(seed, looks) for looks in (0, 1, 2, 7)})
+        assert len(answers[-1]) == 1
+    assert answers.count({True}) * answers.count({False}) > 0
+
+
+def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
+    far = replace(ROAD, start_m=60.0, end_m=68.0)
+    for seed in range(12):
+        both, one = (Kerbs((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
+        for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
+            for arc_m in places_m:
+                here.stop_m(arc_m, 1.0, (), ())
+        assert (len(both.obeys), len(one.obeys)) == (2, 1) and both.obeys[far] == one.obeys[far]

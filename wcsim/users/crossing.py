@@ -59,8 +59,8 @@ class Kerbs:
         self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
-        self._law_share = law_share
-        self._rng = rng
+        # Drawn here for all: so a crossing's draw does not depend on when, or after which others, its user comes to it.
+        self._lawful = dict(zip(items, (rng.random(len(items)) < law_share).tolist(), strict=True))
         self._obeys: dict[Crossing, bool] = {}
         self._red_last_s: dict[Crossing, float] = {}
         self._green_since_s: dict[Crossing, float] = {}
@@ -122,9 +122,7 @@ class Kerbs:
         return item in self._hesitates and shortest_s < _SHORT_GREEN_S + _SPARE_S
 
     def _keeps_law(self, item: Crossing) -> bool:
-        if item not in self._obeys:
-            self._obeys[item] = bool(self._rng.random() < self._law_share)
-        return self._obeys[item]
+        return self._obeys.setdefault(item, self._lawful[item])
 
     def _closed(
         self,

@@ -88,7 +88,8 @@ class SimulatedUser:
         self.arrived = False
         self.gave_up = False
         self.patient = False  # gives up nothing: somebody else drives, and this one says where to
-        attention_rng, hand_rng, self._rng = rng.spawn(3)  # what one part draws does not change what another does
+        # What one part draws does not change what another does.
+        attention_rng, hand_rng, self._miss_rng, self._law_rng = rng.spawn(4)
         self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
         self._lookahead_s = _LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
@@ -113,7 +114,9 @@ class SimulatedUser:
         items = crossings(route, self._street.walk) if self._street is not None else ()
         ground = None if self._street is None else self._street.grid
         half_length_m, _ = self._outline.half_lw_m
-        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, self._rng, half_length_m)
+        # Each route has a generator of its own: what it draws does not depend on how far the one before it was driven.
+        (law_rng,) = self._law_rng.spawn(1)
+        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, law_rng, half_length_m)
         self._stop_m: float | None = None
         self._patience = 1.0
         self._arc_m = 0.0
@@ -331,7 +334,7 @@ class SimulatedUser:
             return self._intent
         # From when it was due, not from this tick: else the ticks' grid would make every period longer.
         self._correct_at_s = max(self._correct_at_s, time_s - period_s) + period_s
-        wrong_x, wrong_y = (1.0 + _CORRECTION_ERROR * self._rng.standard_normal(2)).tolist()
+        wrong_x, wrong_y = (1.0 + _CORRECTION_ERROR * self._miss_rng.standard_normal(2)).tolist()
         return Joystick(*on_disc(wish.x * wrong_x, wish.y * wrong_y))
 
     def _axle(self, body: Body) -> Axle:
