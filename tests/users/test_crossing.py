@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.samples import strip_street, strip_walk
 from tests.users.actors import actor, make_user
-from tests.users.kinematics import polyline
+from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Route, SignalState, Street, UserView, WalkGraph
 from wcsim.users.crossing import Kerbs, crossings, has_light, is_red, vehicle_comes
@@ -131,3 +131,73 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
             for arc_m in places_m:
                 here.stop_m(arc_m, 1.0, (), ())
         assert (len(both.obeys), len(one.obeys)) == (2, 1) and both.obeys[far] == one.obeys[far]
+
+
+# --- riders ---
+
+
+@pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
+@pytest.mark.parametrize(
+    ("x", "y", "yaw", "v", "waits"),
+    [
+        pytest.param(30.0, -2.0, 0.0, 5.0, True, id="on the road"),
+        pytest.param(50.0, 3.5, math.pi, 5.0, True, id="at its edge"),
+        pytest.param(40.0, 2.0, 0.0, 5.0, True, id="over the crossing"),
+        pytest.param(30.0, 4.8, 0.0, 5.0, False, id="on the pavement beside the kerb"),
+        pytest.param(39.5, 3.0, -0.5 * math.pi, 2.0, False, id="along the crossing"),
+        pytest.param(40.5, -3.0, 0.5 * math.pi, 2.0, False, id="along the crossing, towards one"),
+        pytest.param(39.5, 3.0, 0.0, 0.0, False, id="stands on it"),
+    ],
+)
+def test_who_rides_on_the_road_is_waited_for(kind, x, y, yaw, v, waits):
+    here = Kerbs(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
+    assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
+
+
+def crossed(riders, seconds=60.0, **changes):
+    """Who crosses without a light while others ride; and (time, y of the chair's middle) each tick."""
+    user = make_user("competent", 0, STREET, **{"see_share": 1.0, "law_share": 1.0, **changes})
+    sim, log = Sim(user, ROUTE, Chair(x=32.0, y=5.5)), []
+    while sim.time_s < seconds and not (user.arrived or user.gave_up):
+        sim.actors = riders(sim.time_s)
+        sim.tick()
+        log.append((sim.time_s, sim.track.xy[-1][1]))
+    return user, np.array(log)
+
+
+def row(t, y, v, from_m):
+    """Cyclists who ride to the east, one behind the other."""
+    return tuple(actor(ActorKind.BICYCLE, x + v * t, y, 0.0, v, str(x)) for x in from_m)
+
+
+@pytest.mark.parametrize("from_m", [-28.0, -31.0])
+def test_lets_a_cyclist_pass_who_would_come_too_near(from_m):
+    def away_s(law_share):
+        user, log = crossed(lambda t: row(t, -2.0, 4.0, (from_m,)), law_share=law_share)
+        assert user.arrived
+        return np.abs(log[np.abs(log[:, 1] + 2.0) < 0.57 + 0.4, 0] - (40.0 - from_m) / 4.0).min()
+
+    assert away_s(1.0) > 1.5 > away_s(0.0)
+
+
+@pytest.mark.parametrize(
+    "riders",
+    [
+        pytest.param(lambda t: row(t, 4.7, 5.0, range(-100, 40, 8)), id="on the pavement beside the kerb"),
+        pytest.param(lambda t: row(t, -5.0, 5.0, range(-200, 40, 8)), id="on the far pavement"),
+        pytest.param(
+            lambda t: tuple(
+                actor(ActorKind.BICYCLE, 41.0, 15.0 - (2.0 * t + gap) % 30.0, -0.5 * math.pi, 2.0, str(gap))
+                for gap in (0, 10, 20)
+            ),
+            id="over the same crossing",
+        ),
+        pytest.param(lambda _: (actor(ActorKind.BICYCLE, 37.0, -2.0),), id="stands in the road"),
+    ],
+)
+def test_nobody_waits_for_riders_who_are_no_traffic(riders):
+    """Who keeps to the law drives as who does not: what is left is going around."""
+    user, log = crossed(riders)
+    heedless, as_if_alone = crossed(riders, law_share=0.0)
+    assert user.arrived and heedless.arrived
+    assert np.array_equal(log, as_if_alone)

@@ -68,11 +68,28 @@ def test_how_far_and_where_things_are_noticed(what, expected):
     assert notices("competent", seed, **what) == expected
 
 
-def test_only_vehicles_are_traffic():
-    seen = Perception(profile("competent"), generator(0)).look(
-        view(actors=[actor(ActorKind.CAR, 9.0, 0.0, name="c"), actor(ActorKind.BICYCLE, 5.0, 0.0, name="b")])
-    )
-    assert [vehicle.id for vehicle in seen.vehicles] == ["c"]
+def look(*actors, name="competent", seed=0):
+    return Perception(profile(name), generator(seed)).look(view(actors=actors))
+
+
+@pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
+@pytest.mark.parametrize(("x_m", "known"), [(23.0, True), (-23.0, True), (27.0, False)])
+def test_who_rides_is_traffic_from_both_sides_and_far_away_nothing_to_go_around(kind, x_m, known):
+    seen = look(actor(kind, x_m, 0.0, v=5.0))
+    assert (len(seen.vehicles), seen.things) == (int(known), ())
+
+
+def test_who_stands_or_walks_is_no_traffic():
+    others = (ActorKind.BICYCLE, 0.0), (ActorKind.PEDESTRIAN, 1.5), (ActorKind.WHEELCHAIR, 1.5)
+    assert [len(look(actor(kind, 5.0, 0.0, v=v)).vehicles) for kind, v in others] == [0, 0, 0]
+
+
+def test_a_rider_near_by_is_gone_around_as_people_are_and_noticed_or_missed_as_both():
+    ahead, name = actor(ActorKind.BICYCLE, 4.0, 0.0, v=5.0), "inattentive"
+    looks = [look(ahead, name=name, seed=seed) for seed in range(40)]
+    assert {(bool(seen.things), bool(seen.vehicles)) for seen in looks} == {(True, True), (False, False)}
+    behind = look(actor(ActorKind.BICYCLE, -4.0, 0.0, v=5.0))
+    assert behind.vehicles and not behind.things
 
 
 @pytest.mark.parametrize(("ahead_m", "near"), [(24.0, True), (26.0, False)])

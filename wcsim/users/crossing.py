@@ -8,13 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.types import F64, ActorState, ClassId, Ground, Route, SignalState, WalkEdge, WalkGraph, WayKind
+from wcsim.types import F64, ActorKind, ActorState, ClassId, Ground, Route, SignalState, WalkEdge, WalkGraph, WayKind
 from wcsim.users.route_line import Path
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
 START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
 _SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
+RIDERS = frozenset({ActorKind.BICYCLE, ActorKind.SCOOTER})
+_ALONG = math.cos(0.25 * math.pi)  # who rides more nearly than this as a crossing leads uses it, or rides beside it
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
 _LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
 _GREEN_SEEN_M = 25.0  # who is farther from a crossing that has green has red, and still brakes for it
@@ -55,7 +57,7 @@ class Kerbs:
     ) -> None:
         """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
         starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
-        self._half_length_m = half_length_m
+        self._ground, self._half_length_m = ground, half_length_m
         self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
         self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
@@ -142,7 +144,10 @@ class Kerbs:
             self._green_since_s.setdefault(item, time_s)
         lit = has_light(item, signals)
         watched = near and (item in self._red_last_s or not lit)
-        return watched and vehicle_comes(item, _near_kerb(item, vehicles) if lit else vehicles)
+        if not watched:
+            return False
+        traffic = [vehicle for vehicle in vehicles if is_traffic(item, vehicle, self._ground)]
+        return vehicle_comes(item, _near_kerb(item, traffic) if lit else traffic)
 
 
 def _near_kerb(item: Crossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
@@ -210,6 +215,21 @@ def has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
             return any(signal.colours[i] in "rRyYuGg" for i in crossing.tls_links if i < len(signal.colours))
     return False
+
+
+def is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) -> bool:
+    """Whether a vehicle drives on the road that is crossed.
+
+    A rider need not: one on the pavement passes the kerb without end where many ride, and one who uses the crossing
+    too goes where the chair goes. Without a ground every rider counts for one on the road.
+    """
+    if vehicle.kind not in RIDERS:
+        return True
+    (x, y, _), (vx, vy, _) = vehicle.p_W_m.tolist(), vehicle.v_W_mps.tolist()
+    if ground is not None and ground.class_here(x, y) not in CARRIAGEWAY:
+        return False
+    to_x, to_y = (end - start for start, end in zip(crossing.start_W_m, crossing.end_W_m, strict=True))
+    return bool(abs(vx * to_x + vy * to_y) <= _ALONG * math.hypot(vx, vy) * math.hypot(to_x, to_y))
 
 
 def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:

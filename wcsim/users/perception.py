@@ -9,16 +9,18 @@ import numpy as np
 
 from wcsim.core.frames import rad, wrap
 from wcsim.types import ActorKind, ActorState, UserView
+from wcsim.users.crossing import MOVING_MPS, RIDERS
 from wcsim.users.profiles import UserProfile
 
 _HALF_VIEW_RAD = rad(80.0)
 PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+RIDER_SIGHT = 4.0  # of who rides a bicycle or scooter, as traffic: 24 m are 3 s at 8 m/s
 _KEPT_SIGHT = 1.5  # what was noticed is known of until it is this many times as far away
 _AROUND_M = 25.0  # what is farther away is watched, but nothing yet to go around or to stop behind
 _FORGET_S = 10.0
 LONGEST_AWAY = 2.0  # times the mean
 UNCUT_AWAY = 1.255  # mean of a look elsewhere that is not cut off, so that one that is has the profile's mean
-_SLOW_KINDS = frozenset({ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR, ActorKind.BICYCLE, ActorKind.SCOOTER})
+_SLOW_KINDS = RIDERS | {ActorKind.PEDESTRIAN, ActorKind.WHEELCHAIR}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +43,8 @@ class NoticedObject:
 class Seen:
     """What the user is aware of now."""
 
-    things: tuple[NoticedObject, ...]
-    vehicles: tuple[ActorState, ...]
+    things: tuple[NoticedObject, ...]  # to go around, or to stop behind
+    vehicles: tuple[ActorState, ...]  # that one may have to wait for before a road, riders too
 
 
 class Perception:
@@ -82,17 +84,20 @@ class Perception:
         vehicles = []
         x_m, y_m, _ = view.p_W_m.tolist()
         for actor in view.actors:
-            slow = actor.kind in _SLOW_KINDS
-            reach_m = self._profile.see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT) + 0.5 * actor.size_lwh_m[0]
+            slow, rides = actor.kind in _SLOW_KINDS, _rides(actor)
+            half_m, see_m = 0.5 * actor.size_lwh_m[0], self._profile.see_m
+            reach_m = half_m + see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT)
+            rider_m = half_m + see_m * RIDER_SIGHT
             x, y, _ = actor.p_W_m.tolist()
             gap_m = math.hypot(x - x_m, y - y_m)
-            if gap_m > _KEPT_SIGHT * reach_m:
+            if gap_m > _KEPT_SIGHT * (rider_m if rides else reach_m):
                 continue  # nearly everybody in a town, so before anything that costs
-            if not self._notices(f"a{actor.id}", x, y, reach_m, view, everywhere=not slow):
-                continue
-            if gap_m < _AROUND_M:
+            # A rider is looked at twice, as one to go around and as traffic, and is noticed or missed as both.
+            near, road = f"a{actor.id}", f"r{actor.id}"
+            known = self._notices(near, x, y, reach_m, view, everywhere=not slow, twin=road)
+            if known and gap_m < _AROUND_M:
                 things.extend(discs(actor))
-            if not slow:
+            if (known and not slow) or (rides and self._notices(road, x, y, rider_m, view, everywhere=True, twin=near)):
                 vehicles.append(actor)
         self._forget(view.time_s)
         return Seen(things=tuple(things), vehicles=tuple(vehicles))
@@ -105,9 +110,12 @@ class Perception:
         return noticed
 
     def _notices(
-        self, key: str, x_m: float, y_m: float, reach_m: float, view: UserView, everywhere: bool = False
+        self, key: str, x_m: float, y_m: float, reach_m: float, view: UserView, everywhere: bool = False, twin: str = ""
     ) -> bool:
-        """Whether something is noticed; `everywhere` for traffic, which one hears, and turns one's head for."""
+        """Whether something is noticed; `everywhere` for traffic, which one hears, and turns one's head for.
+
+        What its `twin` was, noticed or missed, it is too.
+        """
         dx, dy = x_m - float(view.p_W_m[0]), y_m - float(view.p_W_m[1])
         distance = math.hypot(dx, dy)
         if distance > _KEPT_SIGHT * reach_m:
@@ -117,13 +125,18 @@ class Perception:
             ahead = abs(wrap(math.atan2(dy, dx) - view.yaw_rad)) <= _HALF_VIEW_RAD
             if distance > reach_m or not (everywhere or ahead or distance < 1.0):
                 return False
-            known = (bool(self._rng.random() < self._profile.see_share), view.time_s)
+            known = self._noticed.get(twin) or (bool(self._rng.random() < self._profile.see_share), view.time_s)
         self._noticed[key] = (known[0], view.time_s)
         return known[0]
 
     def _forget(self, time_s: float) -> None:
         if len(self._noticed) > 256:
             self._noticed = {k: v for k, v in self._noticed.items() if time_s - v[1] < _FORGET_S}
+
+
+def _rides(actor: ActorState) -> bool:
+    vx, vy, _ = actor.v_W_mps.tolist()
+    return actor.kind in RIDERS and math.hypot(vx, vy) >= MOVING_MPS
 
 
 def discs(actor: ActorState) -> list[NoticedObject]:
