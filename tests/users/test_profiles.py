@@ -45,6 +45,13 @@ def test_a_sample_depends_on_the_seed_only():
     assert first == again != other
 
 
+def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
+    base = replace(profile("ataxic"), bias=(0.12, 0.1))
+    drawn = np.array([sample(base, generator(seed, "user")).bias for seed in range(40)]) / base.bias
+    assert (drawn.min(axis=0) < 0.8).all() and (drawn.max(axis=0) > 1.2).all()
+    assert (np.abs(drawn - 1.0) < base.spread + 1e-9).all()
+
+
 # --- files ---
 
 

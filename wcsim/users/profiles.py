@@ -85,7 +85,7 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     def around(value: float) -> float:
         return value * float(rng.uniform(1.0 - base.spread, 1.0 + base.spread))
 
-    return replace(
+    user = replace(
         base,
         reaction_s=around(base.reaction_s),
         lag_s=around(base.lag_s),
@@ -106,6 +106,8 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
         law_share=max(0.0, 1.0 - around(1.0 - base.law_share)),
         hold_s=around(base.hold_s),
     )
+    # Last, so that a user of a seed is in all else who it was before this was drawn.
+    return replace(user, bias=(user.bias[0], around(base.bias[1])))
 
 
 _COMPETENT = UserProfile(

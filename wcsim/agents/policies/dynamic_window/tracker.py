@@ -90,7 +90,7 @@ def _new(one: F64, cells_O_m: F64) -> Mover:
 
 
 def _go_on(track: Mover, dt_s: float) -> None:
-    """Move a track on with its speed; one that hardly moves stays."""
+    """Move a track on, with its speed however slow, to where it should be now."""
     track.unseen_s += dt_s
     move_m = track.v_O_mps * dt_s
     track.p_O_m = track.p_O_m + move_m
