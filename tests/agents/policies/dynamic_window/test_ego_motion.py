@@ -71,6 +71,19 @@ def test_a_chair_that_is_taken_over_on_its_way_obeys_its_driver_for_a_while():
     assert standing.waiting.tolist() == [REST.tolist()] * 2
 
 
+def test_without_odometry_a_chair_that_is_taken_over_drives_as_its_user_asks():
+    ego, gyro = EgoMotion(LIMITS, TICK_S, 2), EgoMotion(LIMITS, TICK_S, 2)
+    ego.observe(seen(), LEFT)
+    gyro.observe(seen(gyro_radps=-0.2), LEFT)
+    assert ego.waiting.tolist() == gyro.waiting.tolist() == [LEFT.tolist()] * 2
+    assert ego.motion[0] == gyro.motion[0] == pytest.approx(0.5 * 1.67)
+    assert ego.motion[1] > 0.2 and gyro.motion[1] == pytest.approx(-0.2)
+    steady = ego.motion.copy()
+    ego.command(LEFT)
+    ego.observe(seen(), LEFT)
+    assert np.allclose(ego.motion, steady)
+
+
 def test_what_is_on_its_way_is_driven_before_the_next_command():
     motion = np.array([1.0, 0.0, 0.0])
     waiting = np.array([AHEAD, LEFT])

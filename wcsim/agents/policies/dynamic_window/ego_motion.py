@@ -13,6 +13,7 @@ import numpy as np
 
 from wcsim.agents.policies.dynamic_window.arcs import follow
 from wcsim.agents.policy_api import IMU_KEY, ODOMETRY_KEY, Observation
+from wcsim.core.joystick import wanted
 from wcsim.types import F64
 
 SPEED_FULL_SCALE, TURN_FULL_SCALE = 4.0, 4.0  # of odometry and turn rates in an observation
@@ -53,7 +54,8 @@ class EgoMotion:
 
         Args:
             observation: What the chair senses now.
-            asked: (2,) the user's stick, shaped: in a chair that moves already, who drove so far had it obeyed.
+            asked: (2,) the user's stick, shaped: in a chair that moves already, who drove so far had it obeyed. Without
+                odometry that is all that says how fast it moves when it is taken over.
         """
         speed_mps, turn_radps = _measured(observation)
         if not self._begun:
@@ -74,8 +76,13 @@ class EgoMotion:
 
     def _begin(self, speed_mps: float | None, turn_radps: float | None, asked: F64) -> None:
         self._begun = True
-        self.motion[:2] = speed_mps or 0.0, turn_radps or 0.0
-        moves = speed_mps is not None and abs(speed_mps) > MOVES_MPS
+        if speed_mps is None:  # then it has come to what its user asks for, as far as anybody can tell
+            self.motion[:2] = wanted(asked[0], asked[1], 0.0, self._limits)
+        else:
+            self.motion[0] = speed_mps
+        if turn_radps is not None:
+            self.motion[1] = turn_radps
+        moves = speed_mps is None or abs(speed_mps) > MOVES_MPS
         self._waiting.extend([asked if moves else np.zeros(2)] * self._delay)
 
     def _move(self, speed_mps: float, turn_radps: float) -> None:
