@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, seat_of
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, made_town, open_suite, require_towns, shipped
+from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
@@ -134,7 +135,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     require_towns(suite.file)
     block = _block(suite, start)
     work = Path(held.enter_context(TemporaryDirectory(prefix="wcsim-drive-")))
-    config = settings_of(start.policy, PRESET, (*suite.file.settings, *block.settings))
+    config = settings_in_list(start.policy, PRESET, (*suite.file.settings, *block.settings))
     policy = open_named(start.policy, config, seeding.derive(block.seed, "driver", start.seat))
     episode = block.episodes[start.seat]
     if start.profile:

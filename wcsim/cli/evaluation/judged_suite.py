@@ -58,7 +58,7 @@ class SuiteOptions:
     forks: int | None = None
     """Episodes whose interventions are judged by letting the user drive alone from there. (default: as in the list)"""
     preset: str = "quick"
-    """Settings of policies that bring none."""
+    """Settings of policies that bring none; its street, chair and crashes are those of all policies."""
     set: Repeated = ()
     """section.key=value, laid over those of the list; the result says so."""
     network: str = ""
@@ -86,6 +86,7 @@ def run_suites(words: list[str]) -> int:
         raise ConfigError(
             f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
         )
+    from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, run_suite
     from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
@@ -95,6 +96,8 @@ def run_suites(words: list[str]) -> int:
     order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))
     changed = order.settings
     told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
+    for line in told_of_rules(names, order.preset, (*suite.file.settings, *changed)):
+        told.print(line, markup=False)
     if options.sensitivity:
         moved = sensitivity(order, names, lambda text: told.print(text, style="dim"))
         write_json(out / "sensitivity.json", moved)

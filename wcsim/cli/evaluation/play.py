@@ -48,14 +48,14 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     index, seat = place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
         raise ConfigError(f"--play takes one policy, got {len(policies)}: name the one whose episode is to be driven")
-    from wcsim.agents.evaluation.suite.named_policy import settings_of
+    from wcsim.agents.evaluation.suite.list_rules import settings_in_list
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
     from wcsim.agents.evaluation.suite.run import piece_of, town_addresses
     from wcsim.view.moments import film_steps, map_of
 
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
-    config = settings_of(piece.policy, piece.preset, piece.settings)
+    config = settings_in_list(piece.policy, piece.preset, piece.settings)
     kept = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
     film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
     film.parent.mkdir(parents=True, exist_ok=True)

@@ -130,6 +130,7 @@ def _choose(options: Options, run: GroupRun, suite: Suite, name: str) -> str:
 
 
 def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
+    from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
@@ -143,6 +144,8 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     for client in run.clients:
         network = client.config.learn.network
         networks[policy_of(run.out, client.name)] = network if is_own(network) else ""
+    for line in told_of_rules(networks, order.preset, suite.file.settings):
+        told.print(line, markup=False)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_of
+from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import is_own_class
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_addresses
@@ -141,7 +142,7 @@ def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
     """The pictures of a block, by seat; runs in a process of its own."""
     kept = dict(order.kept)
     try:
-        config = settings_of(order.piece.policy, order.piece.preset, order.piece.settings)
+        config = settings_in_list(order.piece.policy, order.piece.preset, order.piece.settings)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:

@@ -35,7 +35,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
         with closing(ServedPolicy(name, np.zeros((0, 2)))) as served:
             return ["served", served.version, preset]
     if is_onnx(name):
-        return ["onnx", _files(Path(name))]
+        return ["onnx", preset, _files(Path(name))]
     if is_own_class(name):
         return ["class", name, preset, file_digest(Path(_source_of(name, "policy")))]
     level = split_level(name)[1]
@@ -109,7 +109,7 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
-    """A policy's own settings, or the preset, with those of the suite laid over them."""
+    """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
     from wcsim.config import load_run_config
 
     if is_onnx(policy):

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
+from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import (
     file_digest,
     identity_of,
@@ -21,7 +22,6 @@ from wcsim.agents.evaluation.suite.named_policy import (
     open_named,
     own_files,
     sensing,
-    settings_of,
 )
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
@@ -84,7 +84,7 @@ class SuiteOrder:
     jobs: int = 1
     machines: Machines = HERE  # where; `jobs` says how many
     look: Look = lambda now: None
-    preset: str = "quick"  # of policies that bring no settings of their own
+    preset: str = "quick"  # of policies that bring no settings of their own, and the rules for all
     settings: tuple[str, ...] = ()  # over those of the suite: what is changed on purpose
     network: str = ""
     forks: int = 1 << 30  # episodes whose interventions are judged, evenly spread
@@ -214,7 +214,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = settings_of(piece.policy, piece.preset, piece.settings)
+    config = settings_in_list(piece.policy, piece.preset, piece.settings)
     made = iter(range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
 

@@ -10,7 +10,8 @@ from typing import Final
 import msgspec
 
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_of
+from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import is_own_class
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.records import record_of
 from wcsim.agents.evaluation.suite.result_files import KeptResult, read_result
@@ -48,7 +49,7 @@ def episode_film(choice: EpisodeChoice, say: Callable[[Said], object]) -> None:
     policy, index = _found(result, choice)
     order = order_of(result, choice.folder, choice.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
-    config = settings_of(piece.policy, piece.preset, piece.settings)
+    config = settings_in_list(piece.policy, piece.preset, piece.settings)
     watch = _BlockWatch(piece, say, result.suite, config.cameras[0].model_dump_json(), config.env.actions)
     records = [record_of(record) for record in drive_piece(piece, watch)]
     watch.flush()
