@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from wcsim.errors import PolicyError
-from wcsim.types import Bool, Truth
+from wcsim.types import Bool, Drawn, Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
@@ -71,6 +71,20 @@ class HearsSent(Protocol):
 
     def sent(self, action: int) -> None:
         """Take note of the action that is carried out."""
+
+
+@runtime_checkable
+class HearsDelay(Protocol):
+    """A policy that learned with the delay of each episode, where `[vary]` draws one; tests tell it as training did."""
+
+    def set_delay(self, ticks: int) -> None:
+        """From the next `reset` on a command reaches the chair so many ticks late."""
+
+
+def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
+    """Say before `reset` which delay was drawn for the episode; without one the policy reckons with the configured."""
+    if isinstance(policy, HearsDelay) and drawn is not None and drawn.action_delay_ticks is not None:
+        policy.set_delay(drawn.action_delay_ticks)
 
 
 @runtime_checkable

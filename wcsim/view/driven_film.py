@@ -15,7 +15,7 @@ from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import SeesTruth, Warns
+from wcsim.agents.policy_api import SeesTruth, Warns, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
@@ -88,6 +88,7 @@ class DrivenFilm:
             self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
             self._seen, self._info = self._chair.begin(self._world.snapshot.clients[0])
             self._policy.begin()
+            tell_delay(self._policy, self._info["drawn"])
             self._policy.reset()
         except BaseException as error:
             self._world.close()
@@ -114,6 +115,7 @@ class DrivenFilm:
         speed_mps = float(step.info["speed_mps"])
         if client.first is not None:
             self._seen, self._info = self._chair.begin_next()
+            tell_delay(policy, self._info["drawn"])
             policy.reset()
         return _Driven(client=client, asked=wanted, given=given, warning=warning, speed_mps=speed_mps)
 

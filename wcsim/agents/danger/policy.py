@@ -66,6 +66,10 @@ class DangerPolicy:
         require_level(level, LEVELS)
         self.rule = replace(self.rule, threshold=level)
 
+    def set_delay(self, ticks: int) -> None:
+        """From the next `reset` on a command reaches the chair so many ticks late."""
+        self._eye.around.ego.delay_ticks = ticks
+
     def begin(self) -> None:
         """Nothing outlives an episode."""
 

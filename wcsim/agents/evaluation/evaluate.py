@@ -12,7 +12,7 @@ import gymnasium
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.records import TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import Row, row_of
-from wcsim.agents.policy_api import Policy, SeesTruth
+from wcsim.agents.policy_api import Policy, SeesTruth, tell_delay
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
@@ -100,6 +100,7 @@ def evaluate(
     policy.begin()
     for episode in range(episodes):
         observation, info = env.reset(seed=seed) if episode == 0 else env.reset()
+        tell_delay(policy, info.get("drawn"))
         policy.reset()
         meter = EpisodeMeter(tick_s, reward or RewardConfig())
         seen = partial(_tell, watch, episode, episodes)

@@ -24,7 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import Policy, SeesTruth, Warns
+from wcsim.agents.policy_api import Policy, SeesTruth, Warns, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile
@@ -192,6 +192,7 @@ class _Seat:
         policy = self._policy
         if not self._begun:
             policy.begin()
+            tell_delay(policy, self._info["drawn"])
             policy.reset()
             self._begun = True
         if isinstance(policy, SeesTruth):

@@ -43,6 +43,10 @@ class ShieldedPolicy(NetPolicy):
         """Whether the user's own stick is about to end badly."""
         return self._part.warning
 
+    def set_delay(self, ticks: int) -> None:
+        """From the next `reset` on a command reaches the chair so many ticks late."""
+        self._part.set_delay(ticks)
+
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self._part.reset()

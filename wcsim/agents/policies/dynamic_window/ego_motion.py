@@ -29,11 +29,11 @@ class EgoMotion:
     Args:
         limits: (7,) of the drive, see `wcsim.core.joystick`.
         tick_s: Time between two observations.
-        delay_ticks: From a command to the chair that obeys it.
+        delay_ticks: From a command to the chair that obeys it; another one holds from the next `reset` on.
     """
 
     def __init__(self, limits: F64, tick_s: float, delay_ticks: int) -> None:
-        self._limits, self._tick_s, self._delay = limits, tick_s, delay_ticks
+        self._limits, self._tick_s, self.delay_ticks = limits, tick_s, delay_ticks
         self.reset()
 
     def reset(self) -> None:
@@ -83,7 +83,7 @@ class EgoMotion:
         if turn_radps is not None:
             self.motion[1] = turn_radps
         moves = speed_mps is None or abs(speed_mps) > MOVES_MPS
-        self._waiting.extend([asked if moves else np.zeros(2)] * self._delay)
+        self._waiting.extend([asked if moves else np.zeros(2)] * self.delay_ticks)
 
     def _move(self, speed_mps: float, turn_radps: float) -> None:
         way_m, turn = speed_mps * self._tick_s, turn_radps * self._tick_s

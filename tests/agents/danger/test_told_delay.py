@@ -1,0 +1,80 @@
+"""A danger network is told in tests, too, which delay was drawn for an episode."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.agents.danger.sights import observation, small_config
+from tests.agents.danger.test_policy import policy_of
+from tests.agents.evaluation.suite.lists import Held, block_of, order_of
+from tests.agents.evaluation.test_evaluate import Script
+from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.evaluation.evaluate import evaluate
+from wcsim.agents.evaluation.suite.drive import drive_block
+from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policy_api import HearsDelay, tell_delay
+from wcsim.config import with_overrides
+from wcsim.types import Drawn
+
+
+class Told(Held):
+    """Writes down what it hears."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: list[object] = []
+
+    def set_delay(self, ticks: int) -> None:
+        self.heard.append(ticks)
+
+    def reset(self) -> None:
+        self.heard.append("reset")
+
+
+class Drawing(Script):
+    """Draws a delay of 0, 1, 2, ... ticks."""
+
+    def _info(self, distance):
+        return {**super()._info(distance), "drawn": Drawn(action_delay_ticks=len(self.seeds) - 1)}
+
+
+@pytest.mark.parametrize("ticks", [0, 3])
+def test_a_network_that_was_told_a_delay_sees_what_one_sees_that_was_made_with_it(ticks):
+    config, told = small_config(), policy_of()
+    made = DangerPolicy("own", told._net, config, told.rule, ticks)
+    tell_delay(told, Drawn(action_delay_ticks=ticks + 1))
+    tell_delay(told, Drawn(action_delay_ticks=ticks))
+    for policy in (told, made):
+        policy.reset()
+    for tick in range(5):
+        seen = observation(config, tick)
+        assert told.act(seen) == made.act(seen)
+        assert (told.sight.vector == made.sight.vector).all() and (told.sight.start == made.sight.start).all()
+
+
+def test_without_a_drawn_delay_the_configured_one_stays():
+    policy, told = policy_of("world.action_delay_ticks=2"), Told()
+    for drawn in (None, Drawn(light=0.5)):
+        tell_delay(policy, drawn)
+        tell_delay(told, drawn)
+    assert policy._eye.around.ego.delay_ticks == 2 and told.heard == []
+    assert isinstance(policy, HearsDelay) and not isinstance(baseline("dwa", small_config()), HearsDelay)
+
+
+def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():
+    policy = Told()
+    evaluate(policy, Drawing(crash_at=3), episodes=3, max_steps=9, seed=1)
+    assert policy.heard == [0, "reset", 1, "reset", 2, "reset"]
+
+
+def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
+    order = order_of(corner, block_of(corner, max_steps=4))
+    made: list[Told] = []
+
+    def make() -> Told:
+        made.append(Told())
+        return made[-1]
+
+    varied = with_overrides(order.config, ("vary.action_delay_ticks=[3,3]",))
+    drive_block(type(order)(index=0, block=order.block, town=order.town, config=varied, judged=False), make)
+    assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]
