@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.agents.evaluation.suite.lists import written_list
+from tests.agents.evaluation.suite.test_list_rules import run_of
 from tests.support.one_process import in_this_process
 from wcsim.cli import main
 from wcsim.cli.evaluation.result_tables import show_result
@@ -42,6 +43,13 @@ def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_pa
     assert run("--suite", small, "stop", "--only", "--out", out, "--clean") == 2  # something is there
     assert "--resume" in capsys.readouterr().err
     assert run("--suite", small, "stop", "--only", "--out", out, "--clean", "--resume") == 0
+
+
+def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
+    own = run_of(tmp_path / "own", "quick", "reward.drop=false", "world.warmup_s=0")
+    assert run("--suite", small, own, "--only", "--out", tmp_path / "out") == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "learned with reward.drop=false; all policies of a list are tested alike, with reward.drop=true" in told
 
 
 @pytest.mark.parametrize(
