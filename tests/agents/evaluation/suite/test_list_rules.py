@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.list_rules import settings_in_list, told_of_rules
 from wcsim.agents.evaluation.suite.named_policy import identity_of, settings_of
@@ -11,6 +12,7 @@ from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
 from wcsim.config import load_run_config
+from wcsim.errors import PolicyError
 
 RULES = ("world", "chair", "reward", "vary")
 OWN = (
@@ -88,3 +90,17 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     (line,) = told_of_rules([str(tmp_path)], "quick", listed())
     assert "chair.plant=mwd" in line
     assert identity_of(str(tmp_path), "quick") != identity_of(str(tmp_path), "paper")
+
+
+def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
+    run, configs = run_of(tmp_path / "run", "paper"), []
+
+    def no_policy(name, config, seed, network):
+        configs.append(config)
+        raise PolicyError("none")
+
+    monkeypatch.setattr(driving, "open_named", no_policy)
+    order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
+    records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
+    assert {record["status"] for record in records} == {"refused"}
+    assert configs == [settings_in_list(run, "quick", listed())] and configs[0].reward.drop
