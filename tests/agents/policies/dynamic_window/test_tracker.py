@@ -138,3 +138,61 @@ def test_a_long_thing_moves_when_both_its_ends_do():
         tracker.see(one[None], [one[None, [AT_X, AT_Y]]])
     moving = [track for track in tracker.movers if track.moves]
     assert len(moving) == 1 and moving[0].v_O_mps == pytest.approx([2.0, 0.0], abs=0.2) and not moving[0].walks
+
+
+@pytest.mark.parametrize("speed_mps", [8.5, 10.0, 13.9])
+def test_a_car_as_fast_as_a_town_allows_is_known_to_rush(speed_mps):
+    (track,) = watched(4, (5.0, -4.0, 0.0, speed_mps)).movers
+    assert track.rushes and track.v_O_mps == pytest.approx([0.0, speed_mps], abs=0.1)
+    tracker, told = Tracker(0.1), []
+    for tick in range(round(90 / speed_mps)):
+        rear = -4.0 + 0.1 * tick * speed_mps
+        clusters, cells, owner = seen((ClassId.CAR, 5.0, 6.8, rear, rear + 4.3, 1.5))
+        tracker.see(clusters, [cells[owner == number] for number in range(len(clusters))])
+        told += [one.v_O_mps[1] for one in tracker.movers if one.rushes and one.unseen_s == 0.0]
+    assert max(told) == pytest.approx(speed_mps, rel=0.25)  # of its ends one is often out of view
+
+
+def test_people_who_pass_each_other_are_not_taken_for_one_who_rushes():
+    side_by_side = [(3.0, 0.6 * place - 1.5, -1.0, 0.0) for place in range(6)]
+    facing = [(0.5, 0.6 * place - 1.2, 1.0, 0.0) for place in range(5)]
+    tracker = Tracker(0.1)
+    for tick in range(20):
+        now = [np.array([x + vx * 0.1 * tick, y]) for x, y, vx, _ in side_by_side + facing]
+        tracker.see(np.array([cluster(*at) for at in now]), [at[None] for at in now])
+        assert not any(track.rushes for track in tracker.movers)
+    assert len(tracker.movers) == 11
+    assert sorted(round(float(track.v_O_mps[0]), 1) for track in tracker.movers) == [-1.0] * 6 + [1.0] * 5
+
+
+@pytest.mark.parametrize("seen_share", [1.0, 0.9])
+@pytest.mark.parametrize("gap_m", [0.5, 0.7, 1.0, 1.3])
+def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen_share):
+    rushing = 0
+    for seed in range(8):
+        rng, tracker = np.random.default_rng(seed), Tracker(0.1)
+        for _ in range(30):
+            now = [np.array([4.0, gap_m * place - 6.0]) for place in range(12) if rng.random() < seen_share]
+            now = [at + rng.normal(0.0, 0.04, 2) for at in now]
+            tracker.see(np.array([cluster(*at, walks=False) for at in now]), [at[None] for at in now])
+            rushing += sum(track.rushes for track in tracker.movers)
+    assert rushing == 0 or (seen_share < 1.0 and rushing / (8 * 30) < 0.5)  # of twelve; chance pairs, each for a second
+
+
+def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_it():
+    tracker = Tracker(0.1)
+    stands, comes = np.array([4.0, 0.0]), np.array([4.0, 0.9])
+    tracker.see(np.array([cluster(*stands)]), [stands[None]])
+    larger = cluster(*(comes - [0.0, 0.2]))
+    larger[[PIXELS, WALKERS]] = 400, 400
+    tracker.see(np.array([larger, cluster(*stands)]), [comes[None], stands[None]])
+    assert [(track.hits, *track.p_O_m.round(1)) for track in tracker.movers] == [(2, 4.0, 0.0), (1, 4.0, 0.7)]
+
+
+def test_who_is_far_from_where_another_was_is_one_who_rushes_only_when_the_next_look_says_so():
+    tracker = Tracker(0.1)
+    for at in ([4.0, 0.0], [4.0, 1.2], [4.0, 1.2]):
+        place = np.array(at)
+        tracker.see(np.array([cluster(*place)]), [place[None]])
+    (track,) = tracker.movers
+    assert (track.hits, *track.v_O_mps) == (1, 0.0, 0.0)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.agents.policies.dynamic_window.clusters import LEAST_X, LEAST_Y, MOST_X, MOST_Y, PIXELS, WALKERS, X, Y
-from wcsim.types import F64
+from wcsim.types import F64, Bool
 
 GATE_M = 0.8  # a cluster this far from where a track should be is another one
 MOVES_MPS = 0.3  # slower is taken for standing
 RUSHES_MPS = 1.6  # people on foot are slower, and step aside: where they are now is enough to know
-_FASTEST_MPS = 8.0
+_FASTEST_MPS = 15.0  # who is seen for the second time may have come as far as this since
 _KEPT_S = 1.5  # a track that is not seen any more goes on for so long
 _SURE_HITS = 3  # before that its speed is not known
 _SMALL_M = 1.1  # what is smaller is seen whole, so its middle is a place; of a larger one only edges are
@@ -58,16 +58,20 @@ class Tracker:
         """Take in the clusters (m, 11) of a tick, see `clusters`, and the places of each one's cells (k, 2)."""
         for track in self.movers:
             _go_on(track, self._tick_s)
-        left = list(self.movers)
+        known = list(self.movers)
+        whose = _assign(known, clusters, max(GATE_M, _FASTEST_MPS * self._tick_s), self._tick_s)
         for index in np.argsort(-clusters[:, PIXELS], kind="stable").tolist():
             one, cells = clusters[index], cells_O_m[index]
-            near = [(math.dist(track.p_O_m, one[[X, Y]]), number) for number, track in enumerate(left)]
-            away_m, number = min(near, default=(math.inf, 0))
-            if away_m < GATE_M:
-                self._update(left.pop(number), one, cells)
+            if index in whose:
+                self._update(known[whose[index]], one, cells)
             else:
                 self.movers.append(_new(one, cells))
-        self.movers = [track for track in self.movers if track.unseen_s < _KEPT_S + 1e-9]
+        self.movers = [track for track in self.movers if track.unseen_s < _KEPT_S + 1e-9 and not self._chance(track)]
+
+    def _chance(self, track: Mover) -> bool:
+        """Whether two places far apart, seen one after the other, were no track: the next look found nobody ahead."""
+        far = math.hypot(*track.v_O_mps) * self._tick_s > GATE_M
+        return far and track.hits < _SURE_HITS and track.unseen_s > 0.0
 
     def _update(self, track: Mover, one: F64, cells_O_m: F64) -> None:
         track.hits += 1
@@ -80,12 +84,48 @@ class Tracker:
         track.v_O_mps = track.v_O_mps + beta / self._tick_s * off_m
         track.extent_O_m = one[[LEAST_X, MOST_X, LEAST_Y, MOST_Y]].copy()
         track.cells_O_m = cells_O_m
-        track.walks = bool(2.0 * one[WALKERS] > one[PIXELS])
+        track.walks = bool(_walks(one[None])[0])
+
+
+def _assign(tracks: list[Mover], clusters: F64, reach_m: float, tick_s: float) -> dict[int, int]:
+    """The number of each cluster's track, of those that are some track's: one each, the nearest first.
+
+    Whoever is near where a track should be comes first. A track that was seen once, a tick ago, has no speed yet: what
+    is then left over, of its kind and within `reach_m`, is taken for it.
+    """
+    if not tracks or not len(clusters):
+        return {}
+    places = np.array([track.p_O_m for track in tracks])
+    away_m = np.hypot(places[:, None, 0] - clusters[None, :, X], places[:, None, 1] - clusters[None, :, Y])
+    whose = _nearest_first(away_m, GATE_M)
+    away_m[list(whose.values())] = np.inf
+    away_m[:, list(whose)] = np.inf
+    newly = [track.hits == 1 and track.unseen_s < 1.5 * tick_s for track in tracks]
+    kinds = np.array([track.walks for track in tracks])[:, None] == _walks(clusters)[None]
+    away_m[~(np.array(newly)[:, None] & kinds)] = np.inf
+    return whose | _nearest_first(away_m, reach_m)
+
+
+def _nearest_first(away_m: F64, gate_m: float) -> dict[int, int]:
+    """From column to row of a matrix of distances: pairs below `gate_m`, each row and column once."""
+    rows, columns = np.nonzero(away_m < gate_m)
+    taken: dict[int, int] = {}
+    for pair in np.argsort(away_m[rows, columns], kind="stable").tolist():
+        row, column = int(rows[pair]), int(columns[pair])
+        if column not in taken and row not in taken.values():
+            taken[column] = row
+    return taken
+
+
+def _walks(clusters: F64) -> Bool:
+    """(m,) which clusters are mostly of those who walk or ride."""
+    walking: Bool = 2.0 * clusters[:, WALKERS] > clusters[:, PIXELS]
+    return walking
 
 
 def _new(one: F64, cells_O_m: F64) -> Mover:
     extent = one[[LEAST_X, MOST_X, LEAST_Y, MOST_Y]].copy()
-    walks = bool(2.0 * one[WALKERS] > one[PIXELS])
+    walks = bool(_walks(one[None])[0])
     return Mover(p_O_m=one[[X, Y]].copy(), v_O_mps=np.zeros(2), extent_O_m=extent, cells_O_m=cells_O_m, walks=walks)
 
 
