@@ -10,7 +10,8 @@ from tests.agents.danger.sights import observation, small_config
 from tests.agents.policies.test_baselines import box, looking_at
 from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import Alarm, DangerRule, next_alarm
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import NeedsSenses, Warns
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -98,7 +99,7 @@ def test_it_warns_of_the_users_own_stick_after_two_ticks_and_not_after_a_reset()
 def alarms(*dangers: float) -> list[bool]:
     alarm, told = Alarm(), []
     for danger in dangers:
-        alarm = next_alarm(alarm, danger, RULE)
+        alarm = next_alarm(alarm, danger, RULE.warn)
         told.append(alarm.on)
     return told
 
@@ -118,9 +119,8 @@ def test_a_warning_does_not_flicker_about_its_level():
 
 
 def test_a_level_of_one_never_warns_and_zero_always_does():
-    always = DangerRule(warn=0.0)
-    assert next_alarm(Alarm(), 0.01, always).on
+    assert next_alarm(Alarm(), 0.01, warn=0.0).on
     alarm = Alarm()
     for _ in range(50):
-        alarm = next_alarm(alarm, 1.0, DangerRule(warn=1.0))
+        alarm = next_alarm(alarm, 1.0, warn=1.0)
     assert not alarm.on and np.isclose(alarm.level, 1.0)

@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, rectangle_gap, touches_after
+from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
 from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.dynamic_window.surroundings import up_in_body
@@ -195,7 +195,7 @@ def test_arcs_meet_those_who_move_where_they_will_be():
 
 def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
     inside, post = (0.7, 0.0, 0.0, 0.0, 0.07), (1.05, 0.0, 0.0, 0.0, 0.07)
-    assert rectangle_gap(0.0, 0.0, 0.0, 0.0, CHAIR, np.array([inside])) == pytest.approx(-0.1)
+    assert gaps(from_rest(), 0.0, CHAIR, np.array([inside])) == pytest.approx([-0.1])
     commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
     assert free_of(commands, inside)[0] == [False, True, True]
     assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
@@ -215,12 +215,36 @@ def test_a_held_stick_meets_a_wall_when_the_chair_gets_there():
     assert meets_s(3.0, later_s=0.4) == pytest.approx(meets_s(3.0) + 0.4)
 
 
+def test_what_is_near_already_is_met_only_by_a_stick_that_brings_it_nearer():
+    points = np.array([[0.82, 0.0, 0.0, 0.0, 0.07], [0.78, 0.1, 0.0, 0.0, 0.07], [0.3, 0.33, 0.0, 0.0, 0.07]])
+
+    def meets_s(stick, rows=points):
+        return touches_after(from_rest(), 0.2, np.array(stick), LIMITS, CHAIR, rows, 0.03, 2.0)
+
+    assert math.isinf(meets_s((0.0, 0.0))) and math.isinf(meets_s((0.0, -0.5)))
+    assert meets_s((0.0, 0.5)) < 1.0
+    beside = np.array([[0.3, 0.33, 0.0, 0.0, 0.07]])
+    assert math.isinf(meets_s((0.0, 0.5), beside)), "a wall along which it drives"
+    comes = np.array([[0.82, 0.0, -0.5, 0.0, 0.07]])
+    assert meets_s((0.0, 0.0), comes) < 1.0, "who comes nearer is met at rest, too"
+
+
+def test_it_does_not_warn_for_nothing():
+    wall, driver = box(2.5, 3.0, -3, 3, 0, 3), baseline("dwa", CONFIG)
+    drive(ground, 20, driver=driver)
+    told = []
+    for ahead in (True, False, False, True, True, True, True, False, False, False):
+        drive(wall, 1, AHEAD if ahead else (0.0, -1.0), driver)
+        told.append(driver.warning)
+    assert told == [False, False, False, False, True, True, True, True, False, False]
+
+
 def test_it_warns_of_what_the_users_stick_would_meet():
     wall = box(2.5, 3.0, -3, 3, 0, 3)
     driver = baseline("dwa", CONFIG)
     drive(ground, 20, driver=driver)
     assert not driver.warning
-    drive(wall, 1, driver=driver)
+    drive(wall, 2, driver=driver)
     assert driver.warning
     drive(wall, 1, (0.0, -0.5), driver)
     driver.reset()

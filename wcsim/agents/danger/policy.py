@@ -10,8 +10,9 @@ import torch
 
 from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, Alarm, DangerRule, choose, heeds, next_alarm, within
+from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, heeds, within
 from wcsim.agents.danger.sight import DangerSight, Eye
+from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation, require_level
@@ -48,7 +49,7 @@ class DangerPolicy:
 
     @property
     def warning(self) -> bool:
-        """Whether the user's own stick is about to end badly, see `rule.next_alarm`."""
+        """Whether the user's own stick is about to end badly, see `next_alarm`."""
         return self._alarm.on
 
     @property
@@ -88,7 +89,7 @@ class DangerPolicy:
         """The same, while another action may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         danger = self.dangers(observation)
-        self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule)
+        self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule.warn)
         doubted = self._doubted()
         self.unsafe = ~within(danger, self.rule, self._last, doubted)
         return choose(danger, stick, self._actions, self.rule, self._last, doubted)

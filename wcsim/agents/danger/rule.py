@@ -16,10 +16,8 @@ from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
-NEWEST: Final = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RIVAL_KEYS: Final = ("doubt", "trust", "caution")  # of `DangerRule`, what is about the rival
-CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,37 +28,10 @@ class DangerRule:
     keep: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
-    warn: float = 0.3  # of the user's own stick's danger, smoothed: above it, warn
+    warn: float = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
     doubt: float = 1.0  # times the threshold for what the rival holds for unsafe
     trust: float = 1.0  # and for what it would take, too; with 1 and 1 it is not asked
     caution: float = 1.0  # of the rival that is asked: a level of `dwa`
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alarm:
-    """Whether the user is warned, and the smoothed danger of the own stick that it follows from; 0 before anything."""
-
-    level: float = 0.0
-    on: bool = False
-
-
-def next_alarm(before: Alarm, danger: float, rule: DangerRule) -> Alarm:
-    """The alarm a tick later: on above `rule.warn`, off again below 0.7 of it; a doubtful tick is not enough.
-
-    Args:
-        before: The alarm of the tick before.
-        danger: Of the user's own stick, if it is held, in 0..1.
-        rule: See there.
-
-    >>> alarm, told = Alarm(), []
-    >>> for danger in (0.9, 0.0, 0.9, 0.9, 0.4, 0.3, 0.1):
-    ...     alarm = next_alarm(alarm, danger, DangerRule(warn=0.5))
-    ...     told.append(alarm.on)
-    >>> told
-    [False, False, True, True, True, True, False]
-    """
-    level = before.level + NEWEST * (danger - before.level)
-    return Alarm(level=level, on=level > rule.warn or (before.on and level > CALM * rule.warn))
 
 
 def rule_of(danger: DangerConfig) -> DangerRule:

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policies.baseline_names import HIGHEST_LEVEL, USUAL_LEVEL
 from wcsim.agents.policies.dynamic_window.arcs import touches_after
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
@@ -24,6 +25,7 @@ from wcsim.types import F64, Bool, Outline
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
+_WARN = 0.6  # of 0 or 1, smoothed: two ticks in a row are enough, a lone one is not
 
 
 class DynamicWindow:
@@ -42,7 +44,7 @@ class DynamicWindow:
     def __init__(
         self, name: str, config: RunConfig, actions: ActionSet, outline: Outline, level: float = USUAL_LEVEL
     ) -> None:
-        self.name, self.warning = name, False
+        self.name, self._alarm = name, Alarm()
         self.level, self._caution, self._actions = level, caution(level), actions
         self.unsafe: Bool = np.zeros(len(actions), np.bool_)  # (A,) out of the question at the last choice
         self._around = StreetSense(config, actions, outline)
@@ -53,7 +55,12 @@ class DynamicWindow:
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self._around.forget()
-        self.warning = False
+        self._alarm = Alarm()
+
+    @property
+    def warning(self) -> bool:
+        """Whether the user's own stick is about to meet something, see `next_alarm`."""
+        return self._alarm.on
 
     def set_level(self, level: float) -> None:
         """Assist so from the next choice on; see `caution`. Raises PolicyError for a level out of bounds."""
@@ -76,7 +83,7 @@ class DynamicWindow:
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)
         start, later_s = around.start()
-        self.warning = self._meets(stick, start, later_s, points)
+        self._alarm = next_alarm(self._alarm, float(self._meets(stick, start, later_s, points)), _WARN)
         return self._choose(stick, start, later_s, points)
 
     def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:

@@ -17,7 +17,7 @@ from wcsim.agents.danger.export.drive_law import Drive, Motion, Places
 from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
-from wcsim.agents.danger.rule import CALM, LESS_M, NEWEST, DangerRule
+from wcsim.agents.danger.rule import LESS_M, DangerRule
 from wcsim.agents.danger.sight import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
@@ -36,6 +36,7 @@ from wcsim.agents.danger.street_map import (
     kinds_of_ground,
     movers,
 )
+from wcsim.agents.policies.alarm import CALM, NEWEST
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.ego_motion import (
     GYRO_Z,
@@ -163,7 +164,7 @@ class DangerGraph(nn.Module):
         return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm
 
     def _alarm(self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor) -> torch.Tensor:
-        """As `rule.next_alarm`."""
+        """As `alarm.next_alarm`."""
         wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
         level = alarm[:, 0:1] + NEWEST * (danger.gather(1, wish[:, None]) - alarm[:, 0:1])
         kept = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)

@@ -66,14 +66,21 @@ def arcs(
         (K,) which commands keep the distance of every point. One that is nearer already may hardly get nearer. What
         happens before a command reaches the chair is no command's fault.
     """
-    kept_m = np.empty(len(points))
-    for i in range(len(points)):
-        now_m = box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
-        kept_m[i] = min(points[i, 4], now_m - CLOSER_M)
+    kept_m = _kept_m(points, points[:, 4], box)
     free = np.empty(len(commands), np.bool_)
     for k in range(len(commands)):
         gap_m[k], free[k] = _arc(start, later_s, hold_s, commands[k], limits, box, points, kept_m)
     return free
+
+
+@exact_kernel
+def _kept_m(points: F64, margin_m: F64, box: F64) -> F64:
+    """(n,) how near each point may come: `margin_m` (n,), or hardly nearer than it is now."""
+    kept_m = np.empty(len(points))
+    for i in range(len(points)):
+        now_m = box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
+        kept_m[i] = min(margin_m[i], now_m - CLOSER_M)
+    return kept_m
 
 
 @exact_kernel
@@ -107,12 +114,14 @@ def touches_after(
 ) -> float:
     """Seconds from now on until the chair comes so near to what is in the way when a command (2,) is held; see `arcs`.
 
-    Infinite when it does not within `within_s`.
+    Infinite when it does not within `within_s`. What is so near already, or under it in memory, is met only when the
+    chair gets nearer still.
     """
     now = start.copy()
+    kept_m = _kept_m(points, np.full(len(points), margin_m), box)
     at_s = later_s
     while at_s < within_s + 1e-9:
-        if rectangle_gap(now[0], now[1], now[2], at_s, box, points) <= margin_m:
+        if (gaps(now, at_s, box, points) <= kept_m).any():
             return at_s
         advance(now, command, limits, STEP_S)
         at_s += STEP_S
@@ -120,14 +129,14 @@ def touches_after(
 
 
 @exact_kernel
-def rectangle_gap(x: float, y: float, yaw: float, at_s: float, box: F64, points: F64) -> float:
-    """Distance from the chair at a pose to the nearest of `points` (n, 5) at a time, below 0 inside it; see `arcs`."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    least = np.inf
+def gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
+    """(n,) from the chair in a state (6,) to each of `points` (n, 5) at a time, below 0 inside it; see `arcs`."""
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    gap_m = np.empty(len(points))
     for n in range(len(points)):
-        dx, dy = points[n, 0] + at_s * points[n, 2] - x, points[n, 1] + at_s * points[n, 3] - y
-        least = min(least, box_gap(dx, dy, cos, sin, box))
-    return least
+        dx, dy = points[n, 0] + at_s * points[n, 2] - state[0], points[n, 1] + at_s * points[n, 3] - state[1]
+        gap_m[n] = box_gap(dx, dy, cos, sin, box)
+    return gap_m
 
 
 @exact_kernel
