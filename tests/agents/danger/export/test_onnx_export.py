@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.agents.danger.export.test_guarded_policy import EXAMPLE
 from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
-from tests.agents.danger.test_guard import EXAMPLE
 from wcsim.agents.danger.export import onnx_export
 from wcsim.agents.danger.export.guard_file import guard_of
 from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
