@@ -8,6 +8,8 @@ the paper without accelerations.
 from __future__ import annotations
 
 import math
+import os
+import signal
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,6 +19,8 @@ import numpy as np
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, RunConfig
+from wcsim.errors import ServerGoneError
+from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
@@ -35,6 +39,14 @@ def toy_camera(height_px: int = 24, width_px: int = 32) -> CameraConfig:
 def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **info: Any) -> ResolvedRun:
     """A run of these settings; what else its manifest says is left out unless it is given."""
     return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
+
+
+def stopped_while_away(waits: list[bool]) -> None:
+    """What a launcher that ends sends to a client whose world is away, and what comes of waiting then."""
+    for number in (signal.SIGTERM, WAIT_NO_MORE):
+        os.kill(os.getpid(), number)
+    assert waits, "nobody says that there is no use in waiting"
+    raise ServerGoneError("nobody answers")
 
 
 class ToyStreet(gym.Env[dict[str, Any], np.int64]):

@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from tests.agents.learning.test_train import Nervous, config
-from tests.agents.toy import a_run
+from tests.agents.toy import a_run, stopped_while_away
 from wcsim.agents.learning.checkpoint import newest_step
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.run_folder import open_run
@@ -18,14 +18,7 @@ from wcsim.server.launch.states import WAIT_NO_MORE
 
 def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_path):
     waits = []
-
-    def away():
-        for number in (signal.SIGTERM, WAIT_NO_MORE):
-            os.kill(os.getpid(), number)
-        assert waits, "nobody says that there is no use in waiting"
-        raise ServerGoneError("nobody answers")
-
-    env, before = Nervous(150, away), signal.getsignal(WAIT_NO_MORE)
+    env, before = Nervous(150, lambda: stopped_while_away(waits)), signal.getsignal(WAIT_NO_MORE)
     with pytest.raises(InterruptedRunError, match="--resume"):
         train(a_run(config(), tmp_path / "run", 5), lambda: env, wait_no_more=lambda: waits.append(True))
     manifest = open_run(tmp_path / "run").manifest

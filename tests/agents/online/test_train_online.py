@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, small_config
-from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.agents.toy import ToyStreet, a_run, stopped_while_away, toy_camera
 from wcsim.agents.collecting.data_folder import (
     DATA,
     key_of,
@@ -40,7 +40,6 @@ from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError, ServerGoneError
-from wcsim.server.launch.states import WAIT_NO_MORE
 
 CAMERA = toy_camera(16, 20)
 WORDS = (
@@ -179,17 +178,10 @@ def test_a_run_whose_world_is_gone_keeps_what_it_has_learned(tmp_path):
 
 def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_path):
     waits = []
-
-    def away():
-        for number in (signal.SIGTERM, WAIT_NO_MORE):
-            os.kill(os.getpid(), number)
-        assert waits, "nobody says that there is no use in waiting"
-        raise ServerGoneError("nobody answers")
-
     asked = a_run(config(), tmp_path / "run", 5, town_sha256="0" * 64)
     listeners = Listeners(wait_no_more=lambda: waits.append(True))
     with pytest.raises(InterruptedRunError, match="--resume"):
-        train_online(asked, lambda: Sensing(at=31, call=away), listeners)
+        train_online(asked, lambda: Sensing(at=31, call=lambda: stopped_while_away(waits)), listeners)
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
     assert [folder.name for folder in step_folders(tmp_path / "run" / "checkpoints")] == ["step-00000030"]
 

@@ -72,7 +72,7 @@ def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was
     words = ("world.warmup_s=0",)
     config = with_overrides(open_run(run).config, words)
     assert not config.world.town_warmup
-    before = config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
+    before = config.with_usual_warmup()
     require_same_config(run, before, Typed(set=words))
     with pytest.raises(PolicyError, match="another configuration"):
         require_same_config(run, before, Typed(set=("world.warmup_s=1",)))

@@ -70,6 +70,11 @@ def _key_of(setting: str) -> str:
     return setting.partition("=")[0].strip()
 
 
+def _asked_for(asked: Mapping[str, object]) -> str:
+    """The names of the options that were asked for, "" for none."""
+    return ", ".join(name for name, value in asked.items() if value)
+
+
 def require_heard(config: RunConfig, asked: Mapping[str, object], instead: str = BY_STEPS) -> None:
     """Refuse options that a network would not hear of that learns in rounds.
 
@@ -83,10 +88,9 @@ def require_heard(config: RunConfig, asked: Mapping[str, object], instead: str =
     """
     if not learns_in_rounds(config):
         return
-    found = [name for name, value in asked.items() if value]
-    if found:
+    if found := _asked_for(asked):
         raise ConfigError(
-            f"{', '.join(found)}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
+            f"{found}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
             f"not use that; {instead}"
         )
 
@@ -102,10 +106,9 @@ def require_rounds(config: RunConfig, asked: Mapping[str, object], instead: str 
     Raises:
         ConfigError: There are some.
     """
-    found = [name for name, value in asked.items() if value]
-    if found and not learns_in_rounds(config):
+    if (found := _asked_for(asked)) and not learns_in_rounds(config):
         raise ConfigError(
-            f"{', '.join(found)}: only a danger network that learns in rounds uses that, and this one learns from "
+            f"{found}: only a danger network that learns in rounds uses that, and this one learns from "
             f"every step; {instead}"
         )
 

@@ -159,12 +159,8 @@ def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -
 def _equal(path: Path, config: RunConfig, other: RunConfig) -> bool:
     """Whether both are one configuration to a run that keeps its plant."""
     same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
-    return same and _as_asked(learning(with_kept_plant(other, path))) == _as_asked(learning(config))
-
-
-def _as_asked(config: RunConfig) -> RunConfig:
-    """Without whether the warm-up was asked for, which runs of older versions do not know of."""
-    return config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
+    typed, own = learning(with_kept_plant(other, path)), learning(config)
+    return same and typed.with_usual_warmup() == own.with_usual_warmup()
 
 
 def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:

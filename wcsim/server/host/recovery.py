@@ -149,7 +149,7 @@ def _as_meant(config: RunConfig, town: Town | None) -> RunConfig:
     """Without whether the warm-up was asked for where a town has none of its own: there it says nothing."""
     if town is None or town.file.warmup_s is not None:
         return config
-    return config.model_copy(update={"world": config.world.model_copy(update={"town_warmup": True})})
+    return config.with_usual_warmup()
 
 
 def _require_same(path: Path, new: JournalHeader) -> None:
