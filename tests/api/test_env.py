@@ -461,6 +461,12 @@ def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_
         face(config=config, preset="laptop")
 
 
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv])
+def test_a_film_has_the_pace_of_its_own_tick(face):
+    paces = [face("helsinki", overrides=overrides).metadata["render_fps"] for overrides in ([], ["world.tick_s=0.05"])]
+    assert paces == [10, 20]
+
+
 def test_wrong_settings_are_named_before_a_world_is_made():
     for wrong, told in (
         ({"preset": "nope"}, "unknown preset 'nope'; expected one of: best, dqn, laptop, paper, quick"),

@@ -26,7 +26,7 @@ from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.users.recorded import find_user
 
 RENDER_MODES = ("rgb_array",)
-RENDER_FPS = 10
+RENDER_FPS = 10  # of a tick of 0.1 s; an environment has the one of its own tick
 SEED_LIMIT = 1 << 31
 MAX_CHAIRS = 64  # of one world
 
@@ -65,7 +65,8 @@ class Face:
     @property
     def metadata(self) -> dict[str, Any]:
         """What Gymnasium and PettingZoo want to know of an environment."""
-        return {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS, "name": "wcsim"}
+        fps = max(1, round(1 / self.config.world.tick_s))  # so that films take as long as what they show
+        return {"render_modes": list(RENDER_MODES), "render_fps": fps, "name": "wcsim"}
 
     def actions(self) -> ActionSet:
         """The joystick positions to choose from."""

@@ -60,6 +60,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             TypeError: There is no such option.
         """
         self._face = make_face(town, options)
+        self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
         self._join = join
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None

@@ -14,7 +14,10 @@ from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text, shown
 from wcsim.errors import PolicyError
 
-_COLUMNS: Final = ("round", "steps", "tight_share", "crashes", "updates", "loss", "wait_s_wall", "learn_s_wall")
+_COLUMNS: Final = (
+    *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
+    *("wait_s_wall", "learn_s_wall"),
+)
 _KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 _MOST: Final = 1e15
 
@@ -24,7 +27,8 @@ class TrainedRound:
     """A row of it."""
 
     round: int
-    steps: int  # that can be learned from, of this round and those before
+    steps: int  # that can be learned from, of this round and those before, and of data folders
+    new_steps: int  # of these that were driven in this round
     tight_share: float  # of these, in which something is unsafe
     crashes: int  # of whoever drove in this round
     updates: int  # in all
@@ -73,6 +77,7 @@ def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
     return TrainedRound(
         round=number,
         steps=int(at["steps"]),
+        new_steps=int(at["new_steps"]),
         tight_share=at["tight_share"],
         crashes=int(at["crashes"]),
         updates=int(at["updates"]),

@@ -105,7 +105,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
             waited_s = time.monotonic() - began_s
-            crashes = 0
+            before, crashes = len(lectures), 0
             for name in sorted(came):
                 segment = read_segment(folder.path / DATA / SEGMENTS / name, came[name])
                 lectures.add(lessons_of(segment, config))
@@ -114,8 +114,8 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             loss = learner.learn(lectures, config.danger.updates, told.learned)
             segments |= came
             _save(rounds, learner, f"round-{number:03d}")
-            row = (number, len(lectures), lectures.tight_share, crashes, learner.updates, loss, waited_s)
-            note_round(folder.path / METRICS, (*row, time.monotonic() - began_s - waited_s))
+            row = (number, len(lectures), len(lectures) - before, lectures.tight_share, crashes, learner.updates, loss)
+            note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
             save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             many = len(now)
             progress(

@@ -90,10 +90,10 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
 def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     danger, values = one(tmp_path / "danger"), one(tmp_path / "values")
-    for number, (steps, crashes) in enumerate(((2000, 8), (6000, 4))):
-        note_round(danger / "metrics.csv", (number, steps, 0.25, crashes, 50 * (number + 1), 0.5, 1.0, 2.0))
+    for number, new, steps, crashes in ((0, 2000, 7000, 8), (1, 4000, 11000, 4)):  # 5000 are of --data
+        note_round(danger / "metrics.csv", (number, steps, new, 0.25, crashes, 50 * (number + 1), 0.5, 1.0, 2.0))
     assert main(["report", "danger"]) == 0
-    told = "danger: 2 rounds, 6000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
+    told = "danger: 2 rounds, 11000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
     assert told in capsys.readouterr().out
     page = (danger / "report.html").read_text(encoding="utf-8")
     assert "Rounds of driving and learning" in page and "Fig. 7a" not in page

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
 from typing import Final
 
 from wcsim.agents.rounds.round_log import TrainedRound
@@ -40,18 +39,14 @@ def round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
 
 def crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
     """Crashes per 1,000 steps that each round added; NaN where it added none."""
-    steps = [0, *(each.steps for each in rounds)]
-    return [
-        _THOUSAND * each.crashes / (after - before) if after > before else math.nan
-        for each, (before, after) in zip(rounds, pairwise(steps), strict=True)
-    ]
+    return [_THOUSAND * each.crashes / each.new_steps if each.new_steps else math.nan for each in rounds]
 
 
 def told_of(rounds: Sequence[TrainedRound]) -> str:
     """A run's rounds in a line.
 
-    >>> one = TrainedRound(round=0, steps=2000, tight_share=0.2, crashes=4, updates=50, loss=0.25, wait_s=1, learn_s=2)
-    >>> told_of((one,))
+    >>> at = {"round": 0, "steps": 2000, "new_steps": 2000, "updates": 50, "loss": 0.25, "wait_s": 1, "learn_s": 2}
+    >>> told_of((TrainedRound(tight_share=0.2, crashes=4, **at),))
     '1 rounds, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
     last, rate = rounds[-1], crash_rates(rounds)[-1]
@@ -74,13 +69,13 @@ def _figure(
 
 def _table(runs: Runs) -> Exhibit:
     headings = (
-        *("run", "round", "steps", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
+        *("run", "round", "steps", "new", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
         *("waited for worlds, s", "learned, s"),
     )
     rows: list[list[Cell]] = [
         [
-            run, each.round, each.steps, f"{100.0 * each.tight_share:.0f} %", each.crashes, _number(rate, 1),
-            each.updates, _number(each.loss, 3), round(each.wait_s), round(each.learn_s),
+            run, each.round, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
+            _number(rate, 1), each.updates, _number(each.loss, 3), round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
         for each, rate in zip(rounds, crash_rates(rounds), strict=True)
@@ -88,8 +83,8 @@ def _table(runs: Runs) -> Exhibit:
     return Exhibit(
         name="rounds",
         title="Rounds",
-        says="Steps that can be learned from so far, and in how many of them some position ends badly; crashes of this "
-        "round; updates so far; the clock on the wall.",
+        says="Steps that can be learned from so far, those that this round added, and in how many of all some "
+        "position ends badly; crashes of this round; updates so far; the clock on the wall.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
