@@ -141,6 +141,21 @@ def test_random_is_seeded_and_stop_keeps_turning():
     assert tuple(points[baseline("stop", config).act({**view, "joystick": np.array([0.5, -0.8])})]) == (0.5, -0.75)
 
 
+def test_stop_warns_of_a_wall_that_it_sees_twice_and_of_none_that_flickers():
+    ahead = {**looking_at(box(2.0, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.0, 0.8], np.float32)}
+    turning = {**ahead, "joystick": np.array([0.8, 0.0], np.float32)}
+    policy, told = baseline("stop", RunConfig(cameras=(CAMERA,))), []
+    for view in (ahead, turning, turning, ahead, ahead, turning, turning):
+        policy.act(view)
+        told.append(policy.warning)
+    assert told == [False, False, False, False, True, False, False]
+    for _ in range(2):
+        policy.act(ahead)
+    assert policy.warning
+    policy.reset()
+    assert not policy.warning
+
+
 def test_an_unknown_baseline_is_refused():
     with pytest.raises(PolicyError, match="follow"):
         baseline("expert", RunConfig())

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policies.baseline_names import (
     LEVELLED,
     NAMES,
@@ -94,25 +95,31 @@ class StopBeforeObstacles:
     """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
-    backwards it follows blindly. It warns of what it would stop for in a second.
+    backwards it follows blindly. It warns, as `next_alarm` has it, of what it would stop for in a second.
     """
 
     actions: ActionSet
     watch: CorridorWatch
     name: str = "stop"
-    warning: bool = field(init=False, default=False)
+    _alarm: Alarm = field(init=False, default=Alarm())
+
+    @property
+    def warning(self) -> bool:
+        """Whether it would soon stop."""
+        return self._alarm.on
 
     def begin(self) -> None:
         """Nothing is remembered."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
-        self.warning = False
+        """No warning outlasts an episode."""
+        self._alarm = Alarm()
 
     def act(self, observation: Observation) -> int:
         """The user's wish, without its forward part when the way is blocked."""
         x, y = (float(value) for value in observation[JOYSTICK_KEY])
-        self.warning = y > 0.0 and self.watch.blocked(observation, x, y, WARNS_AHEAD_S)
+        stops = y > 0.0 and self.watch.blocked(observation, x, y, WARNS_AHEAD_S)
+        self._alarm = next_alarm(self._alarm, float(stops), TWO_TICKS)
         if y > 0.0 and self.watch.blocked(observation, x, y):
             return self.actions.nearest((x, 0.0))
         return self.actions.nearest((x, y))

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from wcsim.agents.policies.alarm import Alarm, next_alarm
+from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policies.baseline_names import HIGHEST_LEVEL, USUAL_LEVEL
 from wcsim.agents.policies.dynamic_window.arcs import touches_after
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
@@ -25,7 +25,6 @@ from wcsim.types import F64, Bool, Outline
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
-_WARN = 0.6  # of 0 or 1, smoothed: two ticks in a row are enough, a lone one is not
 
 
 class DynamicWindow:
@@ -83,7 +82,7 @@ class DynamicWindow:
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)
         start, later_s = around.start()
-        self._alarm = next_alarm(self._alarm, float(self._meets(stick, start, later_s, points)), _WARN)
+        self._alarm = next_alarm(self._alarm, float(self._meets(stick, start, later_s, points)), TWO_TICKS)
         return self._choose(stick, start, later_s, points)
 
     def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:
