@@ -187,6 +187,7 @@ class DataFile(Model):
     schema_version: Literal[1]
     settings_sha256: Sha256  # what it has in common with whoever learns from it
     config: dict[str, Any]  # all settings of the driving; of another version, perhaps
+    plant_sha256: Sha256 | Literal[""] = ""  # of the file that chair.plant names, where it is the user's own
     towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
     segments: Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # by file
     data_sha256: Sha256

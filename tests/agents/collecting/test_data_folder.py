@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from wcsim.errors import PolicyError
 
 KEY = SegmentKey(run=1, round=2, index=3)
 TOWN = "0" * 64
+PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
 
 def a_segment(rows: int = 7, seed: int = 0) -> Segment:
@@ -159,5 +161,27 @@ def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
     assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
     with pytest.raises(PolicyError, match=r"cameras\.0\.width_px"):
         require_same_settings(tmp_path, file, dqn_config("cameras.0.width_px=40"))
-    with pytest.raises(PolicyError, match="chair"):
+    with pytest.raises(PolicyError, match=r"chair\.v_max_mps"):
         require_same_settings(tmp_path, file, dqn_config("chair.v_max_mps=2.0"))
+
+
+def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path):
+    first, kept = tmp_path / "mine.toml", tmp_path / "run" / "plant.toml"
+    kept.parent.mkdir()
+    first.write_text(PLANT)
+    kept.write_text(PLANT)
+    write_manifest(tmp_path, dqn_config(f"chair.plant={first}"), {"corner": TOWN}, {})
+    file = read_manifest(tmp_path)
+    require_same_settings(tmp_path, file, dqn_config(f"chair.plant={kept}"))
+    first.write_text(f"{PLANT}# another one\n")
+    for other in (str(first), "rwd"):
+        with pytest.raises(PolicyError, match=r"other settings \(chair\.plant\)"):
+            require_same_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
+
+
+def test_data_of_before_own_wheelchairs_were_known_is_learned_from(tmp_path: Path):
+    write_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
+    said = json.loads((tmp_path / "data.json").read_text())
+    del said["plant_sha256"]
+    (tmp_path / "data.json").write_text(json.dumps(said))
+    require_same_settings(tmp_path, read_manifest(tmp_path), dqn_config())

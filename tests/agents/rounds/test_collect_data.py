@@ -17,6 +17,8 @@ from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.core.files import locked
 from wcsim.errors import PolicyError
 
+PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
+
 
 class OneDies:
     """Drives noise, and dies at the second segment where it is told to."""
@@ -61,6 +63,24 @@ def test_a_seed_that_was_driven_with_other_settings_is_refused(order: DataOrder,
     with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
         collect_data(replace(order, config=small_config(words), segments=3))
     assert read_manifest(order.folder).data_sha256 == sha256
+
+
+def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_is_not(
+    order: DataOrder, tmp_path: Path
+) -> None:
+    mine, copy = tmp_path / "mine.toml", tmp_path / "copy.toml"
+    mine.write_text(PLANT)
+    copy.write_text(PLANT)
+    with_plant = replace(order, config=small_config(f"chair.plant={mine}"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OneDies, "dies", True)  # so that no data.json says what was driven
+        with pytest.raises(KeyboardInterrupt):
+            collect_data(with_plant)
+    mine.write_text(f"{PLANT}# another one\n")
+    with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
+        collect_data(with_plant)
+    collect_data(replace(order, config=small_config(f"chair.plant={copy}")))
+    assert len(read_manifest(order.folder).segments) == 2
 
 
 def test_a_seed_that_another_policy_drove_is_refused(order: DataOrder, tmp_path: Path) -> None:

@@ -19,7 +19,8 @@ import numpy as np
 import zstandard
 
 from wcsim.agents.collecting.segment import DRIVERS, Segment, SegmentKey
-from wcsim.config import RunConfig, parse
+from wcsim.config import ChairConfig, RunConfig, parse
+from wcsim.config.plant import plant_text
 from wcsim.config.run_file import DataFile
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_bytes, read_json, shown, unzstd
@@ -38,6 +39,11 @@ _SETTINGS: Final = (
 _ALSO: Final = (  # of the world that was seen; not in the digest, so that older folders keep theirs
     *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m", "cameras.0.yaw_deg", "cameras.0.pitch_deg"),
     "world.tick_s",
+)
+_TOLD: Final = (  # where they differ
+    *(name for name in _SETTINGS if name != "chair"),
+    *(f"chair.{key}" for key in ChairConfig.model_fields),
+    *_ALSO,
 )
 _FORMS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: its kind; numbers in a row, 0 for any
     **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
@@ -106,12 +112,16 @@ def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segme
 
     Returns:
         The SHA-256 of all segments, see `data_digest`.
+
+    Raises:
+        ConfigError: The user's own plant file cannot be read.
     """
     digest = data_digest(segments)
     data = {
         "schema_version": 1,
         "settings_sha256": settings_digest(config),
         "config": config.model_dump(mode="json"),
+        "plant_sha256": _plant_sha256(config),
         "towns": towns,
         "segments": segments,
         "data_sha256": digest,
@@ -129,9 +139,14 @@ def read_manifest(folder: Path) -> DataFile:
 
 
 def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> None:
-    """Refuse data of another camera, chair, action set or tick. Raises PolicyError."""
-    wanted = config.model_dump(mode="json")
-    other = [name for name in (*_SETTINGS, *_ALSO) if _part(file.config, name) != _part(wanted, name)]
+    """Refuse data of another camera, chair, action set or tick.
+
+    Raises:
+        PolicyError: It is.
+        ConfigError: The user's own plant file cannot be read.
+    """
+    had, wanted = _by_content(file.config, file.plant_sha256), told_settings(config)
+    other = [name for name in _TOLD if _part(had, name) != _part(wanted, name)]
     if other or file.settings_sha256 != settings_digest(config):
         raise PolicyError(
             f"{shown(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
@@ -141,8 +156,30 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
 
 def settings_digest(config: RunConfig) -> str:
     """SHA-256 over what data must have in common with whoever learns from it: camera, chair, actions."""
-    dumped = config.model_dump(mode="json")
-    return hashlib.sha256(repr([_part(dumped, name) for name in _SETTINGS]).encode()).hexdigest()
+    told = told_settings(config)
+    return hashlib.sha256(repr([_part(told, name) for name in _SETTINGS]).encode()).hexdigest()
+
+
+def told_settings(config: RunConfig) -> dict[str, Any]:
+    """All settings as plain values; a wheelchair of one's own by what its file says, and not by where that lies.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    return _by_content(config.model_dump(mode="json"), _plant_sha256(config))
+
+
+def _plant_sha256(config: RunConfig) -> str:
+    """Of the user's own plant file; "" for a plant that comes with wcsim."""
+    text = plant_text(config.chair.plant)
+    return hashlib.sha256(text).hexdigest() if text else ""
+
+
+def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
+    chair = dumped.get("chair")
+    if not plant_sha256 or not isinstance(chair, dict):
+        return dumped
+    return {**dumped, "chair": {**chair, "plant": plant_sha256}}
 
 
 def data_digest(segments: dict[str, str]) -> str:

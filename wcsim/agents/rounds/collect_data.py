@@ -13,6 +13,7 @@ from wcsim.agents.collecting.data_folder import (
     SEGMENTS,
     read_manifest,
     require_same_settings,
+    told_settings,
     write_manifest,
 )
 from wcsim.agents.collecting.segment import SegmentKey
@@ -101,7 +102,7 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     begun = read_json(path, _ORDERS) if is_file(path) else {}
     driver = folder_parcel(Path(order.policy)) if order.policy else None
     policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
-    said = [order.config.model_dump(mode="json"), [content_hash(town) for town in towns], policy]
+    said = [told_settings(order.config), [content_hash(town) for town in towns], policy]
     digest = sha256_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(
