@@ -16,6 +16,7 @@ Versions = Annotated[dict[Word, Word], Field(max_length=256)]
 ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of this name is opened
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
+Segments = Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # of recorded driving, by file
 
 
 class PriorFile(Model):
@@ -189,8 +190,15 @@ class DataFile(Model):
     config: dict[str, Any]  # all settings of the driving; of another version, perhaps
     plant_sha256: Sha256 | Literal[""] = ""  # of the file that chair.plant names, where it is the user's own
     towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
-    segments: Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # by file
+    segments: Segments
     data_sha256: Sha256
+
+
+class LearnedFile(Model):
+    """`learned_data.json` of a run: what it learns from beside its own driving."""
+
+    schema_version: Literal[1]
+    folders: Annotated[dict[Text, Segments], Field(max_length=64)]
 
 
 class GuardFile(Model):

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.agents.danger.sights import a_segment, small_config
-from tests.agents.rounds.small_runs import outcome, run_in
-from wcsim.agents.collecting.data_folder import segment_path, write_segment
+from tests.agents.rounds.small_runs import SMALL, outcome, run_in
+from tests.support.worlds import dqn_config
+from wcsim.agents.collecting.data_folder import segment_path, write_manifest, write_segment
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.rounds import train_rounds
+from wcsim.agents.rounds import run_of_rounds, train_rounds
 from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import read_rounds
 from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.rounds.workers import SegmentDrivers
-from wcsim.errors import DiskFullError, PolicyError
+from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.cli.shared.run_config import learning
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.towns.scenario.town import find_town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
@@ -51,6 +56,72 @@ class NoiseCrew:
 @pytest.fixture(autouse=True)
 def noise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SegmentDrivers, "open", lambda drivers: NoiseCrew(drivers))
+
+
+def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_goes_on(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    town, words = find_town(str(corner)), (*SETTINGS, 'collect.data=["mine"]', "collect.rounds=2")
+    monkeypatch.chdir(tmp_path)
+    held = others_drive(Path("mine"), 2)
+    straight, stopped = (whole(run_in(corner, tmp_path / name, *words)) for name in ("straight", "stopped"))
+    train_danger(straight, town)
+
+    def stop(now: RoundProgress) -> None:
+        if now.updates:
+            raise KeyboardInterrupt
+
+    with pytest.raises(InterruptedRunError):
+        train_danger(stopped, town, progress=stop)
+    others_drive(Path("mine"), 3)
+    monkeypatch.chdir(tmp_path.parent)
+    train_danger(replace(stopped, resume=True), town)
+    assert outcome(stopped.out) == outcome(straight.out)
+    assert json.loads((stopped.out / "learned_data.json").read_text())["folders"] == {str(tmp_path / "mine"): held}
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
+    corner: Path, tmp_path: Path, gone: bool
+) -> None:
+    town, words = find_town(str(corner)), (*SETTINGS, f'collect.data=["{tmp_path / "mine"}"]', "collect.rounds=1")
+    (name,) = others_drive(tmp_path / "mine", 1)
+    train_danger(run_in(corner, tmp_path / "run", *words), town)
+    path = tmp_path / "mine" / "segments" / name
+    path.unlink() if gone else write_segment(path, a_segment(seed=99))
+    told = r"No such file.*learned_data\.json names it" if gone else r"exchanged.*learned_data\.json names it"
+    with pytest.raises(PolicyError, match=told):
+        train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
+
+
+def test_a_run_that_nobody_drives_for_is_refused_before_towns_are_made(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_of_rounds, "towns_of", None)
+    run = run_in(corner, tmp_path / "run", "collect.segments=0")
+    with pytest.raises(ConfigError, match=r"nothing to learn from; expected --data FOLDER, or collect\.segments of 1"):
+        train_danger(run, find_town(str(corner)))
+    assert not run.out.exists()
+
+
+def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, tmp_path: Path) -> None:
+    others_drive(tmp_path / "mine", 0)
+    run = run_in(corner, tmp_path / "run", "collect.segments=0", f'collect.data=["{tmp_path / "mine"}"]')
+    with pytest.raises(PolicyError, match="mine: holds no driving to learn from"):
+        train_danger(run, find_town(str(corner)))
+
+
+def others_drive(folder: Path, count: int) -> dict[str, str]:
+    """A data folder with so many segments of noise; their SHA-256 by file name."""
+    paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index)) for index in range(count)]
+    held = {path.name: write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
+    write_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
+    return held
+
+
+def whole(run: ResolvedRun) -> ResolvedRun:
+    """As the command line resolves it."""
+    return replace(run, config=learning(run.config))
 
 
 def a_learner() -> DangerLearner:

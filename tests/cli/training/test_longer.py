@@ -78,6 +78,18 @@ def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was
         require_same_config(run, before, Typed(set=("world.warmup_s=1",)))
 
 
+def test_folders_of_data_are_typed_again_by_any_path_to_them(run, tmp_path, monkeypatch):
+    words = ('collect.data=["mine"]',)
+    monkeypatch.chdir(tmp_path)
+    config = learning(with_overrides(open_run(run).config, words))
+    assert config.collect.data == (str(tmp_path / "mine"),)
+    require_same_config(run, config, Typed(set=words))
+    monkeypatch.chdir(tmp_path.parent)
+    require_same_config(run, config, Typed(set=(f'collect.data=["{tmp_path.name}/mine"]',)))
+    with pytest.raises(PolicyError, match="another configuration"):
+        require_same_config(run, config, Typed(set=words))
+
+
 def test_a_configuration_that_somebody_changed_is_refused(run):
     text = (run / CONFIG).read_text()
     (run / CONFIG).write_text(text.replace('"total_steps": 100', '"total_steps": 110'))

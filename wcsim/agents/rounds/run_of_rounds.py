@@ -8,9 +8,10 @@ from pathlib import Path
 from wcsim.agents.rounds.towns_of_rounds import towns_of
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
+from wcsim.config import RunConfig
 from wcsim.core import files
-from wcsim.errors import InterruptedRunError
+from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import Town
 
@@ -35,7 +36,8 @@ def train_danger(
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
         PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `train_rounds` and `folder_of`.
     """
-    folder = folder_of(run)
+    _require_driving(run.config)
+    folder = folder_of(run, with_whole_data)
     with files.locked(folder.path):
         towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)
         rounds = Rounds(folder=folder, towns=towns, machines=machines)
@@ -51,3 +53,12 @@ def train_danger(
         folder.with_status("done", total * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)
     return folder.path
+
+
+def _require_driving(config: RunConfig) -> None:
+    """Refuse a run that nobody drives for. Raises ConfigError."""
+    if config.collect.segments == 0 and not config.collect.data:
+        raise ConfigError(
+            "collect.segments=0 without collect.data: there is nothing to learn from; expected --data FOLDER, or "
+            "collect.segments of 1 or more"
+        )

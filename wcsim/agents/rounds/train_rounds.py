@@ -15,20 +15,14 @@ from shutil import copytree
 
 import torch
 
-from wcsim.agents.collecting.data_folder import (
-    DATA,
-    SEGMENTS,
-    read_manifest,
-    read_segment,
-    require_same_settings,
-    write_manifest,
-)
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_segment, write_manifest
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.rounds.learned_data import learned_segments
 from wcsim.agents.rounds.round_checkpoint import digest_of, in_order, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
@@ -78,7 +72,8 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
         TownError: A town is missing.
         ConfigError: The cluster cannot be used, or what the run needs does not travel to it.
         WorkersError: Worlds died too often, or there is no machine left.
-        PolicyError: Something that is kept does not fit, or the loss left the finite numbers.
+        PolicyError: Something that is kept does not fit, there is nothing to learn from, or the loss left the finite
+            numbers.
         DiskFullError: There is no room.
     """
     config, folder = rounds.config, rounds.folder
@@ -89,11 +84,8 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     first = newest_round(folder.checkpoints) + 1
     segments = load_round(folder.checkpoints, first - 1, learner) if first else {}
     lectures = Lectures(config)
-    for data in map(Path, config.collect.data):
-        file = read_manifest(data)
-        require_same_settings(data, file, config)
-        for name, sha256 in sorted(file.segments.items()):
-            lectures.add(lessons_of(read_segment(data / SEGMENTS / name, sha256), config))
+    for segment in learned_segments(folder):
+        lectures.add(lessons_of(segment, config))
     for name in in_order(segments):
         lectures.add(lessons_of(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
     with _drivers(rounds).open() as workers:

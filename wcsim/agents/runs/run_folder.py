@@ -6,6 +6,7 @@
 - metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
 - checkpoints/: step-00005000/ ..., LATEST
+- learned_data.json: the segments of other data folders that are learned from, in rounds
 - replay/: frames that the checkpoints count on, with learn.replay_store=disk
 - policies/: phase1/, final/
 """
@@ -185,6 +186,12 @@ def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
         return config
     chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
     return config.model_copy(update={"chair": chair})
+
+
+def with_whole_data(config: RunConfig) -> RunConfig:
+    """The configuration with the whole paths of its data folders: a run may go on from another place."""
+    data = tuple(str(Path(folder).absolute()) for folder in config.collect.data)
+    return config.model_copy(update={"collect": config.collect.model_copy(update={"data": data})}) if data else config
 
 
 def policy_path(name: str) -> Path:

@@ -12,7 +12,7 @@ from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.networks.names import is_own, require_network
 from wcsim.agents.policy_api import GYRO, ODOMETRY_KEY
 from wcsim.agents.runs.own_terms import find_reward_term
-from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
@@ -245,6 +245,7 @@ def learning(config: RunConfig) -> RunConfig:
     if learn.danger:  # a client may be at work elsewhere
         kept = learn.model_copy(update={"danger": str(Path(learn.danger).absolute())})
         config = config.model_copy(update={"learn": kept})
+    config = with_whole_data(config)
     return with_senses(config, (ODOMETRY_KEY, GYRO)) if taught or learn.danger else config
 
 

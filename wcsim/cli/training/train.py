@@ -31,7 +31,7 @@ from wcsim.cli.shared.run_config import (
 )
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
@@ -115,7 +115,6 @@ def run(words: list[str]) -> int:
     require_rounds(config, _only_in_rounds(options))
     if learns_in_rounds(config):
         require_drawn_users(config, options.set, options.config)
-    config = with_overrides(config, _data(options))
     town = checked_town(options.town, options.allow_test_town)
     resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
     note = steps_note(config, options.steps)
@@ -124,10 +123,11 @@ def run(words: list[str]) -> int:
 
 
 def _as_settings(options: Options) -> Options:
-    """The options with `--select-by` and `--tensorboard` as the settings that they are, and with their preset."""
+    """The options with `--select-by`, `--tensorboard` and `--data` as the settings that they are, and their preset."""
     choice = () if options.select_by is None else (f"learn.select_by={json.dumps(options.select_by)}",)
     board = ("learn.tensorboard=true",) if options.tensorboard else ()
-    options = replace(options, set=(*options.set, *choice, *board))
+    data = (f"collect.data={json.dumps(options.data)}",) if options.data else ()
+    options = replace(options, set=(*options.set, *choice, *board, *data))
     by_steps = bool(options.clients is not None or options.reward or options.hook)
     return replace(options, preset=preset_of(options, options.network, by_steps))
 
@@ -153,11 +153,6 @@ def _require_one(words: list[str]) -> None:
     found = [f"--{name.replace('_', '-')}" for name in _OF_CLIENTS if name in given(words)]
     if found:
         raise ConfigError(f"{', '.join(found)}: there is one network; expected --clients A,B,..., or leave that out")
-
-
-def _data(options: Options) -> tuple[str, ...]:
-    """`--data` as the setting that it is."""
-    return (f"collect.data={json.dumps(options.data)}",) if options.data else ()
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -187,7 +182,7 @@ def typed(options: Options, words: list[str]) -> Typed:
         town=options.town if "town" in names else None,
         preset=options.preset if "preset" in names else None,
         config=options.config,
-        set=(*options.set, *_data(options)),
+        set=options.set,
         network=options.network or None,
         reward=options.reward,
         hook=options.hook if "hook" in names else None,
