@@ -24,7 +24,7 @@ def towns_of(
     Args:
         own: The run's.
         config: Of the run.
-        folder: Of the run; towns that are drawn lie in it, and are made once.
+        folder: Of the run; towns that are drawn lie in it, and are made once, where anybody is going to drive in them.
         seed: Of the run.
         stage: Told what is made.
 
@@ -36,11 +36,12 @@ def towns_of(
     for town in others:
         if town.split == "test":
             raise TownError(f"collect.towns: {town.name} is a town for tests; expected towns for training")
-    for number in range(config.collect.made_towns):
+    made = config.collect.made_towns if config.collect.segments else 0
+    for number in range(made):
         drawn = seeding.derive(seed, "collect", "town", number)
         out = folder / TOWNS / f"made-{drawn}"
         if not out.is_dir():
-            stage(f"making town {number + 1} of {config.collect.made_towns}")
+            stage(f"making town {number + 1} of {made}")
             make_town(out, drawn, Wishes())
         others.append(open_town(out))
     return tuple(str(town.address) for town in (own, *others))
