@@ -12,17 +12,21 @@ import shlex
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, key_of, read_manifest
 from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, REFERENCE, export_danger
 from wcsim.agents.policy_api import Observation
+from wcsim.agents.rounds.learned_data import data_of
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.agents.runs.run_folder import RunFolder, open_run
+from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.agents.runs.shipped import shipped_folder, shipped_place, write_hashes
+from wcsim.config import CollectConfig
 from wcsim.core import files
+from wcsim.users.profiles import HELD_OUT
 
 _COLUMNS = (
     *("policy", "part", "crashes_own", "km", "crashes_per_km"),
@@ -40,6 +44,7 @@ _LIMITS = """- Simulation only: nothing here says anything about a real street, 
 def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path) -> Path:
     """Write the folder of a shipped policy in one step; returns it."""
     policy = run.policy("final")
+    told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
         export_danger(policy, Path(held) / "onnx", run.config, ride)
 
@@ -51,8 +56,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
                 shutil.copyfile(Path(held) / "onnx" / name, target / name)
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
-            rows = [row for path in results for row in rows_of(path, run.path)]
-            (target / "MODEL_CARD.md").write_text(card(run, rows), encoding="utf-8")
+            (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
             write_hashes(target)
 
         files.write_folder(to, fill)
@@ -73,17 +77,17 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     manifest, config = run.manifest, run.config
     camera, danger, collect = config.cameras[0], config.danger, config.collect
     parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
-    towns = ", ".join((manifest.town, *collect.towns, f"{collect.made_towns} made for it"))
-    held = (run.path / DATA, *map(Path, collect.data))
-    kept = sum(1 for place in held for _ in (place / SEGMENTS).glob("*"))
+    towns, users, kept = driving(run)
+    streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
+    met = "".join(f"; {name} was never met" for name in HELD_OUT if name not in users)
     lines = [
         "# Model card: the policy that comes with wcsim",
         "It says of each joystick position how surely it ends badly; the nearest safe one is driven: `docs/danger.md`.",
         "",
         "| | |",
         "|---|---|",
-        f"| trained in | {towns} (streets {manifest.town_sha256[:12]}) |",
-        f"| users | {', '.join(collect.profiles)}; ataxic was never met |",
+        f"| trained in | {', '.join(towns)}{streets} |",
+        f"| users | {', '.join(users)}{met} |",
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, teacher {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
@@ -110,11 +114,43 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
+    """Towns, users and number of segments of all that it learned from: what was driven for it, and data folders."""
+    collect, others = run.config.collect, data_of(run)
+    towns, users = list[str](), list[str]()
+    if collect.segments:
+        made = [f"{collect.made_towns} made for it"] if collect.made_towns else []
+        towns, users = [run.manifest.town, *collect.towns, *made], list(collect.profiles)
+    for file in map(read_manifest, map(Path, others)):
+        towns += file.towns
+        users += file.config.get("collect", {}).get("profiles", CollectConfig().profiles)
+    kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*")) + sum(map(len, others.values()))
+    return list(dict.fromkeys(towns)), list(dict.fromkeys(users)), kept
+
+
 def commands(run: RunFolder) -> list[str]:
     """What was typed for the driving that it learned from, then for the run; no place of this machine is told."""
-    data = [open_run(Path(folder).parent).manifest.command for folder in run.config.collect.data]
-    typed = [[run_folder(word) for word in command] for command in (*data, run.manifest.command)]
-    return [shlex.join(words) or "unknown" for words in typed]
+    data = [command for folder in data_of(run) for command in driven_by(Path(folder))]
+    return [*data, typed(run)]
+
+
+def driven_by(folder: Path) -> list[str]:
+    """How a data folder came to be: the command of the run that it is of, or one of `wcsim collect` for each seed."""
+    if folder.name == DATA and (folder.parent / MANIFEST).is_file():
+        return [typed(open_run(folder.parent))]
+    file = read_manifest(folder)
+    seeds = Counter(key_of(name).run for name in file.segments)
+    where = ["--town", ",".join(file.towns), "--out", f"data/{folder.name}"]
+    return [
+        shlex.join(["wcsim", "collect", *where, "--seed", str(seed), "--segments", str(count)])
+        + f"  # with the settings in its data.json; SHA-256 of the data {file.data_sha256[:12]}"
+        for seed, count in sorted(seeds.items())
+    ]
+
+
+def typed(run: RunFolder) -> str:
+    """The command of a run."""
+    return shlex.join(map(run_folder, run.manifest.command)) or "unknown"
 
 
 def run_folder(word: str) -> str:

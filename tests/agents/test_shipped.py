@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
@@ -58,6 +59,38 @@ def test_its_card_says_how_it_was_made_and_measured(made):
     for word in ("helsinki", "wcsim train --seed 3", "gaps map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
         assert word in card
     assert "No results" in TOOL["card"](open_run(made.parent / "run"), [])
+
+
+def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, tmp_path, monkeypatch):
+    words = ("collect.segments=0", "collect.made_towns=4")
+    info = RunInfo(seed=3, town="helsinki", command=("wcsim", "train", "--out", "/home/me/a"))
+    driven = create_run(tmp_path / "a", OWN, make_manifest(OWN, info)).path / "data"
+    collected = tmp_path / "mine"
+    names = ("1-000-0000", "1-000-0001", "2-000-0000")
+    write_manifest(driven, OWN, {"helsinki": "a" * 64}, {})
+    met = with_overrides(OWN, ('collect.profiles=["slow", "ataxic"]',))
+    towns = {"corner": "b" * 64, "monaco": "c" * 64}
+    write_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
+    own = with_overrides(OWN, (*words, f"collect.data={json.dumps([str(driven), str(collected)])}"))
+    run = create_run(tmp_path / "b", own, make_manifest(own, info))
+    collect = "wcsim collect --town corner,monaco --out data/mine"
+    told = "  # with the settings in its data.json; SHA-256 of the data "
+    first, *by_seed, last = TOOL["commands"](run)
+    assert first == last == "wcsim train --out runs/a"
+    assert [line.split(told)[0] for line in by_seed] == [
+        f"{collect} --seed 1 --segments 2",
+        f"{collect} --seed 2 --segments 1",
+    ]
+    card = TOOL["card"](run, [])
+    assert "| trained in | helsinki, corner, monaco (streets" in card and "| data | 3 segments" in card
+    assert "switch, ataxic |" in card and "never met" not in card
+
+
+def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
+    own = with_overrides(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
+    run = create_run(tmp_path / "run", own, make_manifest(own, RunInfo(seed=3, town="helsinki")))
+    with pytest.raises(PolicyError, match=r"gone/data\.json"):
+        TOOL["ship"](run, ride(4), [], tmp_path / "here")
 
 
 @pytest.mark.parametrize("name", shipped.HELD)
