@@ -7,15 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.agents.danger.sights import a_segment, small_config
 from wcsim.agents.collecting.data_folder import read_manifest, segment_path, write_segment
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
+from wcsim.agents.danger.network import DangerNet, spec_of
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.core.files import locked
 from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
@@ -85,11 +90,28 @@ def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_
 
 def test_a_seed_that_another_policy_drove_is_refused(order: DataOrder, tmp_path: Path) -> None:
     collect_data(order)
-    policy = tmp_path / "policy"
-    policy.mkdir()
-    (policy / "policy.json").write_text("{}")
     with pytest.raises(PolicyError, match="another policy"):
-        collect_data(replace(order, policy=str(policy)))
+        collect_data(replace(order, policy=str(a_policy(tmp_path))))
+
+
+@pytest.mark.parametrize("words", ["env.actions=disc69", "cameras.0.width_px=40", "cameras.0.pitch_deg=10"])
+def test_a_policy_of_other_senses_or_actions_is_refused_before_anything_is_begun(
+    order: DataOrder, tmp_path: Path, words: str
+) -> None:
+    other = replace(order, policy=str(a_policy(tmp_path)), config=small_config(words))
+    with pytest.raises(PolicyError) as refused:
+        collect_data(other)
+    named = words.partition("=")[0].split(".")[-1]
+    assert f"({named} differ)" in str(refused.value) and "\n" not in str(refused.value)
+    assert not order.folder.exists()
+    collect_data(replace(other, config=order.config))
+
+
+def a_policy(folder: Path) -> Path:
+    """A danger network that learned nothing, with the settings of `small_config`."""
+    config = small_config()
+    points = torch.as_tensor(action_set(config.env.actions).points)
+    return save_danger(folder / "policy", DangerNet(spec_of(config), points), DangerRule(), config)
 
 
 def test_a_drive_that_died_goes_on_with_its_own_settings_alone(

@@ -102,5 +102,5 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     if other:
         raise PolicyError(
             f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
-            "test it on its own"
+            "set these as in its training, or test it on its own"
         )

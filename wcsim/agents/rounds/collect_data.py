@@ -18,6 +18,7 @@ from wcsim.agents.collecting.data_folder import (
 )
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import orders_of
+from wcsim.agents.danger.saved import require_same_senses
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.parcels import folder_parcel
 from wcsim.config import RunConfig
@@ -55,12 +56,14 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
 
     Raises:
         PolicyError: The folder holds data of other settings, or of this seed from other towns or another driver, or
-            another process collects into it.
+            another process collects into it; or the network was trained with other senses or actions.
         ConfigError: The cluster cannot be used, or what the order needs does not travel to it.
         WorkersError: Worlds died too often, or there is no machine left.
         TownError: A town is missing.
         DiskFullError: There is no room.
     """
+    if order.policy:
+        require_same_senses(Path(order.policy), shown(order.policy), order.config)
     found = [find_town(name) for name in order.towns]
     order.folder.mkdir(parents=True, exist_ok=True)
     with locked(order.folder):  # what it says of itself is read, added to and written back
