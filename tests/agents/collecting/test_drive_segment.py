@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
-from wcsim.agents.collecting.segment_places import SegmentOrder, is_of_scenes, places_of, settings_in_turn
+from wcsim.agents.collecting.segment_places import SegmentOrder, drawn_settings, is_of_scenes, places_of
 from wcsim.agents.collecting.work import collect
 from wcsim.config import CollectConfig, RunConfig, with_overrides
 from wcsim.supervisor.actions import action_set
@@ -52,11 +54,23 @@ def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
 
 
+def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_over_rounds(corner: Path, tmp_path: Path):
+    towns = []
+    for name in ("a", "b", "c"):
+        copytree(corner, tmp_path / name)
+        towns.append(str(tmp_path / name))
+    order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
+    keys = [SegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
+    streets = [key for key in keys if not is_of_scenes(order.config, key)]
+    places = [next(places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
+    assert [place.town.folder.name for place in places] == ["a", "b", "c"] * 2
+
+
 def test_variants_are_drawn_by_key():
     config = with_overrides(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
-    drawn = {settings_in_turn(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    drawn = {drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
-    assert settings_in_turn(RunConfig(), KEY) == ()
+    assert drawn_settings(RunConfig(), KEY) == ()
 
 
 class Recorder:

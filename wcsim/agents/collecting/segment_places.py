@@ -55,13 +55,13 @@ def orders_of(
         raise ConfigError(f"{told}; expected compact")
     keys = [replace(first, index=first.index + number) for number in range(count)]
     return [
-        SegmentOrder(key=key, towns=towns, config=config, settings=settings_in_turn(config, key), policy=policy)
+        SegmentOrder(key=key, towns=towns, config=config, settings=drawn_settings(config, key), policy=policy)
         for key in keys
     ]
 
 
-def settings_in_turn(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
-    """What differs from segment to segment: each is one of the settings of `collect.variants`."""
+def drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
+    """What differs from segment to segment: one of the settings of `collect.variants`, drawn for each."""
     variants = config.collect.variants
     if not variants:
         return ()
@@ -76,9 +76,30 @@ def is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
     >>> [is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
     3
     """
-    number = key.round * config.collect.segments + key.index
-    share = config.collect.scene_share
-    return int((number + 1) * share + 1e-9) > int(number * share + 1e-9)
+    number = _number(config, key)
+    return _scenes_before(config, number + 1) > _scenes_before(config, number)
+
+
+def town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
+    """Which of so many towns a segment is driven in that is not of scenes: each in turn, over all rounds.
+
+    >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
+    >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
+    >>> [town_in_turn(config, key, 3) for key in keys if not is_of_scenes(config, key)]
+    [0, 1, 2]
+    """
+    number = _number(config, key)
+    return (number - _scenes_before(config, number)) % towns
+
+
+def _number(config: RunConfig, key: SegmentKey) -> int:
+    """Of a segment, counted over all rounds."""
+    return key.round * config.collect.segments + key.index
+
+
+def _scenes_before(config: RunConfig, number: int) -> int:
+    """How many of the first so many segments are driven in scenes."""
+    return int(number * config.collect.scene_share + 1e-9)
 
 
 def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
@@ -102,7 +123,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
 def _street(order: SegmentOrder, config: RunConfig) -> SegmentPlace:
     key, collect = order.key, config.collect
     rng = seeding.generator(key.run, "collect", key.round, key.index, "street")
-    town = find_town(order.towns[int(rng.integers(len(order.towns)))])
+    town = find_town(order.towns[town_in_turn(order.config, key, len(order.towns))])
     drawn = rng.permutation(len(collect.profiles))
     who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
     seats = tuple(SeatSpec(profile=profile, max_steps=collect.episode_steps) for profile in who)
