@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
@@ -11,9 +12,16 @@ from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
-from wcsim.agents.collecting.segment_places import SegmentOrder, drawn_settings, is_of_scenes, places_of
+from wcsim.agents.collecting.segment_places import (
+    SegmentOrder,
+    drawn_settings,
+    is_of_scenes,
+    orders_of,
+    places_of,
+)
 from wcsim.agents.collecting.work import collect
 from wcsim.config import CollectConfig, RunConfig, with_overrides
+from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import Verdict
 
@@ -71,6 +79,22 @@ def test_variants_are_drawn_by_key():
     drawn = {drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
     assert drawn_settings(RunConfig(), KEY) == ()
+
+
+@pytest.mark.parametrize(
+    ("variant", "told"),
+    [
+        ("world.attention_share=0.7 cameras.0.width=3", "unknown key"),
+        ("vary.action_delay_ticks=[0, 2]", "a value has no blank in it"),
+        ("world.attention_share=2", "less than or equal to 1"),
+    ],
+)
+def test_a_variant_that_cannot_be_used_is_named_before_anything_is_driven(corner: Path, variant: str, told: str):
+    usable = "vary.action_delay_ticks=[0,2] world.attention_share=0.7"
+    config = dqn_config(f'collect.variants=["{usable}", "{variant}"]')
+    with pytest.raises(ConfigError, match=f"variants: '{re.escape(variant)}' cannot be used.*{told}"):
+        orders_of(config, (str(corner),), KEY, 1)
+    assert len(orders_of(dqn_config(f'collect.variants=["{usable}"]'), (str(corner),), KEY, 2)) == 2
 
 
 class Recorder:

@@ -19,7 +19,7 @@ from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.core.files import locked
-from wcsim.errors import PolicyError
+from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
@@ -103,6 +103,8 @@ def test_a_policy_of_other_senses_or_actions_is_refused_before_anything_is_begun
         collect_data(other)
     named = words.partition("=")[0].split(".")[-1]
     assert f"({named} differ)" in str(refused.value) and "\n" not in str(refused.value)
+    with pytest.raises(ConfigError, match="variants: 'nonsense' cannot be used"):
+        collect_data(replace(other, config=small_config('collect.variants=["nonsense"]')))
     assert not order.folder.exists()
     collect_data(replace(other, config=order.config))
 

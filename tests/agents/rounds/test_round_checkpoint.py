@@ -94,14 +94,16 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
         train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
 
 
-def test_a_run_that_nobody_drives_for_is_refused_before_towns_are_made(
+def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_are_made(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_of_rounds, "towns_of", None)
-    run = run_in(corner, tmp_path / "run", "collect.segments=0")
-    with pytest.raises(ConfigError, match=r"nothing to learn from; expected --data FOLDER, or collect\.segments of 1"):
-        train_danger(run, find_town(str(corner)))
-    assert not run.out.exists()
+    run, told = tmp_path / "run", r"nothing to learn from; expected --data FOLDER, or collect\.segments of 1"
+    with pytest.raises(ConfigError, match=told):
+        train_danger(run_in(corner, run, "collect.segments=0"), find_town(str(corner)))
+    with pytest.raises(ConfigError, match="variants: 'nonsense' cannot be used"):
+        train_danger(run_in(corner, run, 'collect.variants=["nonsense"]'), find_town(str(corner)))
+    assert not run.exists()
 
 
 def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, tmp_path: Path) -> None:

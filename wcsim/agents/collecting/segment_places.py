@@ -13,6 +13,7 @@ from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import seeding
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene
@@ -48,16 +49,33 @@ def orders_of(
         policy: The folder of the network that drives, "" for none.
 
     Raises:
-        ConfigError: The chairs would not see what data is made of.
+        ConfigError: See `require_recordable`.
     """
-    if config.env.observation != "compact":
-        told = f"env.observation={config.env.observation}: data is made of class ids and depth"
-        raise ConfigError(f"{told}; expected compact")
+    require_recordable(config)
     keys = [replace(first, index=first.index + number) for number in range(count)]
     return [
         SegmentOrder(key=key, towns=towns, config=config, settings=drawn_settings(config, key), policy=policy)
         for key in keys
     ]
+
+
+def require_recordable(config: RunConfig) -> None:
+    """Refuse settings with which segments could not be driven, before anything is made for them.
+
+    Raises:
+        ConfigError: The chairs would not see what data is made of, or a variant cannot be used.
+    """
+    if config.env.observation != "compact":
+        told = f"env.observation={config.env.observation}: data is made of class ids and depth"
+        raise ConfigError(f"{told}; expected compact")
+    for variant in config.collect.variants:
+        try:
+            with_overrides(config, tuple(variant.split()))
+        except ConfigError as error:
+            raise ConfigError(
+                f"collect.variants: {shown(variant)!r} cannot be used ({error}); expected section.key=value, several "
+                "with blanks between them: a value has no blank in it"
+            ) from None
 
 
 def drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from wcsim.agents.collecting.data_folder import (
     write_manifest,
 )
 from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.collecting.segment_places import orders_of
+from wcsim.agents.collecting.segment_places import orders_of, require_recordable
 from wcsim.agents.danger.saved import require_same_senses
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.parcels import folder_parcel
@@ -57,11 +57,13 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     Raises:
         PolicyError: The folder holds data of other settings, or of this seed from other towns or another driver, or
             another process collects into it; or the network was trained with other senses or actions.
-        ConfigError: The cluster cannot be used, or what the order needs does not travel to it.
+        ConfigError: The cluster cannot be used, or what the order needs does not travel to it; or see
+            `require_recordable`.
         WorkersError: Worlds died too often, or there is no machine left.
         TownError: A town is missing.
         DiskFullError: There is no room.
     """
+    require_recordable(order.config)
     if order.policy:
         require_same_senses(Path(order.policy), shown(order.policy), order.config)
     found = [find_town(name) for name in order.towns]

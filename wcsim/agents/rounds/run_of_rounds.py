@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from wcsim.agents.collecting.segment_places import require_recordable
 from wcsim.agents.rounds.towns_of_rounds import towns_of
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
@@ -37,6 +38,7 @@ def train_danger(
         PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `train_rounds` and `folder_of`.
     """
     _require_driving(run.config)
+    require_recordable(run.config)
     folder = folder_of(run, with_whole_data)
     with files.locked(folder.path):
         towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)

@@ -27,7 +27,7 @@ class CollectConfig(Model):
     profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # users, drawn
         "inattentive", "tremor", "slow", "competent", "switch",
     )  # fmt: skip
-    variants: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # settings, one of them drawn for each segment
+    variants: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # drawn for each segment; blanks part its settings
     follow_share: Share = 0.4  # of the episodes that no network drives; the blinded oracle drives the others
     network_share: Share = 0.75  # of the episodes, as soon as there is one
     astray_share: Share = 0.33  # of the time, an offset is laid over the stick
