@@ -10,12 +10,12 @@ from wcsim.agents.danger.export.drive_law import Drive
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
-from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.rule import DangerRule, choose
 from wcsim.agents.danger.sight import Eye
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
 from wcsim.core.joystick import driven, limits_of, shaped_rows
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
 CONFIG = with_overrides(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
 POINTS = torch.as_tensor(action_set("square81").points)
@@ -30,10 +30,10 @@ def network(**parts: object) -> DangerNet:
     return net.eval()
 
 
-def ride(ticks: int = 30) -> list[dict[str, np.ndarray]]:
+def ride(ticks: int = 30, shape: tuple[int, int] = (36, 48)) -> list[dict[str, np.ndarray]]:
     """Observations of a chair that drives through a street of noise."""
     rng = np.random.default_rng(3)
-    base = rng.integers(60, 200, (36, 48))
+    base = rng.integers(60, 200, shape)
     found = []
     for tick in range(ticks):
         depth = np.clip(base + rng.integers(-3, 4, base.shape), 0, 255).astype(np.uint8)
@@ -42,7 +42,7 @@ def ride(ticks: int = 30) -> list[dict[str, np.ndarray]]:
         found.append(
             {
                 "depth": depth[None],
-                "seg": rng.choice([7, 8, 11, 24, 26], (1, 36, 48)).astype(np.uint8),
+                "seg": rng.choice([7, 8, 11, 24, 26], (1, *shape)).astype(np.uint8),
                 "imu": imu,
                 "odometry": np.array([0.05 + 0.01 * tick, 0.02], np.float32),
                 "joystick": np.array([0.9 * np.sin(tick / 2.0), np.cos(tick / 3.0)], np.float32),
@@ -91,14 +91,16 @@ def _before_sent(waiting):
     return torch.cat([waiting[:, :1], waiting[:, :-1]], 1)
 
 
-def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
+@pytest.mark.parametrize("width, height", [(48, 36), (320, 240)])
+def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height):
+    config = CONFIG.model_copy(update={"cameras": (CameraConfig(width_px=width, height_px=height),)})
     net, rule = network(), DangerRule(threshold=0.4)
-    policy, eye = DangerPolicy("own", net, CONFIG, rule), Eye(CONFIG)
-    graph = DangerGraph(net, CONFIG, rule).eval()
+    policy, eye = DangerPolicy("own", net, config, rule), Eye(config)
+    graph = DangerGraph(net, config, rule).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     policy.reset()
     actions, same = [], 0
-    for seen in ride():
+    for seen in ride(shape=(height, width)):
         sight = eye.look(seen)
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
@@ -115,6 +117,22 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does():
         assert abs(level - policy._alarm.level) < 0.05 and bool(warning) == bool(on)
         assert bool(on) == policy.warning or abs(level - rule.warn) < 0.05 or abs(level - 0.7 * rule.warn) < 0.05
     assert same == len(actions) and len(set(actions)) > 1
+
+
+def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
+    rule, actions = DangerRule(threshold=0.1), action_set("square81")
+    graph, rng = DangerGraph(network(), CONFIG, rule), np.random.default_rng(7)
+    chosen, beyond = [], 0
+    for number in range(600):
+        stick = np.clip(rng.uniform(-2.0, 2.0, 2), -1.0, 1.0).astype(np.float32)  # mostly at edges and in corners
+        low, high = ((0.0, 1.0), (0.0, 0.1), (0.2, 0.22))[number % 3]  # few are safe, all of them, none is
+        danger, last = rng.uniform(low, high, 81).astype(np.float32), int(rng.integers(-1, 81))
+        danger[actions.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
+        chosen.append(choose(danger.astype(np.float64), stick.astype(np.float64), actions, rule, last))
+        told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
+        assert int(graph._values(*told).argmax()) == chosen[-1]
+        beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE
+    assert beyond > 20 and len(set(chosen)) > 40
 
 
 @pytest.mark.parametrize("part", [{"eye": "both"}, {"memory": False}, {"odometry": False}], ids=str)

@@ -45,12 +45,12 @@ from wcsim.agents.policies.dynamic_window.ego_motion import (
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.policies.dynamic_window.surroundings import box_of
+from wcsim.agents.policies.dynamic_window.surroundings import box_of, stride_px
 from wcsim.config import RunConfig
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 from wcsim.supervisor.observation import decode_depth
 
 _KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
@@ -90,7 +90,8 @@ class DangerGraph(nn.Module):
         camera, actions = config.cameras[0], action_set(config.env.actions)
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
         self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m
-        rays = viewing_rays(camera).astype(np.float32)
+        self.stride = stride_px(camera)
+        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)[:: self.stride, :: self.stride]
         eye = np.array(camera.p_BC_m, np.float32)
         spec = plant_spec(config.chair)
         box = box_of(spec.outline)
@@ -98,7 +99,7 @@ class DangerGraph(nn.Module):
         self.gaps = MapGaps(box) if net.spec.gaps == "map" else None
         chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
         kept = {
-            "rays": rays,
+            "rays": rays.reshape(-1, 3).astype(np.float32),
             "eye": eye,
             "metres": decode_depth(np.arange(256, dtype=np.uint8), camera.range_m),
             "kinds": kinds_of_ground().astype(np.float32),
@@ -198,10 +199,10 @@ class DangerGraph(nn.Module):
     def _seen(self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
         """As `StreetMap.see`."""
         tick = motion[:, 1:2]
-        metres = self.metres[depth.reshape(-1).to(torch.int64)]
+        metres = self.metres[self._looked_at(depth)]
         place = self.eye + metres[:, None] * self.rays
-        kind = self.kinds[seg.reshape(-1).to(torch.int64)]
-        may_move = self.movers[seg.reshape(-1).to(torch.int64)]
+        classes = self._looked_at(seg)
+        kind, may_move = self.kinds[classes], self.movers[classes]
         used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= HEAD_M)
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
         x, y = _in_O(motion, place[:, 0], place[:, 1])
@@ -223,6 +224,10 @@ class DangerGraph(nn.Module):
         mover = torch.where(moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high)))
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
+
+    def _looked_at(self, image: torch.Tensor) -> torch.Tensor:
+        """As `StreetSense`: (n,) int64, one for each of `rays`."""
+        return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
 
     def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
         """As `StreetMap.picture`, its own planes, (OWN_PLANES, SIDE, SIDE) in 0..255."""
@@ -274,7 +279,7 @@ class DangerGraph(nn.Module):
     def _values(self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
         """The highest one is what `rule.choose` takes."""
         rule = self.rule
-        distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt()
+        distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
         numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
         kept = (numbers == last).to(danger.dtype)
         limit = rule.threshold * (1.0 + (rule.lenient - 1.0) * kept)

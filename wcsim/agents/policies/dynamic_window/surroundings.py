@@ -16,7 +16,7 @@ from wcsim.agents.policies.dynamic_window.street_memory import StreetMemory
 from wcsim.agents.policies.dynamic_window.tracker import Mover, Tracker
 from wcsim.agents.policies.elevation_map import CELL_M, REACH_M, StepMap
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, GYRO, IMU_KEY, JOYSTICK_KEY, Observation
-from wcsim.config import RunConfig
+from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, U8, Outline
@@ -46,7 +46,7 @@ class StreetSense:
         self.box_B_m = box_of(outline)
         self.commands, self.limits = shaped_rows(actions.points, self._chair), limits_of(self._chair)
         self._range_m, self._near_m, self.far_m = camera.range_m, camera.near_m, 0.99 * camera.range_m
-        self._stride = max(1, round(camera.width_px / 160))
+        self._stride = stride_px(camera)
         self._size = (camera.height_px, camera.width_px)
         rays = viewing_rays(camera).reshape(*self._size, 3)[:: self._stride, :: self._stride]
         self.rays = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)  # of the pixels that are looked at
@@ -158,6 +158,15 @@ class StreetSense:
         self.tracker.see(clusters, [in_odometric(own, pose) for own in each])
         seen = [in_body(who.cells_O_m, pose) for who in self._others() if who.unseen_s == 0.0]
         return np.concatenate([np.zeros((0, 2)), *seen])
+
+
+def stride_px(camera: CameraConfig) -> int:
+    """How many pixels it is from one that is looked at to the next, in rows and columns: more in a larger picture.
+
+    >>> [stride_px(CameraConfig(width_px=width, height_px=60)) for width in (80, 160, 320, 640)]
+    [1, 1, 2, 4]
+    """
+    return max(1, round(camera.width_px / 160))
 
 
 def box_of(outline: Outline) -> F64:
