@@ -11,11 +11,12 @@ import json
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
@@ -56,25 +57,38 @@ def footprint(model: Path, reference: Path, keys: Sequence[str]) -> Footprint:
 
 def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> dict[str, Any]:
     words = [sys.executable, str(step_meter.__file__), str(model), str(reference), ",".join(keys)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    # Files take whatever it says: nobody reads a pipe while the process is throttled.
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
         try:
-            if share < 1.0:
-                _throttle(process, share)
-            out, said = process.communicate(timeout=_PATIENCE_S)
+            code = _run(words, share, out, said)
         except subprocess.TimeoutExpired:
-            process.kill()
             raise PolicyError(f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps") from None
-        except BaseException:  # it may stand still, and would be waited for
-            process.kill()
-            raise
-    if process.returncode:
-        last = said.strip().splitlines()[-1:] or ["no word"]
+        answer, complaint = _read(out), _read(said)
+    if code:
+        last = complaint.strip().splitlines()[-1:] or ["no word"]
         raise PolicyError(f"{model} cannot be run by itself: {last[0][:200]}; expected ONNX Runtime to take it")
-    told: dict[str, Any] = json.loads(out)
+    told: dict[str, Any] = json.loads(answer)
     return told
 
 
-def _throttle(process: subprocess.Popen[str], share: float) -> None:
+def _run(words: Sequence[str], share: float, out: IO[bytes], said: IO[bytes]) -> int:
+    """The exit code of a command that gets a share of a core. Raises TimeoutExpired."""
+    with subprocess.Popen(words, stdout=out, stderr=said) as process:
+        try:
+            if share < 1.0:
+                _throttle(process, share)
+            return process.wait(timeout=_PATIENCE_S)
+        except BaseException:  # it may stand still, and would be waited for
+            process.kill()
+            raise
+
+
+def _read(written: IO[bytes]) -> str:
+    written.seek(0)
+    return written.read().decode(errors="replace")
+
+
+def _throttle(process: subprocess.Popen[bytes], share: float) -> None:
     """Let a process run for its share of each period, until it ends."""
     until_s = time.monotonic() + _PATIENCE_S
     while process.poll() is None and time.monotonic() < until_s:
