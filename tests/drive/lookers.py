@@ -80,3 +80,24 @@ class Remembers:
 
     def sent(self, action: int) -> None:
         self.heard.append(action)
+
+
+class HearsDelays:
+    """Notes each delay that it is told, and each episode."""
+
+    name = "hears delays"
+
+    def __init__(self, config: object) -> None:
+        self.heard: list[object] = []
+
+    def begin(self) -> None:
+        pass
+
+    def reset(self) -> None:
+        self.heard.append("reset")
+
+    def set_delay(self, ticks: int) -> None:
+        self.heard.append(ticks)
+
+    def act(self, observation: Observation) -> int:
+        return 40

@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.drive.lookers import Breaks, Remembers
+from tests.drive.lookers import Breaks, HearsDelays, Remembers
 from wcsim.agents.policies.baselines import Follow
 from wcsim.drive.assistance import Assistance
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.types import Drawn
 
 ACTIONS = action_set("square81")
 AHEAD = {"joystick": np.array([0.0, 1.0], np.float32)}
@@ -93,11 +94,21 @@ class Fragile(Remembers):
 @pytest.mark.parametrize("where", ["begin", "reset", "set_level", "sent", "warning"])
 def test_a_policy_may_break_anywhere_and_the_person_drives_on(where: str) -> None:
     assistance = Assistance(Fragile(where), ACTIONS)
-    assistance.begin()
+    assistance.begin(None)
     assistance.set_level(0.5)
     answer = assistance.answer(AHEAD, {}, asked=True)
     assert (assistance.on, assistance.failed, answer.warning) == (False, f"ValueError: {where}", False)
-    assistance.reset()
+    assistance.reset(None)
     assert assistance.answer(AHEAD, {}, asked=True).sent == OWN
     assistance.switch(True)
     assert assistance.on is (where != "reset"), "it is tried again"
+
+
+def test_a_policy_that_is_tried_again_hears_the_delay_of_the_episode_of_now() -> None:
+    policy = HearsDelays(None)
+    assistance = Assistance(policy, ACTIONS)
+    assistance.begin(Drawn(action_delay_ticks=1))
+    assistance.failed = "broken"
+    assistance.reset(Drawn(action_delay_ticks=2))
+    assistance.switch(True)
+    assert policy.heard == [1, "reset", 2, "reset"]

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.drive.lookers import Noted
+from tests.drive.lookers import HearsDelays, Noted
+from tests.support.worlds import quick_config
+from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.session import AT_REST, DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
@@ -125,6 +127,23 @@ def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveS
     with pytest.raises(ConfigError, match="unknown user profile"):
         session.change_user("nobody")
     assert session.tick(Wish()).profile == "slow"
+
+
+def test_the_policy_hears_the_delay_of_each_episode_before_it_begins(
+    corner: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    varied = quick_config("vary.action_delay_ticks=[0,9]")
+    monkeypatch.setattr(starting, "settings_of", lambda *_: varied)
+    with DriveSession(DriveStart(town=str(corner), policy="tests.drive.lookers:HearsDelays", seed=4)) as drive:
+        drawn = [drive.client.drawn]
+        for _ in range(3):
+            drive.new_place()
+            drawn.append(drive.client.drawn)
+        policy = drive.place.policy
+    assert isinstance(policy, HearsDelays)
+    delays = [each.action_delay_ticks for each in drawn if each is not None]
+    assert policy.heard == [word for delay in delays for word in (delay, "reset")]
+    assert len(delays) == 4 and len(set(delays)) > 1
 
 
 def test_closing_twice_closes_observers_once(session: DriveSession, noted: Noted) -> None:

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, SeesTruth, TellsUnsafe, Warns
+from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, SeesTruth, TellsUnsafe, Warns, tell_delay
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.supervisor.kpi import FOLLOWED
+from wcsim.types import Drawn
 
 log = logging.getLogger("wcsim.drive")
 
@@ -37,6 +38,7 @@ class Assistance:
     def __init__(self, policy: Policy, actions: ActionSet) -> None:
         self.on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
         self._policy, self._actions = policy, actions
+        self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
 
     @property
@@ -63,7 +65,7 @@ class Assistance:
         """Let the policy have its say, or not; one that broke is tried again."""
         if on and self.failed:
             self.failed = ""
-            self._guarded(self._policy.reset)
+            self._guarded(self._anew)
         self.on = on and not self.failed
 
     def set_level(self, level: float) -> None:
@@ -77,15 +79,16 @@ class Assistance:
         except Exception as error:
             self._broken(error)
 
-    def begin(self) -> None:
-        """A drive begins."""
+    def begin(self, drawn: Drawn | None) -> None:
+        """A drive begins, and its first episode, for which `drawn` was drawn."""
         self._guarded(self._policy.begin)
-        self.reset()
+        self.reset(drawn)
 
-    def reset(self) -> None:
+    def reset(self, drawn: Drawn | None) -> None:
         """An episode begins; a policy that broke does not see it."""
+        self._drawn = drawn
         if not self.failed:
-            self._guarded(self._policy.reset)
+            self._guarded(self._anew)
 
     def close(self) -> None:
         """Let go of the policy, where it holds something."""
@@ -127,6 +130,10 @@ class Assistance:
             intervening=self.on and asked and far > FOLLOWED,
             unsafe=self._unsafe() if self.on else (),
         )
+
+    def _anew(self) -> None:
+        tell_delay(self._policy, self._drawn)
+        self._policy.reset()
 
     def _guarded(self, call: Callable[[], object]) -> None:
         try:

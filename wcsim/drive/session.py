@@ -69,8 +69,8 @@ class DriveSession(Closing):
             spec, config = self.place.spec, self.place.config
             self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed))
             self._chair, self._link = Chair(config), HeldLink()
-            self.assistance.begin()
             self._begin()
+            self.assistance.begin(self._client.drawn)
         except BaseException:
             self._held.close()
             raise
@@ -343,8 +343,8 @@ class DriveSession(Closing):
     def _next(self, why: str) -> None:
         self.tally.end_episode()
         self._episode += 1
-        self.assistance.reset()
         self._begin()
+        self.assistance.reset(self._client.drawn)
         self.say(EventKind.EPISODE, why)
 
     def _intent(self) -> Joystick | None:

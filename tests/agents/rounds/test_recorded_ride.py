@@ -14,6 +14,7 @@ from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import load_net, save_danger
+from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
 from wcsim.bridge.drives.remake import config_of_drive
 from wcsim.config import RunConfig, load_run_config
@@ -41,7 +42,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def again(policy: Path, ride: RecordedRide, config: RunConfig) -> list[int]:
     """What the policy chooses when it sees a ride."""
     net, rule = load_net(policy)
-    chooser = DangerPolicy("own", net, config, rule)
+    chooser = DangerPolicy("own", net, config, rule, ride.delay_ticks)
     chooser.begin()
     chooser.reset()
     return [chooser.act(seen) for seen in ride.seen]
@@ -64,8 +65,11 @@ def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Pa
     assert len(recorded_ride(path, 7).seen) == 7
 
 
-def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(corner: Path, policy: Path, tmp_path: Path) -> None:
-    senses = ("sensors.odometry=typical", "env.observe_gyro=true", "cameras.0.noise=typical")
+@pytest.mark.parametrize("words, delay", [((), 0), (("vary.action_delay_ticks=[2,2]",), 2)], ids=["as set", "drawn"])
+def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(
+    corner: Path, policy: Path, tmp_path: Path, words: tuple[str, ...], delay: int
+) -> None:
+    senses = ("sensors.odometry=typical", "env.observe_gyro=true", "cameras.0.noise=typical", *words)
     config, (net, rule) = quick_config(*senses), load_net(policy)
     points = action_set(config.env.actions).points
     with JournaledWorld(corner, tmp_path, *senses) as it:
@@ -73,6 +77,7 @@ def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(corner: Path, po
         driver.begin()
         it.admit(0)
         it.admit(1)  # of 25 steps
+        tell_delay(driver, it.now.clients[1].drawn)
         driver.reset()
         chosen = []
         for _ in range(30):
@@ -83,7 +88,7 @@ def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(corner: Path, po
             it.tick(1, {1: Joystick(*points[chosen[-1]].tolist())})
         it.tick(3)
     ride = recorded_ride(tmp_path, 100, seat=1)
-    assert len(ride.seen) == 25 and list(ride.actions) == chosen
+    assert len(ride.seen) == 25 and list(ride.actions) == chosen and ride.delay_ticks == delay
     assert again(policy, ride, config) == chosen
     with pytest.raises(ConfigError, match="seat 2 drove no tick"):
         recorded_ride(tmp_path, 100, seat=2)

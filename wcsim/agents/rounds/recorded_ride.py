@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wcsim.agents.envs.episode_view import delay_ticks
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
 from wcsim.bridge.drives.remake import config_of_drive, remade
 from wcsim.bridge.world import World
@@ -54,10 +55,13 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
 def _of_drive(path: Path, steps: int) -> RecordedRide:
     drive = read_drive(path)
     config, seen, actions = config_of_drive(drive.header), list[Observation](), list[int]()
+    delays: list[int] = []
 
     def look(world: World) -> None:
         client = world.snapshot.clients[0]
-        seen.append(observation_of(client.first or client, config))
+        client = client.first or client
+        seen.append(observation_of(client, config))
+        delays.append(delay_ticks(config, client.drawn))
 
     with closing(remade(drive, look, blind=False)) as ticks:
         for tick, _, _ in ticks:
@@ -65,8 +69,7 @@ def _of_drive(path: Path, steps: int) -> RecordedRide:
                 break
             seen[-1] = {**seen[-1], JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
             actions.append(tick.action)
-    delay = config.world.action_delay_ticks
-    return RecordedRide(seen=tuple(seen[: len(actions)]), actions=tuple(actions), delay_ticks=delay)
+    return _ridden(seen[: len(actions)], actions, delays)
 
 
 def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
@@ -76,8 +79,12 @@ def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
         for _ in records:
             if watch.over:
                 break
-    delay = config.world.action_delay_ticks
-    return RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
+    return _ridden(watch.seen, watch.actions, watch.delays)
+
+
+def _ridden(seen: list[Observation], actions: list[int], delays: list[int]) -> RecordedRide:
+    """The first tick's delay is that of the episode."""
+    return RecordedRide(seen=tuple(seen), actions=tuple(actions), delay_ticks=delays[0] if delays else 0)
 
 
 class _SeatWatch:
@@ -88,6 +95,7 @@ class _SeatWatch:
         self._points = action_set(config.env.actions)
         self.seen: list[Observation] = []
         self.actions: list[int] = []
+        self.delays: list[int] = []
         self.over = False
 
     def look(self, world: World | None, record: JournalRecord) -> None:
@@ -100,5 +108,7 @@ class _SeatWatch:
         self.over = self.over or len(self.actions) == self._steps or (client.first is not None and bool(self.actions))
         if self.over:
             return
-        self.seen.append(observation_of(client.first or client, self._config))
+        client = client.first or client
+        self.seen.append(observation_of(client, self._config))
+        self.delays.append(delay_ticks(self._config, client.drawn))
         self.actions.append(self._points.nearest((given[0].joystick.x, given[0].joystick.y)))
