@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, observation, small_config
@@ -120,6 +121,27 @@ def test_half_of_a_batch_is_tight_where_there_is_tightness():
     shares = [float(lessons.draw().unsafe.any(1).float().mean()) for _ in range(20)]
     assert np.mean(shares) > lessons.tight_share + 0.1
     assert all(share >= 0.5 for share in shares)
+
+
+@pytest.mark.parametrize(
+    ("words", "drawn"),
+    [
+        ((), {True, False}),
+        (("cameras.0.yaw_deg=20",), {True, False}),
+        (BOTH, {True, False}),
+        ((*BOTH, "cameras.0.yaw_deg=20"), {False}),
+        ((*BOTH, "cameras.0.p_BC_m=[0.35,0.1,1.0]"), {False}),
+        (("danger.eye=picture", "cameras.0.yaw_deg=-20"), {False}),
+    ],
+    ids=str,
+)
+def test_pictures_are_mirrored_where_the_camera_looks_straight_ahead_from_the_middle(words, drawn, monkeypatch):
+    lessons, mirrored = lectures(small_config(*words), 20), []
+    batch = lessons.batch
+    monkeypatch.setattr(lessons, "batch", lambda picks, mirror: mirrored.append(mirror) or batch(picks, mirror))
+    for _ in range(20):
+        lessons.draw()
+    assert set(mirrored) == drawn
 
 
 def test_roll_outs_are_swept_for_whom_they_are_read_alone():

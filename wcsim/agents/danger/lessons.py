@@ -14,6 +14,7 @@ from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
 from wcsim.agents.danger.sight import MIRRORED, DangerSight, Eye
 from wcsim.agents.danger.street_map import PLANES, SIDE
+from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.replay.frame_store import pack_each, unpack_each
 from wcsim.config import DangerConfig, RunConfig
@@ -145,7 +146,10 @@ class Lectures:
 
     def __init__(self, config: RunConfig) -> None:
         self._danger: DangerConfig = config.danger
-        self._rng, self._eye = np.random.default_rng(0), Eye(config, looks=spec_of(config).looks)
+        looks = spec_of(config).looks
+        self._rng, self._eye = np.random.default_rng(0), Eye(config, looks=looks)
+        # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
+        self._may_mirror = not looks.window or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
         self._parts: dict[int, Lessons] = {}  # by number
@@ -183,7 +187,7 @@ class Lectures:
         return len(self._tight) / max(len(self._rows), 1)
 
     def draw(self) -> Batch:
-        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time."""
+        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be."""
         size, rng = self._danger.batch, self._rng
         tight = round(self._danger.tight_share * size) if len(self._tight) else 0
         picks = np.concatenate(
@@ -192,7 +196,7 @@ class Lectures:
                 self._rows[rng.integers(0, len(self._rows), size - tight)],
             ]
         )
-        return self.batch(picks, mirror=bool(rng.random() < 0.5))
+        return self.batch(picks, mirror=bool(rng.random() < 0.5) and self._may_mirror)
 
     def batch(self, picks: np.ndarray, mirror: bool = False) -> Batch:
         """These rows, (B, 2) part and row."""

@@ -12,6 +12,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
 from wcsim.agents.learning.shielded.shielded_dqn import Shield, ShieldedDQN, ShieldedQPolicy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError, PolicyError
@@ -138,7 +139,7 @@ def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, 
 
 def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
     learn, camera = config.learn, config.cameras[0]
-    if learn.mirror and (camera.p_BC_m[1] != 0.0 or camera.yaw_deg != 0.0):
+    if learn.mirror and not sees_in_a_mirror(camera):
         raise ConfigError(
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
             "because its pictures are mirrored: set learn.mirror=false"

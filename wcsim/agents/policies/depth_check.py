@@ -92,6 +92,15 @@ def viewing_rays(camera: CameraConfig) -> F64:
     return np.stack([x, y, up], axis=-1).reshape(-1, 3)
 
 
+def sees_in_a_mirror(camera: CameraConfig) -> bool:
+    """Whether its picture with left and right exchanged is that of the mirrored street: it looks ahead from the middle.
+
+    >>> sees_in_a_mirror(CameraConfig()), sees_in_a_mirror(CameraConfig(yaw_deg=20.0))
+    (True, False)
+    """
+    return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0
+
+
 def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
     """Smaller and larger of two heights of each point: above the chair's own plane, and above a level plane below it.
 
