@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
-from wcsim.agents.collecting.labels import SAFE
+from wcsim.agents.collecting.labels import SAFE, codes_of
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
@@ -20,10 +20,12 @@ from wcsim.agents.collecting.segment_places import (
     places_of,
 )
 from wcsim.agents.collecting.work import collect
+from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
-from wcsim.types import Verdict
+from wcsim.supervisor.judge import observation_of
+from wcsim.types import Command, Joystick, Verdict
 
 KEY = SegmentKey(run=5, round=0, index=0)
 ACTIONS = action_set("square81")
@@ -141,6 +143,28 @@ def test_the_oracle_takes_the_nearest_action_that_ends_well():
     assert ACTIONS.points[choice.action].tolist() == [0.0, 0.25] and choice.driver == ORACLE
 
 
-def test_labels_are_of_the_moment_that_was_seen(segment: Segment):
+def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
+    corner: Path, tmp_path: Path, segment: Segment
+):
+    place = next(places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
+    specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
+    actions, told = segment.action.reshape(2, 40), []
+    with World(place.town, place.config, specs, place.seed) as world:
+        for tick in range(40):
+            now = [client.first or client for client in world.snapshot.clients]
+            all_knowing = [codes_of(client.truth.first_s) for client in now]
+            visible = [codes_of(client.truth.visible.first_s) for client in now]
+            odometry = [observation_of(client, place.config)["odometry"] for client in now]
+            told.append((all_knowing, visible, odometry))
+            sticks = (Joystick(*ACTIONS.points[action].tolist()) for action in actions[:, tick])
+            at = world.snapshot.tick
+            world.tick(tuple(Command(seat=seat, tick=at, joystick=stick) for seat, stick in enumerate(sticks)))
+    for said, column in zip(zip(*told, strict=True), (segment.truth, segment.visible, segment.odometry), strict=True):
+        rows = column.reshape(2, 40, -1).swapaxes(0, 1)
+        assert np.array_equal(said, rows)
+        assert not np.array_equal(said[1:], rows[:-1]), "a tick late is something else"
+
+
+def test_who_knows_less_fears_less(segment: Segment):
     unsafe = segment.truth != SAFE
-    assert (segment.visible[~unsafe] == SAFE).mean() > 0.99, "who knows less fears less"
+    assert (segment.visible[~unsafe] == SAFE).mean() > 0.99
