@@ -40,13 +40,14 @@ def policy_parcel(name: str) -> Parcel:
     if is_file(run / MANIFEST):
         said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
         inner = policy.relative_to(run).as_posix()
-        return Parcel(address=name, folder=run, names=(*said, *_files(policy, f"{inner}/")), inner=inner)
-    return folder_parcel(policy, name)
+        return Parcel(address=name, folder=run, names=(*said, *_below(policy, run)), inner=inner)
+    return Parcel(address=name, folder=policy, names=_below(policy, policy))
 
 
 def folder_parcel(folder: Path, address: str = "") -> Parcel:
     """The files of a folder, without those in folders of it."""
-    return Parcel(address=address or str(folder), folder=folder.absolute(), names=_files(folder))
+    names = tuple(path.name for path in sorted(folder.iterdir()) if path.is_file())
+    return Parcel(address=address or str(folder), folder=folder.absolute(), names=names)
 
 
 def plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
@@ -94,5 +95,6 @@ def require_travels(config: RunConfig, settings: Collection[str] = (), own_code:
         )
 
 
-def _files(folder: Path, before: str = "") -> tuple[str, ...]:
-    return tuple(f"{before}{path.name}" for path in sorted(folder.iterdir()) if path.is_file())
+def _below(policy: Path, folder: Path) -> tuple[str, ...]:
+    """The files of a policy as they are called from a folder: values on top of a danger network have it in a folder."""
+    return tuple(path.relative_to(folder).as_posix() for path in sorted(policy.rglob("*")) if path.is_file())

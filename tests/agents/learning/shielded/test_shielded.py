@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +28,12 @@ from wcsim.agents.learning.shielded.shielded_policy import ShieldedPolicy
 from wcsim.agents.learning.train import train
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.policy_api import DANGER_KEY
+from wcsim.agents.runs.parcels import policy_parcel
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.server.workers.cluster import bundle
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
@@ -89,6 +92,18 @@ def test_in_the_second_phase_nothing_unsafe_is_done_where_something_is_safe(run:
     assert isinstance(policy.warning, bool)
 
 
+def test_it_travels_to_other_machines_with_its_danger_network(run: Path, part: Path, tmp_path: Path):
+    parcel = policy_parcel(str(run))
+    assert f"policies/final/{PART}/{POLICY_JSON}" in parcel.names
+    node = tmp_path / "node"
+    node.mkdir()
+    bundle.unpack(bundle.packed(parcel), node)
+    assert isinstance(open_policy(str(node / parcel.inner), config(part)), ShieldedPolicy)
+    assert weights_of(node / parcel.inner / PART) == weights_of(part)
+    bare = policy_parcel(str(shutil.copytree(run / "policies" / "final", tmp_path / "without" / "a" / "run")))
+    assert f"{PART}/{WEIGHTS}" in bare.names and bare.inner == ""
+
+
 def test_an_assistance_level_is_the_threshold_of_values_too(run: Path, part: Path):
     street = Sensing()
     seen, _ = street.reset(seed=2)
@@ -100,7 +115,6 @@ def test_an_assistance_level_is_the_threshold_of_values_too(run: Path, part: Pat
 
 
 def test_it_goes_on_from_a_checkpoint_with_its_own_copy(part: Path, tmp_path: Path):
-    import shutil
     from dataclasses import replace
 
     own = shutil.copytree(part, tmp_path / "own")
@@ -191,8 +205,6 @@ def test_the_dangers_of_a_tick_are_those_of_the_network_that_drives(part: Path):
 
 
 def test_another_danger_network_than_the_one_of_training_is_refused(run: Path, part: Path, tmp_path: Path):
-    import shutil
-
     folder = shutil.copytree(run / "policies" / "final", tmp_path / "copy")
     other = DangerLearner(danger_config(), 9, 1).net
     save_danger(folder / PART, other, rule_of(danger_config().danger), danger_config())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import stat
 import zipfile
 from pathlib import Path
 
@@ -62,12 +63,25 @@ def test_a_network_is_there_for_its_piece_alone(parcel):
     assert not Path(reply.data.decode().splitlines()[0]).exists()
 
 
-def test_a_name_that_leads_elsewhere_is_not_written(tmp_path):
+@pytest.mark.parametrize("name", ["../x", "danger/../../x", "/x"])
+def test_a_name_that_leads_elsewhere_is_not_written(tmp_path, name):
+    with pytest.raises(ValueError, match="leads out"):
+        bundle.unpack(packed_as(zipfile.ZipInfo(name), b""), tmp_path)
+
+
+def test_a_link_is_not_written(tmp_path):
+    link = zipfile.ZipInfo("danger")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with pytest.raises(ValueError, match="is a link"):
+        bundle.unpack(packed_as(link, b"/"), tmp_path)
+    assert not list(tmp_path.glob("danger*"))
+
+
+def packed_as(info: zipfile.ZipInfo, data: bytes) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as held:
-        held.writestr("../x", b"")
-    with pytest.raises(ValueError, match="leads out"):
-        bundle.unpack(zstandard.compress(out.getvalue()), tmp_path)
+        held.writestr(info, data)
+    return zstandard.compress(out.getvalue())
 
 
 def test_a_parcel_that_would_be_too_large_is_refused_before_it_is(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import shutil
+import stat
 import tempfile
 import zipfile
 from pathlib import Path, PurePosixPath
@@ -46,16 +47,21 @@ def packed(parcel: Parcel) -> bytes:
 
 
 def unpack(data: bytes, folder: Path) -> None:
-    """Write files into a folder that is there. Raises ValueError for a name that leads elsewhere, or too many bytes."""
+    """Write files into a folder that is there, which may hold folders.
+
+    Raises ValueError for a name that leads elsewhere, a link, or too many bytes.
+    """
     plain = unzstd(data, 2 * MOST_BYTES)
     with zipfile.ZipFile(io.BytesIO(plain)) as held:
-        for name in held.namelist():
-            path = PurePosixPath(name)
+        for file in held.infolist():
+            path = PurePosixPath(file.filename)
             if path.is_absolute() or ".." in path.parts:
-                raise ValueError(f"{name!r} leads out of its folder")
+                raise ValueError(f"{file.filename!r} leads out of its folder")
+            if stat.S_ISLNK(file.external_attr >> 16):  # the mode of a file, as Unix packs it
+                raise ValueError(f"{file.filename!r} is a link; expected files alone")
             place = folder / path
             place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_bytes(held.read(name))
+            place.write_bytes(held.read(file))
 
 
 def kept_folder(cache: Path, digest: str, name: str) -> Path:
