@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # of this checkout, wherever
 from tools.results.parts import Part, Step, parts
 from tools.results.tables import page
 
+STOPPED = 130  # by Ctrl-C, as shells say it
+
 
 def main(words: Sequence[str]) -> int:
     """Run parts; the exit code of the first command that failed, 0 when all are done."""
@@ -46,7 +48,7 @@ def main(words: Sequence[str]) -> int:
 
 def is_done(part: Part) -> bool:
     """Whether all that a part makes is there."""
-    return all(step.makes.is_file() for step in part.steps)
+    return all(step.is_made for step in part.steps)
 
 
 def command_of(step: Step) -> list[str]:
@@ -55,15 +57,26 @@ def command_of(step: Step) -> list[str]:
     return [str(Path(sys.executable).parent / "wcsim"), *words]
 
 
+def code_of(command: Sequence[str]) -> int:
+    """The exit code of a command; one that Ctrl-C stops, too, is waited for until it has saved its work."""
+    stopped = False
+    with subprocess.Popen(command) as process:
+        while True:
+            try:
+                return process.wait() or (STOPPED if stopped else 0)
+            except KeyboardInterrupt:
+                stopped = True
+
+
 def run(part: Part) -> int:
     """Run what is not done of a part; the exit code of the first command that failed."""
     began_s = time.monotonic()
     for step in part.steps:
-        if step.makes.is_file():
+        if step.is_made:
             continue
         command = command_of(step)
         print("$ wcsim", *command[1:], flush=True)
-        code = subprocess.call(command)
+        code = code_of(command)
         if code:
             return code
     print(f"part {part.name}: done in {time.monotonic() - began_s:.0f} s", flush=True)

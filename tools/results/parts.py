@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from wcsim.agents.runs.run_folder import MANIFEST, open_run
+
 SEEDS: Final = (1, 2, 3)
 BASELINES: Final = ("follow", "dwa", "oracle-visible", "oracle", "stop", "zero", "random")
 PAPER_STEPS: Final = 14_000  # what two cores do in 25 minutes, at some ten steps a second
@@ -55,7 +57,13 @@ class Step:
     words: tuple[str, ...]
     again: tuple[str, ...]
     folder: Path
-    makes: Path
+    makes: Path  # of a run its manifest
+
+    @property
+    def is_made(self) -> bool:
+        """Whether it is done; a training that was stopped leaves a policy as well, so its manifest says that."""
+        is_run = self.makes.name == MANIFEST
+        return self.makes.is_file() and (not is_run or open_run(self.folder).manifest.status == "done")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +133,7 @@ def trained(
     words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *changed)
     words = (*words, "--data", str(data)) if data is not None else words
     again = ("train", "--resume", "--out", str(run))
-    return Step(words=words, again=again, folder=run, makes=run / "policies" / "final" / "policy.json")
+    return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 
 def judged(out: Path, suite: str, runs: tuple[str, ...], alone: bool = False) -> Step:

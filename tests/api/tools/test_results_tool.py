@@ -1,16 +1,16 @@
 """`make results`: parts, what is typed, what is left of the user's crashes."""
 
+import sys
+
 import numpy as np
 import pytest
 
-from tools.results.__main__ import command_of, is_done, main
-from tools.results.parts import Part, Step, parts
+from tools.results.__main__ import code_of, command_of, is_done, main
+from tools.results.parts import Part, judged, parts, trained
 from tools.results.tables import left_of, page
-from wcsim.config import load_run_config
-
-
-def step_of(folder):
-    return Step(words=("train",), again=("train", "--resume"), folder=folder / "run", makes=folder / "run" / "made")
+from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.config import RunConfig, load_run_config
+from wcsim.server.specs import RunInfo
 
 
 def test_every_part_has_a_name_of_its_own_and_settings_that_exist(tmp_path):
@@ -24,13 +24,36 @@ def test_every_part_has_a_name_of_its_own_and_settings_that_exist(tmp_path):
 
 
 def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
-    step = step_of(tmp_path)
+    step = trained(tmp_path, "run", 1)
     part = Part(name="p", says="", steps=(step,))
-    assert command_of(step)[1:] == ["train"] and not is_done(part)
-    (tmp_path / "run").mkdir()
-    assert command_of(step)[1:] == ["train", "--resume"]
-    (tmp_path / "run" / "made").touch()
+    assert command_of(step)[1:] == [*step.words] and not is_done(part)
+    run = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1)))
+    run.policy("final").mkdir()
+    (run.policy("final") / "policy.json").touch()
+    for status in ("running", "interrupted"):
+        run.with_status(status, 100)
+        assert command_of(step)[1:] == ["train", "--resume", "--out", str(tmp_path / "run")] and not is_done(part)
+    run.with_status("done", 100)
     assert is_done(part)
+
+
+def test_a_table_that_is_there_is_made(tmp_path):
+    step = judged(tmp_path, "dev", ())
+    assert not step.is_made
+    step.makes.parent.mkdir()
+    step.makes.touch()
+    assert step.is_made
+
+
+def test_a_command_that_ctrl_c_stops_saves_its_work_first(tmp_path):
+    saves = (
+        "import os, pathlib, signal, sys, time\nos.kill(os.getppid(), signal.SIGINT)\ntime.sleep(1.0)\n"
+        "pathlib.Path(sys.argv[1]).touch()\nsys.exit(int(sys.argv[2]))"
+    )
+    for told, code in ((3, 3), (0, 130)):
+        saved = tmp_path / f"saved-{told}"
+        assert code_of([sys.executable, "-c", saves, str(saved), str(told)]) == code
+        assert saved.is_file()
 
 
 def test_an_unknown_part_is_refused(tmp_path, capsys):
