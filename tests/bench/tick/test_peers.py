@@ -25,7 +25,8 @@ def spent(town: str, ticks: int, warmup_s: float) -> tuple[list[float], list[flo
     ours, theirs = [], []
     with World(find_town(town), config, (SeatSpec(profile="competent"),), 3) as world:
         plant = world.snapshot.clients[0].plant
-        naive = NaiveLoop(world.street.mesh, config.cameras[0], [(plant.p_WB_m, plant.yaw_rad)])
+        starts, steps = [(plant.p_WB_m, plant.yaw_rad)], config.world.usual_substeps  # as many as the product's
+        naive = NaiveLoop(world.street.mesh, config.cameras[0], starts, steps, config.world.tick_s)
         try:
             for tick in range(-5, ticks):  # the first ones compile and fill caches
                 client = world.snapshot.clients[0]

@@ -21,8 +21,6 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.types import F32, F64, I32, ActorState, StreetMesh
 
-SUBSTEPS, TICK_S = 24, 0.1
-
 
 class NaiveLoop:
     """Chairs in a street of bodies; close it."""
@@ -32,9 +30,10 @@ class NaiveLoop:
         mesh: StreetMesh,
         camera: CameraConfig,
         starts: Sequence[tuple[F64, float]],
-        substeps: int = SUBSTEPS,
-        tick_s: float = TICK_S,
+        substeps: int,
+        tick_s: float,
     ) -> None:
+        """Chairs at `starts` (place, heading) in a street; a tick is `tick_s` long and has `substeps` physics steps."""
         self.client: int = pybullet.connect(pybullet.DIRECT)
         self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
         self.actors: dict[str, tuple[int, float]] = {}
@@ -51,7 +50,7 @@ class NaiveLoop:
     def tick(
         self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]
     ) -> list[tuple[F32, I32]]:
-        """A tenth of a second; for each chair depth in metres and body numbers, both (H, W)."""
+        """One tick; for each chair depth in metres and body numbers, both (H, W)."""
         for actor in actors:
             if actor.id not in self.actors:
                 self.actors[actor.id] = self._box(actor)

@@ -46,7 +46,7 @@ def measure_tick(
     given = (town.sumocfg, config, (SeatSpec(),) * chairs, seed)
     takers = [Contestant(make=make, given=given, ticks=BLOCK_TICKS) for make in (StopwatchedWorld, TimedTwin)]
     if naive is not None:
-        takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed)))
+        takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed), ticks=BLOCK_TICKS))
     turns = -(-ticks // BLOCK_TICKS)
     ours, bare, *rival = in_turns(takers, turns, lambda done: progress(min(ticks, done * BLOCK_TICKS)))
     whole = np.array(ours)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from wcsim.bench.tick.bridgeless_world import settle
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, with_overrides
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town
 from wcsim.types import SeatSpec
@@ -42,10 +42,13 @@ class Dear:
 def profiled(town: Town, config: RunConfig, chairs: int, ticks: int, seed: int) -> tuple[Dear, ...]:
     """The dearest functions of a world's tick, the dearest first; profiling makes small ones look dearer.
 
+    One thread draws all pictures, for cProfile sees only its own.
+
     Raises:
         WcsimError: What the world raises.
     """
-    watched = _Watched(town, config, (SeatSpec(),) * chairs, seed)
+    alone = with_overrides(config, ("world.draw_threads=1",))
+    watched = _Watched(town, alone, (SeatSpec(),) * chairs, seed)
     with watched as world:
         settle(world)
         profile = cProfile.Profile()
