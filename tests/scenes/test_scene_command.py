@@ -73,7 +73,7 @@ def test_a_scene_of_a_family_is_made_and_runs(tmp_path, capsys):
     assert f"wcsim scene run {folder} --film back.webm" in told
     assert f"-n {folder / 'street.nod.xml'}" in told
     assert main(["scene", "run", str(folder), "--json", str(tmp_path / "told.json")]) == 1
-    told = json.loads((tmp_path / "told.json").read_text())["reversing-off-kerb-2"]
+    told = json.loads((tmp_path / "told.json").read_text())["back"]  # the folder's name
     assert told["crashed"]
     assert len(told["faults"]) == 1, "only the golden trace is missing"
     assert main(["scene", "make", "reversing", "--out", str(tmp_path / "other")]) == 2
@@ -138,6 +138,23 @@ def test_one_broken_scene_does_not_hide_the_others(tmp_path, capsys, monkeypatch
     told = capsys.readouterr()
     assert "two-chairs" in told.out
     assert "mine/scene.toml" in told.err
+
+
+def test_scenes_are_told_by_their_folders_by_which_they_are_found(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = write_scene(tmp_path / "scenarios" / "sumo" / "scenes", "mine")
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace('name = "mine"', 'name = "nobodys"'))
+    assert main(["scene", "list"]) == 0
+    assert "mine" in (told := capsys.readouterr().out) and "nobodys" not in told
+    facts = SceneFacts(**dict.fromkeys(SceneFacts.__dataclass_fields__, 0))
+    monkeypatch.setattr("wcsim.scenes.run.run_in_child", lambda folder, trace: facts)
+    assert main(["scene", "run", "mine", "--json", "told.json"]) == 1
+    assert list(json.loads(Path("told.json").read_text())) == ["mine"]
+    for where in ("a", "b"):
+        shutil.copytree(folder, Path(where) / "mine")
+    assert main(["scene", "run", "a/mine", "b/mine", "--json", "told.json"]) == 1
+    assert list(json.loads(Path("told.json").read_text())) == ["a/mine", "b/mine"]
 
 
 def test_all_that_is_measured_can_be_expected():

@@ -102,6 +102,13 @@ def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
     return tuple(find_scene(name) for name in names) if names else list_scenes()
 
 
+def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
+    """What their results are told under: the folder's name, by which a scene is found; its path where two share it."""
+    names = [folder.resolve().name for folder in folders]
+    pairs = zip(folders, names, strict=True)
+    return tuple(name if names.count(name) == 1 else str(folder) for folder, name in pairs)
+
+
 def _list() -> int:
     table = Table("scene", "seconds", "chairs", "shows", show_lines=True)
     broken = []
@@ -111,7 +118,7 @@ def _list() -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        table.add_row(scene.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(shown(scene.shows, 2000)))
+        table.add_row(folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(shown(scene.shows, 2000)))
     Console().print(table)
     if broken:
         raise ConfigError("; ".join(broken))
@@ -123,7 +130,7 @@ def _run(options: RunOptions) -> int:
     if options.film is not None and len(options.scenes) != 1:
         raise ConfigError(f"--film shows one scene, got {len(options.scenes)}; name the one to film")
     folders = _folders(options.scenes)
-    outcomes = [_outcome(folder) for folder in folders]
+    outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
     table = Table("scene", "", "what happened")
     for outcome in outcomes:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
@@ -142,7 +149,7 @@ def _run(options: RunOptions) -> int:
     return 1 if any(outcome.faults for outcome in outcomes) else 0
 
 
-def _outcome(folder: Path) -> Outcome:
+def _outcome(folder: Path, name: str) -> Outcome:
     from wcsim.bridge.recording.trace_diff import difference  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
@@ -159,7 +166,7 @@ def _outcome(folder: Path) -> Outcome:
         else:
             told = difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
-    return Outcome(scene.name, facts, found)
+    return Outcome(name, facts, found)
 
 
 def _bless(options: BlessOptions) -> int:
@@ -167,7 +174,7 @@ def _bless(options: BlessOptions) -> int:
 
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
 
-    for folder in folders:
+    for folder, name in zip(folders, _names(folders), strict=True):
         with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
             trace = Path(work) / "new.trace"
             facts = run_in_child(folder, trace)
@@ -177,7 +184,7 @@ def _bless(options: BlessOptions) -> int:
                 shutil.copyfile(trace, golden)
             wrong = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
             but = f"; it does not show what it must: {'; '.join(wrong)}" if wrong else ""
-            print(f"{folder.name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}{but}")
+            print(f"{name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}{but}")
     return 0
 
 

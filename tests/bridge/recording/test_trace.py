@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -71,5 +73,26 @@ def test_difference_is_exact_within_a_version_and_tolerant_across(tmp_path):
     write(tmp_path / "near", [record(1), record(2, shift=1e-5)], other)
     assert difference(tmp_path / "near", tmp_path / "a") == ""
     assert "chair" in difference(tmp_path / "far", tmp_path / "a")
-    write(tmp_path / "short", [record(1)])
-    assert "ticks" in difference(tmp_path / "short", tmp_path / "a")
+
+
+def test_difference_tells_how_far_two_traces_go(tmp_path):
+    write(tmp_path / "a", [record(10), record(20)])
+    write(tmp_path / "short", [record(10)])
+    write(tmp_path / "longer", [record(10), record(22)])
+    write(tmp_path / "none", [])
+    told = difference(tmp_path / "short", tmp_path / "a")
+    assert told == "its records are 1, up to tick 10, those of the golden trace 2, up to tick 20"
+    assert "up to tick 22, those" in difference(tmp_path / "longer", tmp_path / "a")
+    assert "its records are none, those" in difference(tmp_path / "none", tmp_path / "a")
+
+
+@pytest.mark.parametrize("chairs", [1, 3])
+@pytest.mark.parametrize("fingerprint", ["a", "b"])
+def test_difference_tells_another_number_of_chairs(tmp_path, chairs, fingerprint):
+    """One chair against two would be compared with each of them, three against two with nothing."""
+    of_two = record(1)
+    plants = np.repeat(of_two.plants[:1], chairs, axis=0)
+    write(tmp_path / "a", [replace(of_two, plants=plants[[0, 0]])])
+    changed = replace(of_two, plants=plants, commands=np.zeros((chairs, 2)), state_hash="0")
+    write(tmp_path / "other", [changed], replace(HEADER, seats=chairs, fingerprint=fingerprint))
+    assert difference(tmp_path / "other", tmp_path / "a") == f"tick 1: the number of chairs is {chairs}, golden 2"

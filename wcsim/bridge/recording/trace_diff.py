@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,8 @@ def difference(trace: Path, golden: Path) -> str:
     """
     (head, ticks), (golden_head, golden_ticks) = read_trace(trace), read_trace(golden)
     exact = head.fingerprint == golden_head.fingerprint
-    if len(ticks) != len(golden_ticks):
-        return f"{len(ticks)} ticks, golden {len(golden_ticks)}"
+    if [new.tick for new in ticks] != [old.tick for old in golden_ticks]:
+        return f"its records are {_extent(ticks)}, those of the golden trace {_extent(golden_ticks)}"
     for new, old in zip(ticks, golden_ticks, strict=True):
         told = _tick_difference(new, old, exact, 0.001 if new.tick * head.tick_s <= 1.0 else 0.05)
         if told:
@@ -30,7 +31,14 @@ def difference(trace: Path, golden: Path) -> str:
     return ""
 
 
+def _extent(records: Sequence[TickRecord]) -> str:
+    """How many records there are, and up to when."""
+    return f"{len(records)}, up to tick {records[-1].tick}" if records else "none"
+
+
 def _tick_difference(new: TickRecord, old: TickRecord, exact: bool, tolerance_m: float) -> str:
+    if len(new.plants) != len(old.plants):
+        return f"the number of chairs is {len(new.plants)}, golden {len(old.plants)}"
     if exact and new.state_hash == old.state_hash:
         return ""
     if new.actor_ids != old.actor_ids:
