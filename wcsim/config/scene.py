@@ -106,7 +106,7 @@ class SceneFile(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # letters, digits, _ and -
     shows: Text  # what it is about, in a sentence
     seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of traffic and users
-    duration_s: Annotated[float, Field(gt=0.0, le=60.0)]  # simulated, after the warm-up
+    duration_s: Annotated[float, Field(ge=0.1, le=60.0)]  # simulated, after the warm-up
     kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # of pavements above the carriageway
     lefthand: bool = False  # whether traffic keeps left
     warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0  # traffic that SUMO drives before the first step

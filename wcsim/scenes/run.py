@@ -35,7 +35,7 @@ _RUN_TIMEOUT_S = 240
 BAD_SCENE = 2
 """Exit code of a scene's process that has said what is wrong with the scene."""
 TRACE_EVERY = 10
-"""Ticks from one record of a golden trace to the next; the hash of a record covers all ticks since the last one."""
+"""Ticks from one record of a golden trace to the next; its last tick has one, and a hash covers all ticks up to it."""
 
 _WORK = "wcsim-scene-"
 _SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
@@ -50,10 +50,11 @@ def run_scene(folder: Path, trace: Path) -> SceneFacts:
     with open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
         meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
         digest = hashlib.blake2b(digest_size=8)
+        last = _ticks(world, scene)
         for snapshot, commands in play(world, scene):
             meter.add(snapshot, world.config.world.tick_s)
             digest.update(snapshot.state_hash.encode())
-            if snapshot.tick % TRACE_EVERY == 0:
+            if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
                 writer.append(replace(record_of(snapshot, commands), state_hash=digest.hexdigest()))
         return meter.facts()
 
@@ -82,7 +83,7 @@ def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Comma
     Who has arrived stays there, and who has crashed is not driven any more.
     """
     done: set[int] = set()
-    for _ in range(round(scene.duration_s / world.config.world.tick_s)):
+    for _ in range(_ticks(world, scene)):
         before = world.snapshot
         at_s = before.tick * world.config.world.tick_s
         done.update(_done(before, scene))
@@ -116,6 +117,10 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
         known = done.returncode == BAD_SCENE
         raise TownError(told if known else f"{folder}: its process ended with code {done.returncode}: {told}")
     return facts_from_line(done.stdout)
+
+
+def _ticks(world: World, scene: SceneFile) -> int:
+    return round(scene.duration_s / world.config.world.tick_s)
 
 
 def _without_work(text: str, folder: Path) -> str:
