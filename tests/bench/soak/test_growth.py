@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
+import sys
 
 import numpy as np
+import psutil  # type: ignore[import-untyped]
 import pytest
 
 from wcsim.bench.soak.growth import RUN_H, WARM_S, WORLD, GrowthLog, Slope, fitted, long_run, predicted_s
@@ -76,6 +79,26 @@ def test_what_fills_up_before_a_run_has_settled_is_no_growth(tmp_path):
     whole = GrowthLog(tmp_path, warm_s=0.0)
     whole.look(state, 0.0, settled=False)
     assert whole.disk.upper_per_h == whole.memory["a"].upper_per_h == math.inf
+
+
+def test_a_process_that_was_killed_and_is_not_yet_waited_for_is_no_sample(tmp_path):
+    log = GrowthLog(tmp_path, warm_s=0.0)
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        client = ClientState(name="a", seat=0, standing="running", pid=child.pid)
+        shown = LaunchState(
+            elapsed_s=0.0, world_standing="running", world_pid=0, world_restarts=0, world=None, clients=(client,)
+        )
+        log.look(shown, 0.0)
+        child.kill()
+        os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # it is dead, and stays there
+        assert psutil.Process(child.pid).memory_info().rss == 0
+        log.look(shown, 10.0)
+    finally:
+        child.kill()
+        child.communicate()
+    ((at_s, held_mb),) = log._memory["a", child.pid].pairs
+    assert at_s == 0.0 and held_mb > 0.0
 
 
 def test_a_run_has_settled_when_its_replay_is_full_and_every_checkpoint_holds_one():

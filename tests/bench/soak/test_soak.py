@@ -12,11 +12,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.worlds import quick_config
-from wcsim.bench.soak.faults import Chaos, Fault
-from wcsim.bench.soak.soak import SoakFacts, SoakOrder, _Watch, overlapping, recovery_s, rejoin_s, soak
+from wcsim.bench.soak.faults import Chaos, Fault, Striker
+from wcsim.bench.soak.growth import GrowthLog, LongRun, Slope
+from wcsim.bench.soak.soak import (
+    RecoveryBars,
+    RecoveryTimes,
+    SoakFacts,
+    SoakOrder,
+    _Watch,
+    overlapping,
+    recovery_bars,
+    recovery_s,
+    rejoin_s,
+    soak,
+)
 from wcsim.bench.soak.stub_client import StubSight
 from wcsim.cli.bench.soak import faults_of, result
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.journal.ledger import Audit
+from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState
 from wcsim.server.specs import WorldStatus
 
 
@@ -75,7 +88,7 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
     sent, now = [], [0.0]
     monkeypatch.setattr("wcsim.bench.soak.faults._send", lambda pid, number: sent.append((pid, number)))
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    chaos = Chaos(7, until_s=300.0)
+    chaos = Chaos(7, until_s=300.0, lease_s=3.0)
     for step in range(1400):
         now[0] = 0.25 * step
         stuck = 100.0 < now[0] < 120.0
@@ -90,6 +103,58 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
     assert all(len(fault.others) == 2 + (fault.who == "world") for fault in chaos.faults)
     paused = sum(fault.what == "pause" or (fault.what == "stop" and fault.who != "world") for fault in chaos.faults)
     assert sum(number == signal.SIGCONT for _, number in sent) == paused
+
+
+@pytest.mark.parametrize(("lease_s", "least_s", "most_s"), [(3.0, 4.0, 8.0), (60.0, 80.0, 160.0)])
+def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypatch, lease_s, least_s, most_s):
+    asked_s, now = [], [0.0]
+
+    def strike(striker, fault, pid, wakes_s=None):
+        striker.faults.append(fault)
+        asked_s.append(wakes_s)
+
+    monkeypatch.setattr(Striker, "strike", strike)
+    monkeypatch.setattr("wcsim.bench.soak.faults._MENU", (("client", "stop", 1.0),))
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    chaos = Chaos(7, until_s=300.0, lease_s=lease_s)
+    for step in range(1000):
+        now[0] = 0.25 * step
+        chaos.act(state(tick=4 * step))
+    assert len(asked_s) > 30
+    assert least_s <= min(asked_s) < 1.1 * least_s and 0.9 * most_s < max(asked_s) <= most_s
+
+
+def test_bars_follow_the_lease_and_what_a_world_does_again(tmp_path):
+    order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path)
+    assert recovery_bars(order) == RecoveryBars(client_s=5.0, world_s=30.0, overlap_s=30.0)
+    patient = recovery_bars(replace(order, lease_s=60.0))
+    assert (patient.client_s, patient.world_s) == (62.0, 30.0)
+    assert patient.overlap_s > 3 * 60.0, "a seat waits so long for a client that is stopped"
+    assert recovery_bars(replace(order, lease_s=0.5)).overlap_s == 30.0
+    exact = recovery_bars(replace(order, recovery="replay"))
+    assert (exact.client_s, exact.world_s) == (5.0, 330.0)
+    small = replace(order, recovery="replay", config=quick_config("world.epoch_ticks=600"))
+    assert recovery_bars(small).overlap_s == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize(("lease_s", "slow"), [(3.0, ["recovery_client_p99_s"]), (60.0, [])])
+def test_a_recovery_is_slow_by_the_lease_that_was_asked_for(tmp_path, lease_s, slow):
+    order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path, lease_s=lease_s)
+    times = RecoveryTimes(client_s=(lease_s, 40.0), world_s=(12.0,), overlap_s=(), rejoin_s=())
+    faults = tuple(Fault(time_s=1.0, what="kill", who=who, others=("c",)) for who in ("a", "b", "world"))
+    facts = SoakFacts(
+        audit=Audit(ticks=100, lost=0, doubled=0, phantom=0),
+        faults=faults,
+        times=times,
+        bars=recovery_bars(order),
+        orphans=0,
+        leaked=0,
+        memory={},
+        disk=Slope(),
+        bounds=LongRun(memory_gb=1.0, disk_gb=1.0, recovery_s=1.0),
+        outcome=LaunchOutcome(code=0, message="", stopped=True, clients=(), elapsed_s=60.0),
+    )
+    assert faults_of(facts) == slow
 
 
 class Asked:
@@ -118,6 +183,21 @@ def test_an_epoch_is_reckoned_at_the_pace_of_the_run_and_not_of_a_world_that_end
     watch.pace.look(state(tick=10_000), 2000.0)
     watch.pace.look(state(tick=10_001), 2100.0, settled=False)
     assert watch.pace.ticks_per_s == pytest.approx(12.0)
+
+
+def test_memory_is_looked_at_before_a_process_is_killed(monkeypatch, tmp_path):
+    done, now, killed = [], [0.0], 0
+    monkeypatch.setattr("wcsim.bench.soak.faults._send", lambda pid, number: done.append(number))
+    monkeypatch.setattr(GrowthLog, "look", lambda *given: done.append("look"))
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    watch = _Watch(SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path), lambda done_s: None)
+    for step in range(100):
+        now[0] = 0.25 * step
+        done.clear()
+        watch.show(state(tick=4 * step))
+        assert done[0] == "look"
+        killed += signal.SIGKILL in done
+    assert killed > 2
 
 
 def soaked(corner: Path, folder: Path, seconds: float, seed: int) -> SoakFacts:

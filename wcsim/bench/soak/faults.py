@@ -14,7 +14,7 @@ from wcsim.server.launch.states import ClientState, LaunchState
 
 WORLD = "world"
 What = Literal["kill", "stop", "pause"]
-# Shares of faults: a pause is shorter than any lease, a stop is not.
+# Shares of faults: a pause is shorter than any usual lease, a stop is longer.
 _MENU: tuple[tuple[str, What, float], ...] = (
     ("client", "kill", 0.26),
     ("client", "stop", 0.14),
@@ -31,8 +31,8 @@ GAP_S = (0.5, 3.0)  # ... and then so long
 _HASTE = 0.25  # share of faults on which the next one follows before anybody has got over them
 _HASTE_GAP_S = (0.1, 2.5)
 _PAUSE_S = (0.3, 1.5)
-_STOP_S = (4.0, 8.0)  # a stopped client wakes again, and finds that it was given up
-PATIENCE_S = 60.0  # the next fault comes although nothing went on
+_STOP_LEASES = (4.0 / 3.0, 8.0 / 3.0)  # a stopped client wakes after so many, and finds that it was given up
+PATIENCE_S = 60.0  # the next fault comes although nothing went on; no sooner than after two leases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +71,10 @@ class Striker:
 class Chaos:
     """Does one fault after another; `act` is called a few times a second with the state of the processes."""
 
-    def __init__(self, seed: int, until_s: float) -> None:
-        """Go on until this time of the monotonic clock."""
+    def __init__(self, seed: int, until_s: float, lease_s: float) -> None:
+        """Go on until this time of the monotonic clock; clients are given up after `lease_s`."""
         self._rng = seeding.generator(seed, "chaos")
-        self.until_s = until_s
+        self.until_s, self._lease_s = until_s, lease_s
         self._striker = Striker()
         self._base = (-1, -1)  # epoch and tick at the last fault
         self._due_s: float | None = None
@@ -96,7 +96,7 @@ class Chaos:
         new = here[0] > self._base[0]
         went_on = here[1] >= (0 if new else self._base[1]) + _FORWARD_TICKS
         last_s = self.faults[-1].time_s if self.faults else now_s
-        if self._due_s is None and (went_on or now_s - last_s > PATIENCE_S):
+        if self._due_s is None and (went_on or now_s - last_s > max(PATIENCE_S, 2.0 * self._lease_s)):
             self._due_s = now_s + float(self._rng.uniform(*GAP_S))
         if self._due_s is not None and now_s >= self._due_s:
             hasty = self._rng.random() < _HASTE
@@ -126,8 +126,10 @@ class Chaos:
 
     def _do(self, what: What, pid: int, fault: Fault) -> None:
         wakes_s = None
-        if what == "pause" or (what == "stop" and fault.who != WORLD):
-            wakes_s = float(self._rng.uniform(*(_PAUSE_S if what == "pause" else _STOP_S)))
+        if what == "pause":
+            wakes_s = float(self._rng.uniform(*_PAUSE_S))
+        elif what == "stop" and fault.who != WORLD:
+            wakes_s = self._lease_s * float(self._rng.uniform(*_STOP_LEASES))
         self._striker.strike(fault, pid, wakes_s)
 
 

@@ -172,8 +172,9 @@ class GrowthLog:
 
     def _sample(self, who: str, process: psutil.Process, now_s: float, *, settled: bool, ours: bool) -> None:
         life = self._memory.setdefault((who, process.pid), _Samples())
-        if settled:
-            life.add(now_s, process.memory_info().rss / 1e6)
+        held_mb = process.memory_info().rss / 1e6
+        if settled and held_mb:  # a process that died, and that nobody has waited for yet, holds nothing
+            life.add(now_s, held_mb)
         if ours:
             self._seen.add((process.pid, process.create_time()))
 

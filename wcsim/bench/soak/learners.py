@@ -91,10 +91,10 @@ class _Watch:
         if self._begun_s is None and state.world is not None and state.world.ticks > 0:
             self._begun_s = now_s
         self._tell(self._progress(state))
-        self.faults.act(state)
         self._settled = self._settled or all(_step(client) >= self._settled_step for client in state.clients)
         self.growth.look(state, now_s, settled=self._settled)
         self.pace.look(state, now_s, settled=self._settled)
+        self.faults.act(state)  # after the samples: who is dead holds nothing
         return self._order.steps is None and self._progress(state) >= 1.0
 
     def _progress(self, state: LaunchState) -> float:

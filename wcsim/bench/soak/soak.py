@@ -19,6 +19,7 @@ from wcsim.bench.soak.faults import WORLD, Chaos, Fault
 from wcsim.bench.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from wcsim.bench.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
+from wcsim.config.world import EPOCH_TICKS
 from wcsim.server.journal.journal import JOURNAL, iter_journal
 from wcsim.server.journal.ledger import Audit, audit, iter_ledger
 from wcsim.server.launch.launcher import Launcher
@@ -29,9 +30,14 @@ from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
 
+_LEASE_S = 3.0
 _CALM_SHARE = 0.25  # of the time, at the end
-_LEAST_CALM_S = 14.0
+_LEAST_CALM_S = 11.0  # beyond a lease
 _WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
+_REJOIN_LEASES = 3.0  # so long a seat waits for its client after an exact recovery; no stop is longer
+_NOTICED_S = 2.0  # after a lease, till the others have gone on
+_MADE_AGAIN_S = 30.0  # for a world that died to be started again
+_REPLAYED_S = 300.0  # for EPOCH_TICKS to be done again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +50,30 @@ class SoakOrder:
     folder: Path  # run folder
     clients: int = 3
     seed: int = 0
-    lease_s: float = 3.0
+    lease_s: float = _LEASE_S
     recovery: Recovery = "new_epoch"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryBars:
+    """What 99 % of the recoveries have to be below, in seconds, by what was hit."""
+
+    client_s: float
+    world_s: float
+    overlap_s: float  # any of them may be the world's, and it may wait for a client that is stopped
+
+
+def recovery_bars(order: SoakOrder) -> RecoveryBars:
+    """The bars of a soak: a client is given up after its lease, a world that is to be exact does its epoch again."""
+    again_s = 0.0
+    if order.recovery == "replay":
+        again_s = _REPLAYED_S * (order.config.world.epoch_ticks or math.inf) / EPOCH_TICKS
+    waits_s = _REJOIN_LEASES * max(0.0, order.lease_s - _LEASE_S)
+    return RecoveryBars(
+        client_s=order.lease_s + _NOTICED_S,
+        world_s=_MADE_AGAIN_S + again_s,
+        overlap_s=_MADE_AGAIN_S + again_s + waits_s,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +93,7 @@ class SoakFacts:
     audit: Audit
     faults: tuple[Fault, ...]
     times: RecoveryTimes
+    bars: RecoveryBars
     orphans: int
     leaked: int  # folders of shared memory
     memory: dict[str, Slope]  # MB, by process
@@ -94,6 +123,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
         faults=tuple(watch.chaos.faults),
         times=times,
+        bars=recovery_bars(order),
         orphans=watch.growth.orphans(),
         leaked=int(place.exists()),
         memory=watch.growth.memory,
@@ -103,13 +133,13 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     )
 
 
-def _calm_s(seconds: float) -> float:
+def _calm_s(seconds: float, lease_s: float = _LEASE_S) -> float:
     """How long nothing is done at the end of a soak, so that the last fault can be got over: of the world, too.
 
     >>> [_calm_s(seconds) for seconds in (15.0, 30.0, 1800.0)] == [7.5, 14.0, _CALM_SHARE * 1800.0]
     True
     """
-    return max(_CALM_SHARE * seconds, min(_LEAST_CALM_S, 0.5 * seconds))
+    return max(_CALM_SHARE * seconds, min(_LEAST_CALM_S + lease_s, 0.5 * seconds))
 
 
 def _recovery_times(faults: Sequence[Fault], sights: dict[str, list[StubSight]]) -> RecoveryTimes:
@@ -171,22 +201,23 @@ class _Watch:
     """What happens while the launcher runs: faults, samples of memory, the end."""
 
     def __init__(self, order: SoakOrder, progress: Callable[[float], object]) -> None:
-        self.chaos, self.growth = Chaos(order.seed, math.inf), GrowthLog(order.folder)
+        self.chaos, self.growth = Chaos(order.seed, math.inf, order.lease_s), GrowthLog(order.folder)
         self.launcher: Launcher | None = None
         self.pace = SettledPace()
         self._end_s = math.inf  # known from the first tick on: a world may take its time to load
         self._seconds, self._progress = order.seconds, progress
+        self._calm_s = _calm_s(order.seconds, order.lease_s)
 
     def show(self, state: LaunchState) -> None:
         """Called a few times a second."""
         now_s = time.monotonic()
         if self._end_s == math.inf and state.world is not None and state.world.ticks > 0:
             self._end_s = now_s + self._seconds
-            self.chaos.until_s = self._end_s - _calm_s(self._seconds)
+            self.chaos.until_s = self._end_s - self._calm_s
         self._progress(max(0.0, min(self._seconds, self._seconds - (self._end_s - now_s))))
-        self.chaos.act(state)
-        self.growth.look(state, now_s)
+        self.growth.look(state, now_s)  # before a fault: who is dead holds nothing
         self.pace.look(state, now_s)
+        self.chaos.act(state)
         if now_s > self._end_s and self.launcher is not None and not state.stopping:
             self.chaos.wake_all()
             self.launcher.stop()
@@ -206,7 +237,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         expected=order.clients,
         lease_s=order.lease_s,
         tick_lease_s=order.lease_s,
-        rejoin_s=3.0 * order.lease_s,
+        rejoin_s=_REJOIN_LEASES * order.lease_s,
         recordings=recordings([order.config.env.profile]),
     )
     return WorldSpec(

@@ -26,7 +26,8 @@ if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
     from wcsim.bench.soak.planned import FaultOrder
     from wcsim.bench.soak.soak import SoakFacts
 
-_CLIENT_BAR_S, _WORLD_BAR_S = 5.0, 30.0
+_OF_LEARNERS = ("steps", "kills", "stops", "slow", "twice", "set")
+_STEPS, _FAULTS = 10_000, 20  # of learners, where nothing else is said
 
 
 @dataclass
@@ -35,18 +36,18 @@ class SoakOptions:
 
     minutes: float | None = None
     """How long. (default: 30; with --networks as long as --steps take)"""
-    clients: int = 3
-    """How many, each without a learner, in a process of its own."""
+    clients: int | None = None
+    """How many, each without a learner, in a process of its own. (default: 3)"""
     networks: str = ""
     """Learners in their place: networks joined by commas, as `wcsim train --clients`."""
-    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 10_000
-    """Steps of each learner, where --minutes do not say how long."""
-    kills: int = 20
-    """How many kills, spread over the time of the learners ..."""
-    stops: int = 20
-    """... and how many stops; processes without learners are hit every few seconds instead."""
-    slow: int = 1
-    """The last learner does so many times the updates of the others in a step."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps of each learner, where --minutes do not say how long. (default: 10000)"""
+    kills: int | None = None
+    """How many kills, spread over the time of the learners ... (default: 20)"""
+    stops: int | None = None
+    """... and how many stops; processes without learners are hit every few seconds instead. (default: 20)"""
+    slow: int | None = None
+    """The last learner does so many times the updates of the others in a step. (default: 1)"""
     twice: bool = False
     """Do it with the learners twice and without faults: both runs must have the same journal hash."""
     set: Repeated = ()
@@ -92,15 +93,29 @@ def run(options: SoakOptions) -> int:
 def _check(options: SoakOptions) -> None:
     """Raises ConfigError."""
     in_bounds("--minutes", 30.0 if options.minutes is None else options.minutes, 0.1, 6000.0)
-    in_bounds("--clients", options.clients, 2, 16)
     in_bounds("--lease", 3.0 if options.lease is None else options.lease, 0.5, 600.0)
-    in_bounds("--steps", options.steps, 10, 10_000_000)
-    for name in ("kills", "stops"):
-        in_bounds(f"--{name}", getattr(options, name), 0, 100_000)
-    in_bounds("--slow", options.slow, 1, 100)
+    bounds = {"clients": (2, 16), "steps": (10, 10_000_000), "kills": (0, 100_000), "stops": (0, 100_000)}
+    for name, (low, high) in {**bounds, "slow": (1, 100)}.items():
+        if getattr(options, name) is not None:
+            in_bounds(f"--{name}", getattr(options, name), low, high)
+    _check_heard(options)
     kept = options.out
     if kept is not None and kept.exists() and any(kept.iterdir()):
         raise ConfigError(f"--out {kept} is not empty; choose a new folder")
+
+
+def _check_heard(options: SoakOptions) -> None:
+    """Refuse options that this kind of soak does not hear of. Raises ConfigError."""
+    said = [f"--{name}" for name in _OF_LEARNERS if getattr(options, name) != getattr(SoakOptions, name)]
+    if said and not options.networks:
+        raise ConfigError(f"{', '.join(said)}: there are no learners; expected --networks A,B,..., or leave that out")
+    if options.networks and options.clients is not None:
+        raise ConfigError(
+            f"--clients {options.clients}: --networks has a learner for each client; leave one of the two out"
+        )
+    faults = [f"--{name}" for name in ("kills", "stops") if getattr(options, name)]
+    if options.twice and faults:
+        raise ConfigError(f"{', '.join(faults)}: --twice compares two runs without faults; leave one of the two out")
 
 
 def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
@@ -108,8 +123,8 @@ def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
     from wcsim.bench.soak.planned import FaultOrder
 
     struck = FaultOrder(
-        kills=0 if options.twice else options.kills,
-        stops=0 if options.twice else options.stops,
+        kills=_faults(options, options.kills),
+        stops=_faults(options, options.stops),
         lease_s=10.0 if options.lease is None else options.lease,
         seed=options.seed,
     )
@@ -125,6 +140,10 @@ def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
     return Exit.FAILED if wrong else Exit.DONE
 
 
+def _faults(options: SoakOptions, asked: int | None) -> int:
+    return 0 if options.twice else _FAULTS if asked is None else asked
+
+
 def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) -> LearnersFacts:
     """One run of the learners, as `wcsim train --clients` would do it."""
     from wcsim.agents.clients.group_run import GroupRun
@@ -138,7 +157,7 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     order = LearnersOrder(
         folder=folder,
         faults=struck,
-        steps=options.steps if options.minutes is None else None,
+        steps=(options.steps or _STEPS) if options.minutes is None else None,
         seconds=60.0 * (options.minutes or 0.0),
         recovery=options.recovery,
     )
@@ -156,7 +175,7 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     )
     *clients, last = resolved(trained)
     info = in_town(RunInfo(seed=options.seed, command=("wcsim", "bench", "soak")), town, last.config)
-    run = GroupRun(clients=(*clients, slowed(last, options.slow)), out=folder, info=info)
+    run = GroupRun(clients=(*clients, slowed(last, options.slow or 1)), out=folder, info=info)
     told = folder.with_name(f"{folder.name}.json")
     deaths = RestartRules().deaths + struck.kills + struck.stops  # those that faults cause, which may come in a row
     restarts = RestartRules(deaths=deaths)
@@ -234,9 +253,9 @@ def faults_of(facts: SoakFacts) -> list[str]:
     found = result(facts)
     wrong = [key for key in ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered") if found[key]]
     slow = (
-        ("recovery_client_p99_s", _CLIENT_BAR_S),
-        ("recovery_world_p99_s", _WORLD_BAR_S),
-        ("recovery_overlap_p99_s", _WORLD_BAR_S),  # any of them may be the world's
+        ("recovery_client_p99_s", facts.bars.client_s),
+        ("recovery_world_p99_s", facts.bars.world_s),
+        ("recovery_overlap_p99_s", facts.bars.overlap_s),
     )
     return wrong + [key for key, bar_s in slow if (found[key] or 0.0) > bar_s]
 
@@ -249,7 +268,7 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
         config=load_run_config("quick"),
         seconds=60.0 * (30.0 if options.minutes is None else options.minutes),
         folder=folder,
-        clients=options.clients,
+        clients=options.clients or 3,
         seed=options.seed,
         lease_s=3.0 if options.lease is None else options.lease,
         recovery=options.recovery,
