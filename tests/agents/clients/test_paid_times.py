@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimesLog, read_paid_times
+from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
 from wcsim.server.host.status import Stragglers
 from wcsim.server.launch.states import ClientState, LaunchState
@@ -85,8 +85,18 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
     log.add(state((5.0, 6.0), 2.0))
     headings, rows = waiting_rows(log.times)
     assert headings == (*HEADINGS, "for a s", "for b s")
-    assert rows == [["a", 1.0, 5.0, 1.0, 4.0, 2.0, None, 2.0], ["b", 1.0, 6.0, 1.0, 4.0, 2.0, 0.2, None]]
+    assert rows == [["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0], ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None]]
     assert PAYS.startswith("acts") and pays_of(ClientStatus(name="a")) == "-"
+
+
+def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning():
+    paid = PaidShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
+    headings, ((_, *told),) = waiting_rows(PaidTimes(clients={"a": paid}, waited_s={}))
+    row = dict(zip(headings[1:], told, strict=True))
+    assert (row["waiting for the world s"], row["of both learning s"], row["idle s"]) == (40.0, 35.0, 5.0)
+    waited_s = row["waiting for the world s"] + row["for others and messages s"]
+    assert row["of both learning s"] + row["idle s"] == waited_s
+    assert row["acting s"] + row["learning s"] + row["idle s"] == paid.known_s - paid.overlap_s
 
 
 def test_what_is_no_such_file_is_refused_and_none_is_none(tmp_path):

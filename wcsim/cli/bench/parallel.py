@@ -142,13 +142,15 @@ def _print_group(
     """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
     from wcsim.bench.barrier.sharing_model import SharingParts, saved
 
-    table = Table("client", "run", "world", "barrier", "infer", "learn", "waiting", "other", "all", "start")
+    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "all", "start")
     table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
         for (client, shares), one in zip(waited.items(), alone, strict=False):
             start_s = group.start_s if run_name == "together" else one.start_s
-            table.add_row(client, run_name, *(f"{shares[share]:.1f}" for share in _SHARES), f"{start_s:.1f}")
+            summed = shares | {"overlap_s": -shares["overlap_s"]}  # so the parts of a row sum to all
+            table.add_row(client, run_name, *(f"{summed[share]:.1f}" for share in _SHARES), f"{start_s:.1f}")
     console.print(table)
+    console.print("overlap: learning while waiting, which counts in learn and in world or barrier as well")
     same = alone[: len(group.waited)]
     sequential_s = sum(one.wall_s for one in same)
     world_s = {1: _mean_world_s(same, options.steps), len(group.waited): _mean_world_s([group], options.steps)}

@@ -9,7 +9,15 @@ from wcsim.view.report.markup import Cell, Exhibit, csv_of, table
 from wcsim.view.report.page import Section, shown
 from wcsim.view.report.training.learning_curve import Training
 
-HEADINGS = ("client", "acting s", "learning s", "of it while waiting s", "waiting s", "of it for the world s")
+HEADINGS = (
+    "client",
+    "acting s",
+    "learning s",
+    "waiting for the world s",
+    "for others and messages s",
+    "of both learning s",
+    "idle s",
+)
 
 
 def waitings(training: Training) -> list[tuple[Section, Exhibit]]:
@@ -24,7 +32,8 @@ def waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
     rows: list[list[Cell]] = []
     for name, shares in times.clients.items():
         waited = times.waited_s.get(name, {})
-        paid = (shares.acting_s, shares.learning_s, shares.overlap_s, shares.waiting_s, shares.world_s)
+        waits = (shares.world_s, shares.others_s, shares.overlap_s, shares.waiting_s)
+        paid = (shares.acting_s, shares.learning_s, *waits)
         held = [None if whom == name else round(waited.get(whom, 0.0), 1) for whom in names]
         rows.append([name, *(round(part_s, 1) for part_s in paid), *held])
     return (*HEADINGS, *(f"for {name} s" for name in names)), rows
@@ -35,9 +44,10 @@ def _section(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit
     exhibit = Exhibit(
         name="waiting" if number == 0 else f"waiting-{number + 1}",
         title=f"{run.resolve().name}: who waits for whom",
-        says="Seconds over all lives of each client. Learning while it waits costs nothing as long as somebody else is "
-        "waited for. The last columns: how long this client, which had acted, waited for those that had not; what "
-        "several were late for is shared among them. They hold no world's work and no messages",
+        says="Seconds over all lives of each client. Waiting is for the world's own work or for others and messages; a "
+        "part of both may be spent on learning, the rest is idle. Learning while it waits costs nothing as long as "
+        "somebody else is waited for. The last columns: how long this client, which had acted, waited for those that "
+        "had not; what several were late for is shared among them. They hold no world's work and no messages",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
