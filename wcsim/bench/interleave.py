@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from wcsim.errors import SumoError
+from wcsim.errors import SumoError, WcsimError
 
 _ANSWER_S = 300.0
 
@@ -44,6 +44,7 @@ def in_turns(
 
     Raises:
         SumoError: One of the processes died or hangs.
+        WcsimError: What a contestant raised when it was made, or in a tick.
     """
     context = multiprocessing.get_context("spawn")
     rows: tuple[list[tuple[float, ...]], ...] = tuple([] for _ in contestants)
@@ -61,24 +62,48 @@ def in_turns(
             _answer(end)
         for number in range(rounds):
             for contestant, end, found in zip(contestants, ends, rows, strict=True):
-                end.send(contestant.ticks)
+                _ask(end, contestant.ticks)
                 found += _answer(end)
             progress(number + 1)
     return rows
 
 
-def _answer(end: Connection) -> list[tuple[float, ...]]:
+def _ask(end: Connection, ticks: int) -> None:
+    """Have a contestant take its turn. Raises SumoError when it is gone."""
     try:
-        if end.poll(_ANSWER_S):
-            ticks: list[tuple[float, ...]] = end.recv()
-            return ticks
-    except EOFError:
-        pass
-    raise SumoError("a world of the comparison died or hangs; run `wcsim doctor`, then try again")
+        end.send(ticks)
+    except OSError:  # a broken pipe of ours is nobody who has read enough of the output
+        raise _gone() from None
+
+
+def _answer(end: Connection) -> list[tuple[float, ...]]:
+    """What a contestant has measured. Raises what it raised, SumoError when it died or hangs."""
+    try:
+        told: list[tuple[float, ...]] | WcsimError | None = end.recv() if end.poll(_ANSWER_S) else None
+    except (EOFError, OSError):
+        told = None
+    if told is None:
+        raise _gone()
+    if isinstance(told, WcsimError):
+        raise told
+    return told
+
+
+def _gone() -> SumoError:
+    return SumoError("a world of the comparison died or hangs; run `wcsim doctor`, then try again")
 
 
 def _serve(end: Connection, make: Callable[..., Runner], given: tuple[object, ...]) -> None:
-    """One contestant: so many ticks for each message, their numbers as the answer."""
+    """One contestant; an error of wcsim's own is told in place of an answer."""
+    try:
+        _take_turns(end, make, given)
+    except WcsimError as error:
+        with suppress(OSError):
+            end.send(error)
+
+
+def _take_turns(end: Connection, make: Callable[..., Runner], given: tuple[object, ...]) -> None:
+    """So many ticks for each message, their numbers as the answer."""
     runner = make(*given)
     try:
         end.send([])
