@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from typing import Any
 from wcsim.core.files import alone
 from wcsim.errors import WcsimError
 from wcsim.server.workers.cluster.bundle import is_kept, keep, kept_folder, unpack
+from wcsim.server.workers.cluster.work_folders import find_in_work, work_folder
 from wcsim.server.workers.worker_api import Call
 from wcsim.towns.cache.folder import cache_folder
 
@@ -65,12 +65,11 @@ def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
     """Do a piece of work in this process, which Ray has started; `fetch` stands in for Ray's store."""
     _say(f"{sent.key} begins")
     with ExitStack() as leaving:
-        pid_file = _pid_file(sent.run, sent.key, sent.attempt)
-        leaving.callback(pid_file.unlink, missing_ok=True)
         began_s = time.monotonic()
         try:
-            pid_file.write_text(str(os.getpid()), encoding="utf-8")
-            places, fetched = _received(sent.parcels, fetch or _from_ray, leaving)
+            own = leaving.enter_context(work_folder())
+            (own / _pid_name(sent.run, sent.key, sent.attempt)).write_text(str(os.getpid()), encoding="utf-8")
+            places, fetched = _received(sent.parcels, fetch or _from_ray, own)
             fetch_s = time.monotonic() - began_s
             data = sent.call(sent.piece, lambda address: places.get(address, address))
         except WcsimError as error:
@@ -90,17 +89,18 @@ def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
 def kill_worker(run: str, key: str, attempt: str) -> bool:
     """Kill the process of this machine that is at a piece, even one that was stopped. Whether there was one."""
     with suppress(OSError, ValueError):
-        pid = int(_pid_file(run, key, attempt).read_text(encoding="utf-8"))
-        if b"ray::" in Path(f"/proc/{pid}/cmdline").read_bytes():  # its number may be somebody else's by now
+        found = find_in_work(_pid_name(run, key, attempt))
+        pid = 0 if found is None else int(found.read_text(encoding="utf-8"))
+        if pid and b"ray::" in Path(f"/proc/{pid}/cmdline").read_bytes():  # its number may be somebody else's by now
             os.kill(pid, signal.SIGKILL)
             return True
     return False
 
 
-def _received(parcels: tuple[SentParcel, ...], fetch: Fetch, leaving: ExitStack) -> tuple[dict[str, str], int]:
-    """Where each parcel lies here, and how many bytes came for it."""
+def _received(parcels: tuple[SentParcel, ...], fetch: Fetch, own: Path) -> tuple[dict[str, str], int]:
+    """Where each parcel lies here, in a folder of this piece's own unless it is kept; how many bytes came for them."""
     places, fetched = {}, 0
-    for parcel in parcels:
+    for number, parcel in enumerate(parcels):
         if parcel.kept:
             folder = kept_folder(cache_folder(), parcel.digest, parcel.name)
             with alone(folder.parents[1] / f"{folder.parent.name}.lock"):  # a town comes once to a machine
@@ -109,9 +109,8 @@ def _received(parcels: tuple[SentParcel, ...], fetch: Fetch, leaving: ExitStack)
                     fetched += len(data)
                     keep(data, folder)
         else:
-            work = leaving.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-parcel-"))
-            folder = Path(work) / (parcel.name or "folder")
-            folder.mkdir()
+            folder = own / f"parcel-{number}" / (parcel.name or "folder")
+            folder.mkdir(parents=True)
             data = fetch(parcel.ref[0])
             fetched += len(data)
             unpack(data, folder)
@@ -126,9 +125,9 @@ def _from_ray(ref: Any) -> bytes:
     return data
 
 
-def _pid_file(run: str, key: str, attempt: str) -> Path:
+def _pid_name(run: str, key: str, attempt: str) -> str:
     name = "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in key)
-    return Path(tempfile.gettempdir()) / f"wcsim-{run}-{name}-{attempt}.pid"
+    return f"{run}-{name}-{attempt}.pid"
 
 
 def _say(text: str) -> None:

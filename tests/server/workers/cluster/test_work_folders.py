@@ -1,0 +1,78 @@
+"""What a process of a node leaves when it is killed goes when the next one begins, and what lives keeps its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.cluster.workpieces import echo, hang_once, tell_pid
+from wcsim.server.workers.cluster import bundle
+from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, do_work, kill_worker
+from wcsim.server.workers.cluster.work_folders import work_folder
+from wcsim.server.workers.worker_api import Call, Parcel
+
+
+def work(folder: str, call: Call, piece: str) -> Reply:
+    """A piece that needs a network, in this process."""
+    needed = Parcel(address=folder, folder=Path(folder), names=("weights",))
+    one = SentParcel(address=folder, digest="", name="net", inner="", kept=False, ref=("r",))
+    sent = SentWork(run="t", key="a/1", attempt="1", call=call, piece=piece, parcels=(one,))
+    return do_work(sent, lambda ref: bundle.packed(needed))
+
+
+def be_a_worker(folder: str, piece: str) -> None:
+    """Hang at a piece, as a process that the machine has stopped."""
+    work(folder, hang_once, piece)
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The node's folder for temporary files."""
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setenv("TMPDIR", str(place))
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, tmp_path: Path) -> None:
+    net = tmp_path / "net"
+    net.mkdir()
+    (net / "weights").write_text("w")
+    code = f"from {__name__} import be_a_worker; import sys; be_a_worker(*sys.argv[1:3])"
+    words = [sys.executable, "-c", code, str(net), str(tmp_path / "once"), "ray::stand-in"]
+    child = subprocess.Popen(words, cwd=Path(__file__).parents[4], stderr=subprocess.DEVNULL)
+    try:
+        until_s = time.monotonic() + 60.0
+        while not (tmp_path / "once").exists():
+            assert child.poll() is None and time.monotonic() < until_s
+            time.sleep(0.02)
+        (left,) = temporary.iterdir()
+        assert {path.name for path in left.rglob("*")} == {"t-a_1-1.pid", "parcel-0", "net", "weights"}
+        assert work(str(net), tell_pid, "").data == str(os.getpid()).encode()
+        assert list(temporary.iterdir()) == [left], "it lives, and its files stay"
+        assert kill_worker("t", "a/1", "1")
+        assert child.wait(10.0) < 0
+        assert left.is_dir()
+    finally:
+        child.kill()
+        child.wait()
+    assert work(str(net), echo, "x").data == b"x"
+    assert list(temporary.iterdir()) == []
+    assert not kill_worker("t", "a/1", "1")
+
+
+def test_folders_of_others_stay(temporary: Path) -> None:
+    with work_folder() as own:
+        namespace = own.name.split("-")[2]
+    names = ("wcsim-other", "wcsim-work-x", f"wcsim-work-{int(namespace) + 1}-1-1-a", f"wcsim-work-{namespace}-1-1-b")
+    for name in names:
+        (temporary / name).mkdir()
+    with work_folder() as own:
+        assert {path.name for path in temporary.iterdir()} == {*names[:3], own.name}
