@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import shutil
 import stat
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,23 @@ def test_a_town_is_fetched_once_and_again_when_it_was_changed(parcel, cache):
     assert again.data == first.data and again.fetched_bytes == 0 < first.fetched_bytes and len(fetched) == 1
     (Path(where) / "a.net.xml").write_text("spoilt")
     assert do_work(sent(parcel), fetch).data == first.data and len(fetched) == 2
+
+
+def test_one_content_under_two_names_is_kept_under_both(parcel, tmp_path):
+    other = tmp_path / "another"
+    shutil.copytree(parcel.folder, other)
+    both = (parcel, replace(parcel, address=str(other), folder=other))
+    fetched, places = [], []
+    for one in (*both, *both):
+
+        def fetch(ref: str, one: Parcel = one) -> bytes:
+            fetched.append(one.folder.name)
+            return bundle.packed(one)
+
+        places.append(Path(do_work(sent(one), fetch).data.decode().splitlines()[0]))
+    assert fetched == ["corner", "another"]
+    assert [place.name for place in places] == ["corner", "another"] * 2
+    assert all(place.is_dir() for place in places)
 
 
 def test_a_network_is_there_for_its_piece_alone(parcel):

@@ -23,8 +23,8 @@ _PARCELS: Final = "parcels"
 
 
 def digest_of(folder: Path, names: tuple[str, ...]) -> str:
-    """SHA-256 (hex) over the names and the bytes of files in a folder. Raises OSError."""
-    text = hashlib.sha256()
+    """SHA-256 (hex) over a folder's name, and the names and the bytes of files in it. Raises OSError."""
+    text = hashlib.sha256(f"{_name_of(folder.name)}\n".encode())
     for name in sorted(names):
         with (folder / name).open("rb") as file:
             text.update(f"{name} {hashlib.file_digest(file, 'sha256').hexdigest()}\n".encode())
@@ -65,8 +65,15 @@ def unpack(data: bytes, folder: Path) -> None:
 
 
 def kept_folder(cache: Path, digest: str, name: str) -> Path:
-    """Where a parcel with that hash is kept; its folder has the name that it had, as a town may be called by it."""
-    return cache / _PARCELS / digest / (name or "folder")
+    """Where a parcel with that hash is kept; its folder has the name that it had, as a town may be called by it.
+
+    The name is in the hash: towns that differ in it alone are kept beside each other.
+    """
+    return cache / _PARCELS / digest / _name_of(name)
+
+
+def _name_of(name: str) -> str:
+    return name or "folder"  # the root has none
 
 
 def is_kept(folder: Path, digest: str) -> bool:
