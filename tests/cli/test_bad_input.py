@@ -129,6 +129,9 @@ OPTIONS = {
     "bench soak --networks small,patch --twice --kills 2": ("--kills: --twice compares two runs without faults",),
     "bench soak --networks small,patch --steps 9": ("--steps 9", "10 to"),
     "bench soak --clients 1": ("--clients 1", "2 to 16"),
+    "bench memory --ticks 1000": ("--every 1000", "1 to 500", "half of --ticks 1000"),
+    "bench memory --ticks 1 --every 1": ("--ticks 1",),
+    "bench memory --every 0": ("--every 0", "1 to 10000"),
     "bench chair --plants hover": ("'hover'", "mwd, rwd"),
     "bench chair --plants ,": ("--plants",),
     "bench chair --hz 95": ("--hz 95", "100 to 1000"),
@@ -266,7 +269,9 @@ def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_
 def test_two_towns_of_one_name_are_not_mixed_up(wcsim, folder, corner, tmp_path):
     other = broken(corner, "unknown-key", tmp_path / "other")
     (other / "town.toml").write_text((corner / "town.toml").read_text())
-    refused(wcsim("test", "--town", f"{corner},{other}"), "both named")
+    for words in (("test",), ("bench", "crashes")):
+        refused(wcsim(*words, "--town", f"{corner},{other}"), "both named")
+    assert files_in(folder) == set()
 
 
 # --- files ---

@@ -199,9 +199,12 @@ def falls_once_at(tick: int):
 def test_a_kerb_behind_is_not_in_the_picture(corner):
     _, road = beside_the_road(corner)
     turned = StartSpec(p_W_m=road.p_W_m, yaw_rad=road.yaw_rad + math.pi, goal_W_m=road.goal_W_m)
-    backwards = watched(corner, Joystick(0.0, -1.0), 80, turned)
-    crashes = [(crash.thing, crash.in_picture) for crash in backwards.crashes]
-    assert crashes in ([], [("kerb", False)])  # drive wheels may climb it
+    jolts = ("chair.reverse_share=1.0", "reward.accel_window_mps2=[8.0,20.0]")  # drive wheels stop there
+    (crash,) = watched(corner, Joystick(0.0, -1.0), 80, turned, *jolts).crashes
+    assert (crash.kind, crash.reason, crash.in_picture) == (CrashClass.JOLT.value, "acceleration", False)
+    assert crash.speed_mps > 1.0
+    (seen,) = watched(corner, Joystick(0.0, 1.0), 80, road, *jolts).crashes
+    assert seen.in_picture is True
 
 
 def test_the_stick_that_counts_is_the_one_after_the_delay(corner, monkeypatch):

@@ -170,3 +170,8 @@ def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_pa
     (after,) = (each for each in figures_of(result, tmp_path) if each.name == "town-nowhere")
     assert "not on this machine" in before.says and "not on this machine" not in after.says
     assert "way,1.0,1.0,0.0" in after.csv, "places come with the second after which they were reached"
+
+
+def test_the_legend_says_that_saved_and_lost_are_crashes_by_the_own_fault():
+    says = {column.key: column.says for column in SAFETY}
+    assert all("by its own fault" in says[key] for key in ("saved", "lost"))

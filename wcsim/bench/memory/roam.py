@@ -20,6 +20,7 @@ from wcsim.towns.ground.tiles import TileStore
 from wcsim.types import F64, TileKey, WayKind
 
 STAY_TICKS = 150  # between two jumps of a chair
+_LEAST_ROWS = 3  # at the start, in the middle, at the end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +80,8 @@ def roam(
     return tuple(rows)
 
 
-def growth_mb(rows: Sequence[MemoryRow]) -> float:
-    """By how much memory without the rasters grew in the second half of a run.
+def growth_mb(rows: Sequence[MemoryRow]) -> float | None:
+    """By how much memory without the rasters grew in the second half of a run; None where no row is in its middle.
 
     >>> from dataclasses import replace
     >>> row = MemoryRow(
@@ -88,7 +89,11 @@ def growth_mb(rows: Sequence[MemoryRow]) -> float:
     ... )
     >>> growth_mb((row, replace(row, tick=100, rss_mb=350.0), replace(row, tick=200, rss_mb=350.5)))
     0.5
+    >>> growth_mb((row, replace(row, tick=100, rss_mb=350.0))) is None
+    True
     """
+    if len(rows) < _LEAST_ROWS:
+        return None
     half = min(rows, key=lambda row: abs(row.tick - 0.5 * rows[-1].tick))
     return (rows[-1].rss_mb - rows[-1].rasters_mb) - (half.rss_mb - half.rasters_mb)
 

@@ -26,7 +26,7 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import by_name, find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.bench.crashes.drives import CrashDrive
@@ -78,10 +78,10 @@ def run(options: CrashesOptions) -> int:
         check_folder("--out", options.out / "x")
     names, config = _policies(options.policy), _config(options)
     require_user(options.profile)
-    towns = [find_town(name) for name in some_words("--town", options.town)]
+    towns = by_name(find_town(name) for name in some_words("--town", options.town))
     drives: list[CrashDrive] = []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        for town in towns:
+        for town in towns.values():
             for name in names:
                 drives.append(_driven(options, config, town.address, name, bar))
                 if options.out is not None:

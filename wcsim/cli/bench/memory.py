@@ -11,6 +11,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.config import load_run_config
+from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 
@@ -31,7 +32,7 @@ class MemoryOptions:
     ticks: int = 20_000
     """How long."""
     every: int = 1_000
-    """Ticks from one row to the next."""
+    """Ticks from one row to the next, at most half of --ticks."""
     width: int = 64
     """Camera width in pixels; the height is three quarters of it."""
     demand_scale: float = 1.0
@@ -45,8 +46,12 @@ class MemoryOptions:
 def run(options: MemoryOptions) -> int:
     """Run the bench and print a row for every so many ticks."""
     in_bounds("--chairs", options.chairs, 1, 64)
-    in_bounds("--ticks", options.ticks, 1, MANY)
-    in_bounds("--every", options.every, 1, options.ticks)
+    in_bounds("--ticks", options.ticks, 2, MANY)
+    if not 1 <= options.every <= options.ticks // 2:
+        raise ConfigError(
+            f"--every {options.every}: expected 1 to {options.ticks // 2}, half of --ticks {options.ticks}, as growth "
+            "is told of the second half"
+        )
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     words = (
@@ -74,11 +79,12 @@ def run(options: MemoryOptions) -> int:
     return 0
 
 
-def _table(rows: list[MemoryRow], growth_mb: float) -> Table:
+def _table(rows: list[MemoryRow], growth_mb: float | None) -> Table:
     table = Table("tick", "memory MB", "of it rasters", "objects", "tiles", "tiles seen", "actors' bodies", "actors")
     for r in rows:
         held = f"{r.rss_mb:.1f}", f"{r.rasters_mb:.1f}"
         numbers = (r.tick, *held, r.python_objects, r.tiles, r.tiles_seen, r.bodies, r.actors)
         table.add_row(*map(str, numbers))
-    table.caption = f"grew by {growth_mb:.1f} MB in the second half, without the rasters"
+    if growth_mb is not None:
+        table.caption = f"grew by {growth_mb:.1f} MB in the second half, without the rasters"
     return table

@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 NOISES = {"clean": "none", "noisy": "typical"}
 MOST = {"kb_per_state_clean": 5.0, "kb_per_state_noisy": 25.0, "write_ms": 0.5, "read_ms": 0.5}
+MOST_OF = (320, 240)
+"""The size of pictures that these bounds are for: others cost neither the same nor in proportion to their pixels."""
 
 
 @dataclass
@@ -28,10 +30,10 @@ class ReplayOptions:
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
-    width: int = 320
+    width: int = MOST_OF[0]
     """Camera width in pixels."""
-    height: int = 240
-    """Camera height in pixels."""
+    height: int = MOST_OF[1]
+    """Camera height in pixels; bounds are for 320x240 alone."""
     states: int = 600
     """States to keep for each of the two."""
     seed: int = 4
@@ -41,7 +43,7 @@ class ReplayOptions:
 
 
 def run(options: ReplayOptions) -> int:
-    """Run the bench; 1 when a number is above what it may be."""
+    """Run the bench; 1 when a number is above what it may be with pictures of the usual size."""
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--height", options.height, 16, 2048)
     in_bounds("--states", options.states, 10, 1_000_000)
@@ -71,7 +73,8 @@ def run(options: ReplayOptions) -> int:
     Console().print(_table(costs))
     if options.json is not None:
         write_json(options.json, found)
-    above = [name for name, value in found.items() if value > MOST[name]]
+    judged = (options.width, options.height) == MOST_OF
+    above = [name for name, value in found.items() if judged and value > MOST[name]]
     for name in above:
         Console(stderr=True).print(f"{name} is {found[name]:.2f}; expected at most {MOST[name]}")
     return int(bool(above))

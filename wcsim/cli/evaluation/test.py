@@ -28,7 +28,7 @@ from wcsim.core.plugins import find_class
 from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, find_town, list_towns, streets_hash
+from wcsim.towns.scenario.town import Town, by_name, find_town, list_towns, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.matrix import TestPlan, TestResult
@@ -217,13 +217,7 @@ def _require_policies(options: Options) -> None:
 
 def _towns(options: Options) -> dict[str, Town]:
     """The towns to test in, by name."""
-    towns: dict[str, Town] = {}
-    for name in some_words("--town", options.town):
-        town = checked_town(name, options)
-        other = towns.setdefault(town.name, town)
-        if other.folder != town.folder:
-            raise TownError(f"{other.folder} and {town.folder} are both named {town.name}; test one after the other")
-    return towns
+    return by_name(checked_town(name, options) for name in some_words("--town", options.town))
 
 
 def checked_town(name: str, options: Options) -> Town:

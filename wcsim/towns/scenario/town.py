@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,6 +119,16 @@ def list_towns() -> tuple[Town, ...]:
                 except (TownError, ConfigError) as error:
                     log.warning("left out: %s", error)
     return tuple(towns[name] for name in sorted(towns))
+
+
+def by_name(towns: Iterable[Town]) -> dict[str, Town]:
+    """Towns by the name that their results go by. Raises TownError when two of them share one."""
+    found: dict[str, Town] = {}
+    for town in towns:
+        other = found.setdefault(town.name, town)
+        if other.sumocfg.resolve() != town.sumocfg.resolve():
+            raise TownError(f"{other.address} and {town.address} are both named {town.name}; take one after the other")
+    return found
 
 
 def town_roots() -> tuple[Path, ...]:

@@ -59,8 +59,16 @@ SAFETY: Final = (
         says="share of episodes that were driven to their end without any crash",
         form="{:.0%}",
     ),
-    Column(heading="saved", key="saved", says="episodes in which the user alone crashes and the policy does not"),
-    Column(heading="lost", key="lost", says="episodes in which the policy crashes and the user alone does not"),
+    Column(
+        heading="saved",
+        key="saved",
+        says="episodes in which the user alone crashes by its own fault and the policy does not",
+    ),
+    Column(
+        heading="lost",
+        key="lost",
+        says="episodes in which the policy crashes by its own fault and the user alone does not",
+    ),
     Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
 )
 SERVICE: Final = (
