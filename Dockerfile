@@ -4,7 +4,9 @@ FROM python:3.11-slim-bookworm
 RUN apt-get update \
  && apt-get install --yes --no-install-recommends make libgl1 libglib2.0-0 libgomp1 \
  && rm -rf /var/lib/apt/lists/*
-RUN useradd --create-home wcsim && install --directory --owner=wcsim --group=wcsim /home/wcsim/wcsim
+# Its owner alone may read the token of a cluster, so a node's user has the number of whose token it is: docs/cluster.md
+ARG USER_ID=1000
+RUN useradd --create-home --uid "$USER_ID" wcsim && install --directory --owner=wcsim --group=wcsim /home/wcsim/wcsim
 USER wcsim
 WORKDIR /home/wcsim/wcsim
 COPY --chown=wcsim:wcsim . .

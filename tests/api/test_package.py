@@ -365,3 +365,12 @@ def test_files_that_docstrings_name_are_there():
 def test_a_file_that_is_not_there_is_found():
     told = "`bridge/world.py`, `mirror.py`, `session.py`, `reaction/drivers.py`; `town.toml`, `bridge/nothing.py`"
     assert not_there(told, ROOT) == ["session.py", "bridge/nothing.py"]
+
+
+def test_what_git_ignores_stays_out_of_the_image():
+    """Results of hours and caches of tools are no part of wcsim, and every change in them builds it anew."""
+
+    def ignored(file: str) -> set[str]:
+        return {line.removeprefix("**/").strip("/") for line in (ROOT / file).read_text(encoding="utf-8").splitlines()}
+
+    assert ignored(".gitignore") <= ignored(".dockerignore")
