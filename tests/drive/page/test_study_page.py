@@ -11,7 +11,7 @@ import pytest
 from tests.drive.keeping.studies import write_study
 from tests.drive.serving.served import PATIENCE_S, served
 from tests.drive.serving.test_served_study import SHORT
-from tests.drive.test_page import CHROMIUM, FLAGS, wait
+from tests.drive.page.test_page import CHROMIUM, FLAGS, wait
 
 pytestmark = [
     pytest.mark.browser,
