@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 
 from tests.users.fitting.plane_drives import plane_drive, thinned
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
+from wcsim.types import Joystick
 from wcsim.users.fitting.fit_user import fit_user, is_told
 from wcsim.users.fitting.hand_series import hand_series
 from wcsim.users.fitting.switch_fit import by_switches
@@ -100,6 +103,31 @@ def test_drives_that_say_too_little_are_refused(shaking):
         fit_user([replace(drive, ticks=drive.ticks[:30])], BASE)
     with pytest.raises(ConfigError, match="does not say what was wanted"):
         fit_user([replace(drive, ticks=(replace(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
+
+
+def at_positions(drive, positions):
+    """The same by somebody who only ever takes the nearest of these, as keys do, once a tick."""
+    near = [Joystick(*min(positions, key=lambda p: math.dist(p, (tick.stick.x, tick.stick.y)))) for tick in drive.ticks]
+    ticks = (replace(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
+    return replace(drive, ticks=tuple(ticks))
+
+
+EIGHTHS = [(math.sin(turn * math.pi / 4), math.cos(turn * math.pi / 4)) for turn in range(8)]
+KEYS = [(0.0, 0.0), *EIGHTHS, *((0.5 * x, 0.5 * y) for x, y in EIGHTHS)]
+SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.5, 0.0), (0.5, 0.0), (0.0, -0.5)]
+
+
+@pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
+def test_keys_and_the_switches_of_a_page_tell_no_hand(shaking, positions):
+    with pytest.raises(ConfigError, match="positions? alone while it moved.*expected a drive by gamepad"):
+        fit_user([shaking[1], at_positions(shaking[1], positions)], BASE)
+
+
+def test_who_only_pushes_to_the_gate_keeps_the_hand_of_the_base():
+    user = replace(drawn("competent", 1), gain=(3.0, 3.0))
+    fit = fit_user([plane_drive(user, 60.0, 5)], replace(BASE, lag_s=0.21))
+    assert (fit.profile.gain, fit.profile.lag_s, fit.profile.reaction_s) == (BASE.gain, 0.21, BASE.reaction_s)
+    assert any("are those of --base" in line for line in fit.warnings)
 
 
 # --- proofs ---

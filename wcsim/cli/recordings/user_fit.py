@@ -79,11 +79,14 @@ def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
 
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
+    from wcsim.bridge.drives.beside import by_person
     from wcsim.bridge.drives.remake import town_of_drive
     from wcsim.bridge.drives.shadow import seen_drive, with_shadow
     from wcsim.users.fitting.fit_user import fit_user
+    from wcsim.users.fitting.stick_positions import require_stick
 
     for drive in drives:
+        require_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])
         town_of_drive(drive.header)
     print("making the drives again, to see what their person saw", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]

@@ -11,6 +11,7 @@ from wcsim.errors import ConfigError
 from wcsim.users.fitting.habit_fit import FittedNumber, looks, usual_speed
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
+from wcsim.users.fitting.stick_positions import require_stick
 from wcsim.users.fitting.switch_fit import by_switches, fit_switches
 from wcsim.users.profile_file import PROFILE_LIMITS
 from wcsim.users.profiles import UserProfile
@@ -21,6 +22,7 @@ _FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "noise": 0.003, "away
 _SHORT_S = 180.0  # a drive that says little
 _SD = 1.96  # of an interval of 95 %
 _FEWEST_BLOCKS = 6
+_LEAST_COUNTED = 0.1  # of the samples of a moving stick; users of the profiles have 0.25 and more
 _PAIRS = ("gain", "bias")
 _LOGS = ("lag_s", "noise", "noise_rate", "tremor")
 _MORE = {
@@ -56,10 +58,12 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
         wanted: Whether the intents are what was wanted; else they were made by the user model, which never looks away.
 
     Raises:
-        ConfigError: There is no intent, or no episode of some seconds.
+        ConfigError: There is no intent, no episode of some seconds, or no stick (see `require_stick`).
     """
     if not all(drive.knows_intents for drive in drives):
         raise ConfigError("a drive does not say what was wanted in every tick; expected one that does")
+    for drive in drives:
+        require_stick(drive.name, drive.ticks)
     series = hand_series(drives)
     if not series:
         raise ConfigError(
@@ -77,7 +81,10 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
 
 
 def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
-    found = {}
+    """Nothing where nearly all of the driving lay at the gate: a law of what is left is none of the hand."""
+    found: dict[str, FittedNumber] = {}
+    if law.counted_share < _LEAST_COUNTED:
+        return found
     for name, sd in law.sd.items():
         value = law.values[name]
         if name in _LOGS:
@@ -102,10 +109,16 @@ def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
     }
     if switched:
         return {**plain, "noise": 0.0, "tremor": 0.0, "gain": (1.0, 1.0), "bias": (0.0, 0.0)}
+    if not _tells_hand(found):
+        return plain
     pairs: dict[str, Any] = {
         name: tuple(_bounded(name, found[f"{name}_{axis}"].value) for axis in "xy") for name in _PAIRS
     }
     return {"correct_every_s": 0.0, **plain, **pairs}
+
+
+def _tells_hand(found: dict[str, FittedNumber]) -> bool:
+    return "reaction_s" in found  # of a stick and of switches
 
 
 def _bounded(name: str, value: float) -> float:
@@ -120,6 +133,11 @@ def _warnings(
     if seconds < _SHORT_S:
         told.append(
             f"only {seconds:.0f} s were driven: expected {_SHORT_S:.0f} s or more, and ten minutes for most numbers"
+        )
+    if not _tells_hand(found):
+        told.append(
+            f"the stick moved at its gate for more than {1.0 - _LEAST_COUNTED:.0%} of the time, where a hand cannot be "
+            "told: delay, lag, gain, bias, noise and tremor are those of --base; drive with half of the stick too"
         )
     if seconds < _FEWEST_BLOCKS * BLOCK_S:
         told.append(f"intervals rest on {seconds / BLOCK_S:.0f} stretches of {BLOCK_S:.0f} s: too few to be trusted")

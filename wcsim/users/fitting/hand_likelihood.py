@@ -16,6 +16,7 @@ from wcsim.types import F64, Bool
 from wcsim.users.fitting.block_newton import Summands, certainty, least
 from wcsim.users.fitting.hand_kernels import surprises, wish_on_its_way
 from wcsim.users.fitting.hand_series import HandSeries
+from wcsim.users.fitting.stick_positions import MOVES
 from wcsim.users.hand import TREMOR_WANDER, TREMOR_WANDER_S
 
 BLOCK_S = 10.0  # stretches that are taken for strangers to each other
@@ -43,7 +44,7 @@ class HandLaw:
     values: dict[str, float]
     sd: dict[str, float]  # of the logarithm of lag, noise, noise_rate, tremor
     tremor_most: float  # what a tremor that was not found is below; 0 with one
-    counted_s: float  # how much of the drive said something
+    counted_share: float  # of the samples of a stick that moves, those that said something
 
 
 def fit_law(series: Sequence[HandSeries]) -> HandLaw:
@@ -70,8 +71,14 @@ def fit_law(series: Sequence[HandSeries]) -> HandLaw:
         values={**dict.fromkeys(NAMES, 0.0), **values},
         sd=sd,
         tremor_most=most,
-        counted_s=sum(float(part.sum()) for part in blocks.counted) * series[0].apart_s,
+        counted_share=_counted_share(series, blocks.counted),
     )
+
+
+def _counted_share(series: Sequence[HandSeries], counted: Sequence[Bool]) -> float:
+    """Who only ever pushes to the gate tells no more than who never moves."""
+    moves = np.concatenate([np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series])
+    return float((np.concatenate(counted) & moves).sum() / max(1, int(moves.sum())))
 
 
 class _Likelihood:

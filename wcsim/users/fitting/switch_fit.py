@@ -12,7 +12,8 @@ import numpy as np
 
 from wcsim.types import F64, Joystick
 from wcsim.users.fitting.hand_series import HandSeries
-from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SWITCH_POSITIONS, SwitchHand
+from wcsim.users.fitting.stick_positions import at_switches
+from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
 from wcsim.users.profiles import UserProfile
 
 _SAME = 1e-4  # of the stick's travel
@@ -35,10 +36,7 @@ class SwitchLaw:
 
 def by_switches(series: Sequence[HandSeries]) -> bool:
     """Whether every sample is a position that four switches stand for."""
-    positions = np.array(SWITCH_POSITIONS)
-    sticks = np.concatenate([item.stick for item in series])
-    away = np.abs(sticks[:, None, :] - positions[None]).max(axis=2).min(axis=1)
-    return bool((away < _SAME).all())
+    return bool(at_switches(np.concatenate([item.stick for item in series])).all())
 
 
 def fit_switches(series: Sequence[HandSeries], base: UserProfile) -> SwitchLaw:
