@@ -90,6 +90,8 @@ def _require_place(options: Options, words: list[str]) -> None:
     require_policy(options.policy)
     require_user(options.profile)
     if options.suite:
+        if says(words, "--seed"):
+            raise ConfigError(f"--seed with --suite {options.suite}: its episodes have their own seeds; leave it out")
         in_bounds("--block", options.block, 0, 1 << 30)
         in_bounds("--seat", options.seat, 0, 1 << 30)
     elif options.block or options.seat:

@@ -116,6 +116,10 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     refused(wcsim("replay", "a.drive", "--fcd", "a.xml"), "is a drive, which knows no traffic")
     refused(wcsim("replay", "a.drive", "--verify", "--epoch", 0), "are for journals")
     refused(wcsim("replay", "a.drive", "a.drive", "--first-difference"), "not drives")
+    for task in (("--page",), ("--mcap", "b.mcap")):
+        for more in (("--epoch", 1), ("--hook", "own:Step")):
+            refused(wcsim("replay", "a.drive", *task, *more), "are for journals; expected a drive without them")
+    assert not Path("b.mcap").exists()
 
 
 def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
@@ -132,6 +136,8 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
         (("notes", "--mcap", "x.mcap"), ("not a trace",)),
         (("trace", "--mcap", "x.bag"), ("expected a file name that ends in .mcap",)),
         (("notes", "--fcd", "x.xml"), ("not a trace",)),
+        (("trace", "--fcd", "x.xml", "--hook", "own:Step"), ("--hook is what a journal was made with",)),
+        ((journaled, "--page", "--json", "told.json"), ("--json is what a comparison", "no such option with --page")),
         (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
         ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),
         ((journaled, "--fcd", "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),

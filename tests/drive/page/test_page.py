@@ -295,13 +295,13 @@ OBSTACLE = ("--suite", "dev", "--block")
 
 
 @pytest.mark.proof
-def test_an_obstacle_lights_the_lamps(browser: Any, corner: Path) -> None:
+def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
     """The car door of the suite: driven straight on, `dwa` sees it, warns and steers otherwise, and marks positions."""
     from wcsim.agents.evaluation.suite.list_file import open_suite
 
     blocks = open_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
-    with served(corner, *OBSTACLE, str(index)) as (address, _):
+    with served(None, *OBSTACLE, str(index)) as (address, _):
         context = browser.new_context()
         context.set_default_timeout(1000 * PATIENCE_S)
         page = open_page(context, address)

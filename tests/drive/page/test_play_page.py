@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from tests.drive.serving.served import PATIENCE_S, serving
 from tests.drive.page.test_page import CHROMIUM, FLAGS, open_page, picture_of, wait
+from tests.drive.serving.served import PATIENCE_S, serving
 from tests.support.journals import eventful_run
 from wcsim.server.journal.journal import journal_digest
 

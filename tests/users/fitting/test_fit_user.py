@@ -119,7 +119,7 @@ SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.
 
 @pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
 def test_keys_and_the_switches_of_a_page_tell_no_hand(shaking, positions):
-    with pytest.raises(ConfigError, match="positions? alone while it moved.*expected a drive by gamepad"):
+    with pytest.raises(ConfigError, match=r"positions? alone while it moved.*expected a drive by gamepad"):
         fit_user([shaking[1], at_positions(shaking[1], positions)], BASE)
 
 

@@ -105,6 +105,8 @@ def _check(order: FilmOrder) -> None:
         raise ConfigError(f"--block and --policy name an episode of a test; {where} is a {order.kind}: leave them out")
     if order.kind == "episode" and order.epoch is not None:
         raise ConfigError(f"--epoch is of journals and traces; {where} is a test: say --block and --seat")
+    if order.kind == "episode" and order.hook:
+        raise ConfigError(f"--hook is what a journal was made with; {where} is a test: leave it out")
     if order.town and order.kind != "trace":
         raise ConfigError(f"--town says where a trace was recorded; {where} is a {order.kind} and says so itself")
     if order.kind == "journal":

@@ -98,6 +98,8 @@ def _check(options: Options) -> None:
     if len(options.runs) != runs:
         raise ConfigError(f"{task} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
     _check_ticks(options, task)
+    if options.page and options.json is not None:
+        raise ConfigError("--json is what a comparison or a file came to; expected no such option with --page")
     if not options.page and (options.policy, options.town, options.block, options.seat) != ("", "", None, None):
         raise ConfigError(f"--policy, --block, --seat and --town are of --page; expected no such option with {task}")
     check_output("--fcd", options.fcd)
@@ -160,6 +162,14 @@ def _is_journal(path: Path) -> bool:
     return True
 
 
+def _require_heard(found: Recording, options: Options) -> None:
+    """Refuse what this kind of recording would not heed. Raises ConfigError."""
+    if found.kind == DRIVE and (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
+        raise ConfigError("--epoch, --from, --to and --hook are for journals; expected a drive without them")
+    if found.kind == TRACE and options.hook:
+        raise ConfigError(f"--hook is what a journal was made with; {shown(found.path)} is a trace: leave it out")
+
+
 def _page(options: Options) -> int:
     in_bounds("--port", options.port, 0, 65535)
     in_bounds("--block", options.block or 0, 0, 1 << 30)
@@ -167,6 +177,8 @@ def _page(options: Options) -> int:
     folder = result_folder(options.runs[0])
     what = "a run folder with a journal or a trace, one of these files, a drive, or the folder of a test"
     found = None if folder is not None else _find(options.runs[0], JOURNAL, what)
+    if found is not None:
+        _require_heard(found, options)
     order = FilmOrder(
         path=folder if folder is not None else found.path if found is not None else options.runs[0],
         kind="episode" if found is None else found.kind,
@@ -185,6 +197,7 @@ def _fcd(options: Options) -> int:
     found = _find(options.runs[0], TRACE, what)
     if found.kind == DRIVE:
         raise ConfigError(f"{found.path}: is a drive, which knows no traffic; expected a trace or a journal")
+    _require_heard(found, options)
     fcd = options.fcd or Path()
     steps = 0
 
@@ -209,6 +222,7 @@ def _fcd(options: Options) -> int:
 def _mcap(options: Options, mcap: Path) -> int:
     """A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and the sticks."""
     found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
+    _require_heard(found, options)
     if find_spec("rosbags") is None:
         raise ConfigError("--mcap needs rosbags, which is not installed; expected the extra: pip install 'wcsim[bag]'")
     counts: dict[str, int] = {}
@@ -246,6 +260,7 @@ def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
 def _verify(options: Options) -> int:
     found = _find(options.runs[0], JOURNAL, "a run folder of a server, or a journal")
     if found.kind == DRIVE:
+        _require_heard(found, options)
         return _verify_drive(found.path, options)
     if found.kind != JOURNAL:
         raise ConfigError(
@@ -270,8 +285,6 @@ def _verify(options: Options) -> int:
 
 def _verify_drive(path: Path, options: Options) -> int:
     """Drive it again, with the recorded commands, and compare where the chair was."""
-    if (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
-        raise ConfigError("--epoch, --from, --to and --hook are for journals; expected a drive without them")
     from wcsim.bridge.drives.remake import verify_drive
     from wcsim.users.recording.drive_reader import read_drive
 
