@@ -128,6 +128,56 @@ def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin
     other.close()
 
 
+def test_figures_that_are_in_the_table_are_not_taken_for_another_drive(
+    corner: Path, tmp_path: Path, begin: Begin
+) -> None:
+    """A pilot whose rows were removed from the table is driven anew."""
+    study = opened(corner, tmp_path)
+    person = begin(study)
+    person.until(StepKind.ASK)
+    kept = study.folder / "1-more.csv"
+    assert kept.is_file()
+    person.close()
+    person = begin(study)
+    assert any("more was driven before" in line for line in person.said), "never without a word"
+    person.until(StepKind.REST)
+    assert not kept.exists()
+    study.table.unlink()
+    assert begin(study).lead._steps[1].kind is StepKind.READ
+
+
+def test_a_page_that_comes_in_the_middle_of_a_rest_is_told_what_is_left(
+    corner: Path, tmp_path: Path, begin: Begin
+) -> None:
+    person = begin(opened(corner, tmp_path))
+    person.until(StepKind.REST)
+    waits_s = []
+    for _ in range(12):
+        person.now_s += 0.5
+        person.lead.wait()
+        waits_s.append(person.view.wait_s)
+    assert waits_s == [5.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    shown = len(person.views)
+    person.lead.wait()
+    assert len(person.views) == shown, "and no more once it is over"
+    person.press()
+    assert person.view.kind is StepKind.READ
+
+
+def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
+    corner: Path, tmp_path: Path, begin: Begin
+) -> None:
+    study = opened(corner, tmp_path)
+    person = begin(study)
+    person.until(StepKind.DRIVE)
+    person.drive(5)
+    assert person.session is not None
+    for _ in range(2):
+        person.session.ask_for_help()
+    person.press()  # ended early, without another tick
+    assert rows_of(study)[0]["helps"] == "2"
+
+
 def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None:
     text = STUDY.replace('name = "alone"', 'name = "alone"\narrivals = 1')
     person = begin(opened(corner, tmp_path, 1, text))

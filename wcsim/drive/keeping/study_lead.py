@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,12 +44,14 @@ class StudyLead:
         """Raises ConfigError for a table that cannot be read."""
         self._study, self._hands = study, hands
         done = {row["block"] for row in rows_of(study)}
-        parts = [step.part for step in steps_of(study.file, study.participant, done) if step.part is not None]
+        steps = steps_of(study.file, study.participant, done)
+        parts = dict.fromkeys(step.part for step in steps if step.part is not None)
         self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
         self._steps = steps_of(study.file, study.participant, done, self._rows)
         self._at, self._view = 0, StudyView(step=0, kind=StepKind.END, participant=study.participant, title="")
         self._session: DriveSession | None = None
-        self._file, self._failed, self._rested_s, self._shown_s = "", False, 0.0, -1
+        self._file, self._failed, self._rested_s = "", False, 0.0
+        self._shown_s = -1  # whole seconds that are left of a drive, or of a rest, as they were shown last
         left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
         hands.say(
             f"study {study.file.name}, participant {study.participant}: order {study.order}; "
@@ -108,7 +111,15 @@ class StudyLead:
             told[answer_column(question)] = "" if number == NO_ANSWER else words[number]
         part = self.step.part
         self._write(end_row(self._study) if part is None else self._rows[part.block.name], told)
+        if part is not None:
+            self._forget(part)
         self._next()
+
+    def wait(self) -> None:
+        """Time goes by without a tick: a page that comes in the middle of a rest is told what is left of it."""
+        left_s = max(0.0, self._rested_s - self._hands.clock())
+        if self.step.kind is StepKind.REST and math.ceil(left_s) != self._shown_s:
+            self._tell_rest(left_s)
 
     def driven(self) -> None:
         """A tick has been driven: the part is over after its time, or its arrivals."""
@@ -138,7 +149,7 @@ class StudyLead:
             self._tell_left()
         elif step.kind is StepKind.REST:
             self._rested_s = self._hands.clock() + self._study.file.pause_s
-            self._show(wait_s=self._study.file.pause_s)
+            self._tell_rest(self._study.file.pause_s)
         else:
             self._show()
 
@@ -186,8 +197,20 @@ class StudyLead:
 
     def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
         """The figures of a part that was driven in a sitting before, whose questions were not answered."""
-        rows = read_rows(self._result(part), columns_of(self._study.file))
-        return tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
+        path = self._result(part)
+        rows = read_rows(path, columns_of(self._study.file))
+        found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
+        if found:
+            self._hands.say(f"{part.block.name} was driven before, its questions are asked: {shown(path)}")
+        return found
+
+    def _forget(self, part: StudyPart) -> None:
+        """The figures are in the table: who drives this part anew, as after a pilot, is not taken for having driven."""
+        path = self._result(part)
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            self._hands.say(f"{shown(path)}: cannot be removed ({error.strerror}); its row is in the table: remove it")
 
     def _result(self, part: StudyPart) -> Path:
         return self._study.folder / f"{part.number}-{part.block.name}.csv"
@@ -205,6 +228,10 @@ class StudyLead:
         left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.counted_s), part.block.arrivals
         self._shown_s = int(left_s)
         self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.tally.arrivals)
+
+    def _tell_rest(self, left_s: float) -> None:
+        self._shown_s = math.ceil(left_s)
+        self._show(wait_s=left_s)
 
     def _show(self, **changes: object) -> None:
         self._view = replace(self._view, **changes)  # type: ignore[arg-type]
