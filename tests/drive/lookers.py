@@ -48,6 +48,29 @@ class Breaks:
         return 40
 
 
+class BreaksAtOnce:
+    """Raises whenever it is asked, or whenever an episode begins."""
+
+    name = "breaks-at-once"
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+
+    def begin(self) -> None:
+        pass
+
+    def reset(self) -> None:
+        self._at("reset")
+
+    def act(self, observation: Observation) -> int:
+        self._at("act")
+        return 40
+
+    def _at(self, where: str) -> None:
+        if where == self._where:
+            raise ValueError("out of ideas")
+
+
 class Remembers:
     """Holds the right half for unsafe, goes straight back, and notes what was sent instead."""
 

@@ -3,12 +3,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.drive.lookers import Breaks, Noted
+from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
@@ -106,3 +107,114 @@ def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
     for _ in range(6):
         drive._tick(100.0)
     assert drive.paused, "it is tried again, and breaks again"
+
+
+@pytest.mark.parametrize("where", ["act", "reset"])
+def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: DriveRunner, where: str) -> None:
+    assert drive.session is not None
+    drive.session.assistance._policy = BreaksAtOnce(where)
+    events = Noted()
+    drive.session.look_on(events)
+    if where == "reset":
+        drive.session.assistance.reset()
+    drive._tick(100.0)
+    assert drive.paused
+    drive._assist(m.Assist(on=True))
+    drive._pause(m.Pause(on=False))
+    if where == "act":
+        drive._tick(100.0)
+        assert drive.paused
+    assert events.kinds().count(EventKind.POLICY_FAILED) == 2
+    drive._pause(m.Pause(on=False))
+    drive._tick(100.0)
+    assert not drive.paused, "who goes on knows of it"
+
+
+def states(server: Connection) -> list[dict[str, Any]]:
+    """Those that the server has heard by now."""
+    found = []
+    while server.poll():
+        data = server.recv_bytes()
+        if data.startswith(JSON + b'{"say":"state"'):
+            found.append(json.loads(data[1:]))
+    return found
+
+
+class Desk:
+    """A runner whose clock is set by hand, and what its server hears."""
+
+    def __init__(self, corner: Path) -> None:
+        self.now_s = 100.0
+        self.server, pipe = Pipe()
+        self.runner = DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: self.now_s)
+        self.runner._begin()
+
+    def say(self, say: str, **more: object) -> None:
+        self.server.send_bytes(json.dumps({"say": say, **more}).encode())
+
+    def turn(self, after_s: float = 0.0, **stick: object) -> list[dict[str, Any]]:
+        """Let time go on, with a page that holds the stick if its message is said."""
+        self.now_s += after_s
+        if stick:
+            self.say("stick", **{"x": 0.0, "y": 0.0, **stick})
+        self.runner._turn()
+        return states(self.server)
+
+
+@pytest.fixture
+def desk(corner: Path) -> Iterator[Desk]:
+    found = Desk(corner)
+    yield found
+    found.runner.close()
+
+
+def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(desk: Desk) -> None:
+    desk.turn(x=0.0)
+    desk.say("pause", on=True)
+    assert desk.turn(0.1)[-1]["paused"]
+    assert "No page holds the stick" in desk.turn(10.0)[-1]["waiting"]
+    assert desk.turn(0.1) == [], "said once"
+    assert [state["waiting"] for state in desk.turn(0.1, x=0.0)] == [""]
+
+
+def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> None:
+    for _ in range(10):
+        desk.turn(0.5, x=0.0, away=True)
+    assert desk.runner.session is not None and "was left" in desk.runner.waiting
+    ticks = desk.runner.session.ticks
+    for _ in range(4):
+        desk.turn(0.5, x=0.0, away=True)
+    assert desk.runner.session.ticks == ticks
+    assert desk.turn(0.5, x=0.0)[-1]["waiting"] == "" and desk.runner.session.ticks > ticks
+    desk.say("driveby", who="simulated")
+    for _ in range(10):
+        desk.turn(0.5, x=0.0, away=True)
+    assert desk.runner.waiting == "" and desk.runner.session.ticks > ticks + 5, "one may look on from elsewhere"
+
+
+def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: Desk) -> None:
+    desk.turn(x=0.0)
+    desk.say("pause", on=True)
+    desk.say("help")
+    desk.say("help")
+    assert desk.turn(0.1)[-1]["kpis"]["helps"] == 2
+    desk.runner._open(DriveStart(town=desk.runner._start.town, policy="dwa", seed=1))
+    assert desk.turn(0.1, x=0.0)[-1]["kpis"]["helps"] == 0, "and in no other place"
+
+
+LONG = {"town": "\U0001f9bd" * 400, "suite": "a" * 390}  # as short as it is said, and longer as it is passed on
+
+
+def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
+    raw = json.dumps({"say": "open", **LONG}, ensure_ascii=False, separators=(",", ":")).encode()
+    assert len(raw) <= m.MOST_BYTES < len(m.written(m.of_page(raw)))
+    desk.server.send_bytes(m.written(m.of_page(raw)))
+    desk.server.send_bytes(b'{"say":"nothing of the kind"}')
+    desk.runner._turn()
+    told = []
+    while desk.server.poll():
+        data = desk.server.recv_bytes()
+        told += [json.loads(data[1:])["told"]] if data.startswith(JSON + b'{"say":"notice"') else []
+    assert "none of those that the page offers" in told[0] and "no message of a page" in told[1]
+    desk.turn(0.1, x=0.0)
+    assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"

@@ -76,6 +76,15 @@ def test_help_and_overruling_are_counted_and_written_down(session: DriveSession,
     assert noted.ticks[0].help_asked and not noted.ticks[1].help_asked
 
 
+def test_a_call_for_help_counts_when_it_is_heard(session: DriveSession, noted: Noted) -> None:
+    session.tick(Wish())
+    for _ in range(2):
+        session.ask_for_help()
+    assert session.tally.helps == 2 and noted.kinds().count(EventKind.HELP) == 2, "no tick may follow"
+    assert session.tick(Wish()).help_asked and not session.tick(Wish()).help_asked
+    assert session.tally.helps == 2
+
+
 def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSession, noted: Noted) -> None:
     session.place = replace(session.place, handover_step=5)
     for _ in range(5):

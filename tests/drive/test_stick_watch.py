@@ -52,12 +52,26 @@ def test_a_page_that_goes_lets_go_at_once_and_time_stops_later() -> None:
     assert watch.stands_still(0.0)
 
 
-def test_a_call_for_help_is_handed_out_once() -> None:
-    watch = held()
-    watch.ask_for_help()
-    assert [watch.wish(0.1).help, watch.wish(0.1).help] == [True, False]
-    watch.ask_for_help()
-    assert watch.wish(9.0).help, "also from a stick that is lost"
+def test_a_button_that_was_pressed_between_two_ticks_counts_for_one() -> None:
+    watch = StickWatch()
+    for overrule in (False, True, False):
+        watch.hear(AT_REST, overrule, 0.0)
+    assert [watch.wish(0.1).overrule, watch.wish(0.1).overrule] == [True, False]
+    watch.hear(AT_REST, True, 0.1)
+    watch.hear(AT_REST, False, 0.1)
+    watch.require_rest()
+    assert not watch.wish(0.2).overrule, "not in the next episode"
+
+
+def test_a_page_that_was_left_lets_time_stand_still_for_a_person_alone() -> None:
+    watch = StickWatch()
+    for second in range(6):
+        watch.hear(AT_REST, False, float(second), away=second > 1)
+        left = second - 1 > STANDS_STILL_S
+        assert watch.stands_still(float(second), by_person=True) is left
+        assert not watch.stands_still(float(second)), "the simulated user drives on"
+    watch.hear(AT_REST, False, 6.0)
+    assert not watch.stands_still(6.0, by_person=True)
 
 
 def test_a_long_loss_that_no_tick_saw_counts_too() -> None:

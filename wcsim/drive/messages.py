@@ -14,6 +14,7 @@ from wcsim.drive.keeping.study_view import StudyView
 from wcsim.errors import ProtocolError
 
 MOST_BYTES: Final = 2048  # of a page's message
+_MOST_PASSED_ON: Final = 2 * MOST_BYTES  # of the same as the server says it, with all that the page left out
 Part = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)]
 Name = Annotated[str, msgspec.Meta(max_length=400)]
@@ -35,6 +36,7 @@ class Stick(PageMessage, frozen=True):
     x: Part
     y: Part
     overrule: bool = False
+    away: bool = False  # the page is hidden, or has lost the focus
 
 
 class Help(PageMessage, frozen=True):
@@ -156,7 +158,7 @@ def of_page(data: str | bytes) -> PageMessage:
 
 def of_server(data: bytes) -> PageMessage:
     """What the server says to the runner. Raises ProtocolError."""
-    return decoded(_RUNNER, data)
+    return passed_on(_RUNNER, data)
 
 
 def written(message: PageMessage) -> bytes:
@@ -164,10 +166,15 @@ def written(message: PageMessage) -> bytes:
     return msgspec.json.encode(message)
 
 
-def decoded(decoder: msgspec.json.Decoder, data: str | bytes) -> PageMessage:  # type: ignore[type-arg]
+def passed_on(decoder: msgspec.json.Decoder, data: bytes) -> PageMessage:  # type: ignore[type-arg]
+    """What the server says, as a decoder of a runner reads it. Raises ProtocolError for what is none, in a line."""
+    return decoded(decoder, data, _MOST_PASSED_ON)
+
+
+def decoded(decoder: msgspec.json.Decoder, data: str | bytes, most_bytes: int = MOST_BYTES) -> PageMessage:  # type: ignore[type-arg]
     """A page's message as a decoder reads it. Raises ProtocolError for what is none, in a line."""
-    if len(data) > MOST_BYTES:
-        raise ProtocolError(f"a message of {len(data)} bytes; expected at most {MOST_BYTES}")
+    if len(data) > most_bytes:
+        raise ProtocolError(f"a message of {len(data)} bytes; expected at most {most_bytes}")
     try:
         message: PageMessage = decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
-from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, EventKind
+from wcsim.drive.driven import DrivenTick, DriveObserver, DriverKind, EventKind
 from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
 from wcsim.drive.keeping.kept_files import file_names
 from wcsim.drive.keeping.open_study import OpenStudy
@@ -22,9 +22,9 @@ from wcsim.drive.keeping.study_plan import StepKind
 from wcsim.drive.keeping.study_view import StudyView
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart, checked, require_offered
-from wcsim.drive.stating import about_of, state_of
+from wcsim.drive.stating import PageTeller, about_of, state_of
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
-from wcsim.errors import WcsimError
+from wcsim.errors import ProtocolError, WcsimError
 from wcsim.types import Joystick
 
 JSON, PICTURES, LINE = b"J", b"P", b"L"  # what a message to the server is
@@ -32,12 +32,6 @@ CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
 _SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
-_TOLD: Final = {
-    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
-    EventKind.GAVE_UP: ("note", "The simulated user gave up this way. A new destination is set."),
-    EventKind.STEP_LIMIT: ("note", "The time of this episode is over. It begins again."),
-    EventKind.HELP: ("note", "You asked for help. It is written down."),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +70,7 @@ class DriveRunner:
         self._watch, self._looks = StickWatch(), PageLooks()
         self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
         self._over = self._told_failure = self._unseen = False
+        self._told_waiting = ""
         self._due_s = self._held_s = self._drawn_s = self._opened_s = 0.0
         self._last: DrivenTick | None = None
         self.tick_s = self.picture_s = 0.0  # of processor time, means
@@ -83,9 +78,9 @@ class DriveRunner:
         self._ticked_s = 0.0
         self._does: dict[type, Callable[[Any], None]] = {
             m.Stick: self._stick,
-            m.Help: lambda _: self._watch.ask_for_help(),
+            m.Help: lambda _: self._open_session().ask_for_help(),
             m.SetView: self._view,
-            m.Assist: lambda said: self._open_session().assist(said.on),
+            m.Assist: self._assist,
             m.SetLevel: lambda said: self._open_session().set_level(said.level),
             m.DriveBy: self._drive_by,
             m.Pace: self._set_pace,
@@ -139,9 +134,11 @@ class DriveRunner:
     def waiting(self) -> str:
         """Why time stands still though nobody paused it, "" while it goes."""
         now_s = self._clock()
-        if self._watch.stands_still(now_s) and now_s - self._opened_s > STANDS_STILL_S:
+        if not self._stands_still(now_s) or now_s - self._opened_s <= STANDS_STILL_S:
+            return ""
+        if self._watch.stands_still(now_s):
             return "No page holds the stick. Time stands still."
-        return ""
+        return "The page that drives was left. Time stands still."
 
     @property
     def must_rest(self) -> bool:
@@ -156,6 +153,8 @@ class DriveRunner:
     def _turn(self) -> None:
         while self._pipe.poll(self._wait_s()):
             self._hear(self._pipe.recv_bytes())
+        if self._lead is not None:
+            self._lead.wait()
         now_s = self._clock()
         if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
             self._show(now_s)
@@ -163,11 +162,17 @@ class DriveRunner:
             self._tick(now_s)
         if self._ready and self._stale:
             self._show(now_s)
+        if self.waiting != self._told_waiting:  # also where no tick says it
+            self._state()
 
     def _goes(self) -> bool:
         led = self._lead is None or self._lead.drives
-        held = not self._watch.stands_still(self._clock())
-        return self.session is not None and led and held and not self._paused
+        return self.session is not None and led and not self._stands_still(self._clock()) and not self._paused
+
+    def _stands_still(self, now_s: float) -> bool:
+        """Whether time stops because nobody is there; a simulated user drives also for a page that was left."""
+        by_person = self.session is None or self.session.driver is DriverKind.PERSON
+        return self._watch.stands_still(now_s, by_person=by_person)
 
     def _wait_s(self) -> float:
         if self._ready and self._stale and self.session is not None:
@@ -192,7 +197,7 @@ class DriveRunner:
         self._paused = self._paused or (failed and not self._told_failure)  # once: who goes on knows of it
         self._told_failure = failed
         self._stale = True
-        self._say(state_of(self, session, self._last))
+        self._state()
         if self._lead is not None:
             self._lead.driven()
 
@@ -216,20 +221,29 @@ class DriveRunner:
 
     def _state(self) -> None:
         if self.session is not None:
-            self._say(state_of(self, self.session, self._last))
+            state = state_of(self, self.session, self._last)
+            self._told_waiting = state.waiting
+            self._say(state)
 
     # --- what the page wants ---
 
     def _hear(self, data: bytes) -> None:
-        message = m.of_server(data)
+        try:
+            message = m.of_server(data)
+        except ProtocolError as error:
+            self._refuse(error)
+            return
         try:
             self._refuse_in_study(message)
             self._does[type(message)](message)
         except WcsimError as error:
-            self._say(m.Notice(kind="refused", told=str(error)))
-        if not isinstance(message, m.Stick | m.Ready | m.Help | m.End):
+            self._refuse(error)
+        if not isinstance(message, m.Stick | m.Ready | m.End):
             self._stale = True
             self._state()
+
+    def _refuse(self, error: WcsimError) -> None:
+        self._say(m.Notice(kind="refused", told=str(error)))
 
     def _open_session(self) -> DriveSession:
         if self.session is None:
@@ -237,7 +251,14 @@ class DriveRunner:
         return self.session
 
     def _stick(self, said: m.Stick) -> None:
-        self._watch.hear(Joystick(said.x, said.y), said.overrule, self._clock())
+        self._watch.hear(Joystick(said.x, said.y), said.overrule, self._clock(), away=said.away)
+
+    def _assist(self, said: m.Assist) -> None:
+        """Time stops where it breaks again at once, as at its first breaking."""
+        session = self._open_session()
+        session.assist(said.on)
+        self._told_failure = bool(session.assistance.failed)
+        self._paused = self._paused or (said.on and self._told_failure)
 
     def _view(self, said: m.SetView) -> None:
         orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
@@ -311,12 +332,12 @@ class DriveRunner:
         self.close()
         self._pictures, self._last = None, None
         self._watch.require_rest()
-        self.session = session = DriveSession(start, (_Teller(self._say), *self._observers()))
+        self.session = session = DriveSession(start, (PageTeller(self._say), *self._observers()))
         if self._names is not None:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
         self._pictures = DrivePictures(session)
         self._due_s = self._opened_s = self._clock()
-        self._held_s, self._paused, self._stale, self._unseen = 0.0, False, True, True
+        self._held_s, self._paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
         self._say(about_of(session))
         self._state()
         return session
@@ -340,7 +361,7 @@ class DriveRunner:
         self._lead.begin()
 
     def _open_part(self, start: DriveStart, path: Path) -> DriveSession:
-        self._names, self._told_failure = file_names(path), False
+        self._names = file_names(path)
         try:
             return self._open_place(start)
         except WcsimError:
@@ -364,27 +385,6 @@ class DriveRunner:
 
     def _log(self, told: str) -> None:
         self._pipe.send_bytes(LINE + told.encode())
-
-
-class _Teller:
-    """Tells the page of what happens."""
-
-    def __init__(self, say: Callable[[Any], None]) -> None:
-        self._say = say
-
-    def tick(self, driven: DrivenTick) -> None:
-        """The state says it."""
-
-    def event(self, event: DriveEvent) -> None:
-        """Those that a person wants to hear of; a crash is in the state."""
-        if event.kind in _TOLD:
-            kind, told = _TOLD[event.kind]
-            self._say(m.Notice(kind=kind, told=told))
-        elif event.kind is EventKind.POLICY_FAILED:
-            self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.told}"))
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def run_drive(pipe: Connection, order: DriveOrder) -> None:

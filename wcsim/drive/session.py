@@ -53,7 +53,7 @@ class DriveSession(Closing):
         """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `starting.open_place`."""
         self.tally, self.driver = DriveTally(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
-        self._ticks, self._episode = 0, 0
+        self._ticks, self._episode, self._help = 0, 0, False  # `_help`: asked for since the last tick
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -90,6 +90,11 @@ class DriveSession(Closing):
     def ticks(self) -> int:
         """How many there were."""
         return self._ticks
+
+    @property
+    def episode(self) -> int:
+        """Number of the episode that is on, or that ended with the last tick; the first is 0."""
+        return self._episode
 
     @property
     def client(self) -> ClientSnapshot:
@@ -146,10 +151,19 @@ class DriveSession(Closing):
             self.say(EventKind.DRIVER, driver.value)
 
     def assist(self, on: bool) -> None:
-        """Switch the assistance."""
+        """Switch the assistance; one that broke is tried again, and told of again where it breaks again."""
         if on is not self.assistance.on:
+            self._failure = ""
             self.assistance.switch(on)
-            self.say(EventKind.ASSISTANCE, "on" if on else "off")
+            if self.assistance.on is on:
+                self.say(EventKind.ASSISTANCE, "on" if on else "off")
+            self._say_failure()
+
+    def ask_for_help(self) -> None:
+        """The person asks for help: it counts at once, as no tick may follow; the next tick says so too."""
+        self._help = True
+        self.tally.helps += self.handed_over
+        self.say(EventKind.HELP, "the user asks for help")
 
     def set_level(self, level: float) -> None:
         """Set how much the policy assists. Raises PolicyError where it has no such level."""
@@ -199,6 +213,8 @@ class DriveSession(Closing):
         """
         if self._ended:
             self._next("after the end of the last one")
+        if wish.help:
+            self.ask_for_help()
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
         stick = self._client.user if by_user else in_gate(wish.stick)
         self._see(stick)
@@ -210,7 +226,8 @@ class DriveSession(Closing):
         let_wait(user, patient=not by_user)
         self._move(answer)
         sticks = user.sticks.copy() if by_user else NO_STICKS
-        driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule))
+        driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
+        self._help = False
         self._tell(driven)
         return driven
 
@@ -296,8 +313,6 @@ class DriveSession(Closing):
         """Count the tick, and tell who looks on what happened in it."""
         if driven.step > self.place.handover_step:
             self.tally.add(driven, self.tick_s)
-        if driven.help_asked:
-            self.say(EventKind.HELP, "the user asks for help")
         now = (driven.warning, driven.intervening, driven.overruled)
         kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
         for kind, is_on, was in zip(kinds, now, self._said, strict=True):

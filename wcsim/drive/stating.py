@@ -1,17 +1,25 @@
-"""What a page is told of a session: what it is, and how it stands."""
+"""What a page is told of a session: what it is, how it stands, and what happens."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Final, Protocol
 
 from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
 from wcsim.core.frames import deg
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DrivenTick
+from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile_names
+
+_TOLD: Final = {
+    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
+    EventKind.GAVE_UP: ("note", "The simulated user gave up this way. A new destination is set."),
+    EventKind.STEP_LIMIT: ("note", "The time of this episode is over. It begins again."),
+    EventKind.HELP: ("note", "You asked for help. It is written down."),
+}
 
 
 class Keeper(Protocol):
@@ -114,3 +122,28 @@ def _kpis(session: DriveSession) -> m.Kpis:
 
 def _xy(stick: Joystick) -> tuple[float, float]:
     return round(stick.x, 3), round(stick.y, 3)
+
+
+class PageTeller:
+    """Tells the page of what happens.
+
+    Args:
+        say: Hears the lines for the page.
+    """
+
+    def __init__(self, say: Callable[[m.Notice], None]) -> None:
+        self._say = say
+
+    def tick(self, driven: DrivenTick) -> None:
+        """The state says it."""
+
+    def event(self, event: DriveEvent) -> None:
+        """Those that a person wants to hear of; a crash is in the state."""
+        if event.kind in _TOLD:
+            kind, told = _TOLD[event.kind]
+            self._say(m.Notice(kind=kind, told=told))
+        elif event.kind is EventKind.POLICY_FAILED:
+            self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.told}"))
+
+    def close(self) -> None:
+        """Nothing is held."""

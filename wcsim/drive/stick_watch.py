@@ -25,46 +25,53 @@ class StickWatch:
     """
 
     def __init__(self) -> None:
-        self._stick, self._overrule = AT_REST, False
-        self._heard_s = -math.inf
-        self._help, self._must_rest = False, True
+        self._stick, self._overrule, self._must_rest = AT_REST, False, True
+        self._pressed = False  # the button that overrules, since the last wish
+        self._heard_s = self._here_s = -math.inf  # the newest message, and the newest of a page that nobody has left
 
     @property
     def must_rest(self) -> bool:
         """Whether the stick does not count before it has been at rest."""
         return self._must_rest
 
-    def hear(self, stick: Joystick, overrule: bool, now_s: float) -> None:
-        """A message has come; after a long loss nobody may have looked at the stick meanwhile."""
+    def hear(self, stick: Joystick, overrule: bool, now_s: float, *, away: bool = False) -> None:
+        """A message has come; after a long loss nobody may have looked at the stick meanwhile.
+
+        Args:
+            stick: Where it is.
+            overrule: The button is pressed.
+            now_s: Of the clock.
+            away: The page is hidden, or has lost the focus.
+        """
         self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
         self._stick, self._overrule, self._heard_s = stick, overrule, now_s
+        self._pressed = self._pressed or overrule
+        self._here_s = self._here_s if away else now_s
         if math.hypot(stick.x, stick.y) < RESTS:
             self._must_rest = False
 
-    def ask_for_help(self) -> None:
-        """The next wish says so."""
-        self._help = True
-
     def let_go(self) -> None:
         """The page is gone: the stick is at rest from now on, and so is the button."""
-        self._stick, self._overrule, self._heard_s, self._must_rest = AT_REST, False, -math.inf, True
+        self._stick, self._overrule = AT_REST, False
+        self._heard_s = self._here_s = -math.inf
+        self.require_rest()
 
     def require_rest(self) -> None:
         """Another episode begins."""
-        self._must_rest = True
+        self._must_rest, self._pressed = True, False
 
     def lost(self, now_s: float) -> bool:
         """Whether no message came for so long that the stick counts no more."""
         return now_s - self._heard_s > LOST_S
 
-    def stands_still(self, now_s: float) -> bool:
-        """Whether no message came for so long that time stops."""
-        return now_s - self._heard_s > STANDS_STILL_S
+    def stands_still(self, now_s: float, *, by_person: bool = False) -> bool:
+        """Whether no message came for so long that time stops; of a page that nobody has left where a person drives."""
+        return now_s - (self._here_s if by_person else self._heard_s) > STANDS_STILL_S
 
     def wish(self, now_s: float) -> Wish:
-        """What the person wants in this tick; a call for help is handed out once."""
-        asked, self._help = self._help, False
+        """What the person wants in this tick; a button that was pressed since the one before counts for a tick."""
+        pressed, self._pressed = self._pressed, False
         if self.lost(now_s):
             self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
-            return Wish(help=asked)
-        return Wish(stick=AT_REST if self._must_rest else self._stick, overrule=self._overrule, help=asked)
+            return Wish()
+        return Wish(stick=AT_REST if self._must_rest else self._stick, overrule=self._overrule or pressed)

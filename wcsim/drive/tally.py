@@ -19,12 +19,12 @@ class DriveTally:
     arrivals: int = 0
     given_up: int = 0
     crashes: int = 0
-    helps: int = 0
+    helps: int = 0  # counted as they are heard
     overrules: int = 0  # presses
     warnings: int = 0  # stretches of ticks, as the next
     interventions: int = 0
     episode_steps: list[int] = field(default_factory=list)  # of those that have ended
-    steps: int = 0  # of the episode that is on, from a handover on
+    steps: int = 0  # of the episode that is on, from a handover on; 0 once it has ended
     _before: tuple[bool, bool, bool] = (False, False, False)
 
     def add(self, driven: DrivenTick, tick_s: float) -> None:
@@ -37,13 +37,14 @@ class DriveTally:
         self.arrivals += driven.arrived
         self.given_up += driven.gave_up
         self.crashes += driven.crashed
-        self.helps += driven.help_asked
         now = (driven.warning, driven.intervening, driven.overruled)
         begun = [is_on and not was for is_on, was in zip(now, self._before, strict=True)]
         self.warnings += begun[0]
         self.interventions += begun[1]
         self.overrules += begun[2]
         self._before = now
+        if driven.crashed or driven.truncated:  # a drive may end before the next episode begins
+            self.end_episode()
 
     def end_episode(self) -> None:
         """The episode is over, by a crash, its step limit, or because somebody began another."""

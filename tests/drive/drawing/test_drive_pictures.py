@@ -53,6 +53,18 @@ def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSe
     assert changed > 0.3
 
 
+def test_the_camera_is_at_a_new_start_at_once(session: DriveSession) -> None:
+    """Whatever the start's heading: it does not fly there."""
+    pictures = DrivePictures(session)
+    session.tick(Wish())
+    pictures.draw(session, PageLooks(), 0.1)
+    session.new_place()
+    session.tick(Wish())
+    first = parts(pictures.draw(session, PageLooks(), 0.02))["S"]
+    later = parts(pictures.draw(session, PageLooks(), 5.0))["S"]
+    assert (first == later).all()
+
+
 @pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
 def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
     pictures = DrivePictures(session)

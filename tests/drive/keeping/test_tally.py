@@ -11,7 +11,7 @@ from wcsim.drive.tally import DriveTally
 
 STILL = {
     "step": 1, "joystick_distance": 0.5, "speed_mps": -1.0, "arrived": False, "gave_up": False, "crashed": False,
-    "help_asked": False, "warning": False, "intervening": False, "overruled": False,
+    "truncated": False, "help_asked": False, "warning": False, "intervening": False, "overruled": False,
 }  # fmt: skip
 
 
@@ -36,6 +36,14 @@ def test_distance_and_way_are_means_and_sums_of_all_ticks() -> None:
     assert tally.kpi1 == pytest.approx((0.1 + 0.5 + 0.5) / 3)
     assert (tally.way_m, tally.moving_ticks, tally.crashes) == (pytest.approx(0.2), 2, 1)
     assert DriveTally().kpi1 is None
+
+
+@pytest.mark.parametrize("end", ["crashed", "truncated"])
+def test_an_episode_that_ends_with_the_last_tick_counts(end: str) -> None:
+    tally = tallied({}, {}, {end: True}, {}, {end: True})
+    assert (tally.episode_steps, tally.steps, tally.kpi2) == ([3, 2], 0, 2.5)
+    tally.end_episode()
+    assert tally.episode_steps == [3, 2], "once"
 
 
 def test_stretches_count_once() -> None:

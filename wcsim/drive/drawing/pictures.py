@@ -40,7 +40,6 @@ _MAP_PX, _MAP_SPAN_M = 320, 60.0
 _PART = struct.Struct("<cI")
 _HEAD = struct.Struct("<I")
 _NO_SEAT: Final = -1
-_TURNED_RAD: Final = 2.0  # by which a new episode's heading differs, for the camera to go there at once
 SMALLEST_PX, LARGEST_PX = 160, 1280
 
 
@@ -159,16 +158,14 @@ class DrivePictures:
 
     def __init__(self, session: DriveSession) -> None:
         self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
-        self._yaw_rad, self._begun = session.client.plant.yaw_rad, False
+        self._episode = -1  # that was drawn last
         self.spent_s = 0.0
 
     def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
         """All pictures of now, see `StreetPictures.draw`."""
         began_s = time.perf_counter()
         plant = session.client.plant
-        turned_rad = abs(math.remainder(plant.yaw_rad - self._yaw_rad, 2.0 * math.pi))
-        jumped = not self._begun or (turned_rad > _TURNED_RAD and session.client.tick == 0)
-        self._yaw_rad, self._begun = plant.yaw_rad, True
+        jumped, self._episode = session.episode != self._episode, session.episode
         snapshot = session.world.snapshot
         moment = Moment(
             actors=snapshot.actors,
