@@ -100,6 +100,17 @@ def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     assert "of no suite" in desk.said("notice")["told"]
 
 
+def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:
+    """Who comes later is told the newest line of each kind, so that of the film before is not to stay."""
+    assert desk.said("marks") == {"say": "marks", "marks": [], "left_out": 0}
+
+
+def test_no_message_of_a_page_ends_the_film(desk: Desk) -> None:
+    desk.say("openepisode", policy="\U0001f9bd" * 400, block=0, seat=0, more="x" * 5000)
+    assert "a message of" in desk.said("notice")["told"]
+    desk.state()
+
+
 def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "journal").write_bytes(b"nothing of the kind")
     desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))

@@ -68,6 +68,20 @@ def test_what_is_not_known_counts_for_nothing() -> None:
     assert sums.plus(chair(0, 1), 0.1).kpi1 == pytest.approx(0.25)
 
 
+def test_what_was_driven_before_a_handover_is_not_judged() -> None:
+    film = TickFilm(ABOUT)
+    for episode, (alone, ticks) in enumerate(((3, 8), (2, 4), (5, 5))):
+        for at in range(ticks):
+            ends = Flag.TRUNCATED if at == ticks - 1 else Flag(0)
+            flags = Flag.ALONE if at < alone else Flag(0)
+            far = (0.0, 0.0) if at < alone else (0.0, 0.75)
+            film.add(step(film.count, chair(0, at, flags | ends, commanded=far, episode=episode)))
+    kpis = state(film, film.count - 1).chairs[0].kpis
+    assert (kpis.kpi1, kpis.ticks) == (0.25, 17)
+    assert kpis.kpi2 == pytest.approx((5 + 2) / 2), "an episode that ended before its handover is none"
+    assert state(film, 9).alone and state(film, 5).chairs[0].kpis.kpi2 == 3.0
+
+
 def test_marks_are_where_something_begins() -> None:
     flags = {5: Flag.WARNING, 6: Flag.WARNING, 9: CRASH, 20: CRASH | Flag.DROPPED, 30: Flag.ARRIVED}
     film = film_of(40, flags)

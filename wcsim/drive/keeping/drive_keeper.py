@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.core.reading import shown
-from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
+from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
 from wcsim.users.profile_file import profile_json
@@ -93,6 +93,10 @@ class DriveKeeper:
         )
         company = "" if beside is None else profile_json(beside)
         self._header = replace(header, beside=company, scene=session.place.scene)
+        if not session.assistance.on:  # of what was switched before this world, its file would not know
+            self._note_first(EventKind.ASSISTANCE, "off")
+        if session.driver is DriverKind.SIMULATED:
+            self._note_first(EventKind.DRIVER, session.driver.value)
         self._tell(KeptNews(on=True, told="Kept from the first tick on."))
 
     def _sits_in_scene(self) -> bool:
@@ -128,6 +132,9 @@ class DriveKeeper:
             self._recorder.note(noted)
         except WcsimError as error:
             self._stop(str(error))
+
+    def _note_first(self, kind: EventKind, told: str) -> None:
+        self._waiting.append(RecordedEvent(tick=0, time_s=0.0, kind=kind.value, detail=told))
 
     def _stop(self, why: str) -> None:
         """Nothing more is kept of this world; what was, is."""

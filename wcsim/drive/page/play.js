@@ -147,10 +147,16 @@ function tellChair(now) {
   const follows = now.stick && now.commanded;
   lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "steers otherwise" : "follows the stick") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
-  lamp("lamp-who", false, now.alone ? "user alone" : now.overruled ? "user overrules" : "policy");
+  lamp("lamp-who", false, about.points.length ? decides(now) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
   big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street here.");
+}
+
+function decides(now) {
+  if (now.alone) return "user alone";
+  if (now.overruled) return "user overrules";
+  return now.unaided ? "user, no assistance" : "policy";
 }
 
 function tellChairs(now) {

@@ -41,6 +41,7 @@ class Flag(IntFlag):
     OVERRULED = 128
     HELPED = 256
     ALONE = 512  # the user drives alone, before a handover
+    UNAIDED = 1024  # no policy has a say: there is none, or it is off
 
 
 class FilmBody(msgspec.Struct, frozen=True, array_like=True):

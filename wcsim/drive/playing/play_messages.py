@@ -54,7 +54,7 @@ def of_play_page(data: str | bytes) -> PageMessage:
 
 def of_play_server(data: bytes) -> PageMessage:
     """What the server says to the runner. Raises ProtocolError."""
-    return m.decoded(_RUNNER, data)
+    return m.passed_on(_RUNNER, data)
 
 
 class FailedLine(msgspec.Struct, frozen=True):
@@ -142,6 +142,7 @@ class PlayState(msgspec.Struct, tag_field="say", tag="state", frozen=True, kw_on
     intervening: bool
     overruled: bool
     alone: bool
+    unaided: bool
     crash: str
     left_m: float | None
     chairs: list[ChairLine]

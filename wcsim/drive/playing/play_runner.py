@@ -24,7 +24,7 @@ from wcsim.drive.playing.player import Player
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
 from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
 from wcsim.drive.runner import JSON, LINE, PICTURES
-from wcsim.errors import WcsimError
+from wcsim.errors import ProtocolError, WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
@@ -203,16 +203,23 @@ class PlayRunner:
     # --- what the page wants ---
 
     def _hear(self, data: bytes) -> None:
-        message = pm.of_play_server(data)
+        try:
+            message = pm.of_play_server(data)
+        except ProtocolError as error:
+            self._refuse(error)
+            return
         does = self._does.get(type(message))
         if does is None:
             return
         try:
             does(message)
         except WcsimError as error:
-            self._say(m.Notice(kind="refused", told=str(error)))
+            self._refuse(error)
         if not isinstance(message, m.Ready | m.End):
             self._stale = self._changed = True
+
+    def _refuse(self, error: WcsimError) -> None:
+        self._say(m.Notice(kind="refused", told=str(error)))
 
     def _bounds(self) -> dict[str, int]:
         return (
@@ -275,6 +282,7 @@ class PlayRunner:
         live = about.live
         self._player = Player(live=live)
         self._say(about_of(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._say(marks_of(self._film))  # none yet, and no more of the film before
         self._stale = self._changed = True
 
 

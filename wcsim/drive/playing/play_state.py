@@ -85,6 +85,7 @@ def state_of(
         intervening=Flag.INTERVENING in flags,
         overruled=Flag.OVERRULED in flags,
         alone=Flag.ALONE in flags,
+        unaided=Flag.UNAIDED in flags,
         crash=_crash(film, player.at, seat),
         left_m=None if own is None or own.left_m < 0 else round(own.left_m, 1),
         chairs=[

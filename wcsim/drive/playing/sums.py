@@ -29,7 +29,8 @@ class ChairSums(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
     helps: int = 0
     ended: int = 0  # episodes
     ended_steps: int = 0  # of them
-    steps: int = 0  # of the episode that is on
+    steps: int = 0  # of the episode that is on, from a handover on
+    alone: int = 0  # ticks of it before that
     on: int = 0  # flags of the tick before
 
     @property
@@ -43,12 +44,14 @@ class ChairSums(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
         return self.ended_steps / self.ended if self.ended else float(self.steps)
 
     def plus(self, chair: FilmChair, tick_s: float) -> ChairSums:
-        """With one tick more."""
+        """With one tick more; as in a test, nothing before a handover is judged."""
         flags = Flag(chair.flags)
+        is_alone = Flag.ALONE in flags
+        alone = (0 if chair.step == 1 else self.alone) + is_alone
         begun = flags & ~Flag(self.on)
         ends = bool(flags & (Flag.CRASHED | Flag.TRUNCATED))
-        steps = chair.step if chair.step >= 0 else self.steps + 1
-        gap = distance(chair)
+        steps = chair.step - alone if chair.step >= 0 else self.steps + (not is_alone)
+        gap = None if is_alone else distance(chair)
         return ChairSums(
             ticks=self.ticks + 1,
             judged=self.judged + (gap is not None),
@@ -62,9 +65,10 @@ class ChairSums(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
             interventions=self.interventions + bool(begun & Flag.INTERVENING),
             overrules=self.overrules + bool(begun & Flag.OVERRULED),
             helps=self.helps + bool(flags & Flag.HELPED),
-            ended=self.ended + ends,
+            ended=self.ended + (ends and steps > 0),
             ended_steps=self.ended_steps + (steps if ends else 0),
             steps=0 if ends else steps,
+            alone=0 if ends else alone,
             on=int(flags & _ON),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +20,21 @@ from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_u
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.config import load_run_config
+from wcsim.drive.driven import DriverKind
+from wcsim.drive.keeping.drive_keeper import DriveKeeper
+from wcsim.drive.keeping.kept_files import file_names
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
 from wcsim.drive.playing.sources.drive_source import drive_film
 from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
 from wcsim.drive.playing.sources.journal_source import journal_film
 from wcsim.drive.playing.sources.trace_source import trace_film
 from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.drive.session import DriveSession, Wish
+from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
 from wcsim.server.journal.journal import Ticked, read_journal
 from wcsim.towns.scenario.town import find_town
+from wcsim.types import Joystick
 from wcsim.users.profiles import profile
 from wcsim.users.recording.drive_reader import read_drive
 
@@ -154,6 +161,33 @@ def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
     assert json.loads(shown.film.about.camera)["name"] == config.cameras[0].name
 
 
+def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
+    """Before a handover the user alone; the assistance off and on; what was off before a file began is off in it."""
+    files = file_names(tmp_path / "a.drive")
+    with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
+        session.look_on(DriveKeeper(session, files, lambda _: None))
+        session.place = replace(session.place, handover_step=4)
+        ahead = Wish(stick=Joystick(0.0, 1.0))
+        for on in (True, False, True, False):
+            session.assist(on)
+            for _ in range(6):
+                session.tick(ahead)
+        kpi1, kpi2 = session.tally.kpi1, session.tally.kpi2
+        session.again()
+        session.drive_by(DriverKind.SIMULATED)
+        for _ in range(6):
+            session.tick(ahead)
+    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    flags = [Flag(frame.chairs[0].flags) for frame in shown.frames()]
+    assert [Flag.ALONE in each for each in flags] == [True] * 4 + [False] * 20
+    assert [Flag.UNAIDED in each for each in flags] == ([False] * 6 + [True] * 6) * 2
+    sums = shown.film.shot(23).sums[0]
+    assert (sums.kpi1, sums.kpi2) == (pytest.approx(kpi1, abs=1e-3), kpi2)
+    second = [Flag(frame.chairs[0].flags) for frame in Filmed(drive_film(tmp_path / "a-2.drive")).frames()]
+    assert all(Flag.UNAIDED in each for each in second)
+    assert not any(Flag.ALONE in each for each in second), "a simulated user who was told to drive"
+
+
 @pytest.fixture(scope="module")
 def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a test of `stop` on a block of two chairs."""
@@ -188,6 +222,10 @@ def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
         assert len(own) == record["steps"] + 5
         assert [bool(chair.flags & Flag.ALONE) for chair in own[:6]] == [True] * 5 + [False]
         assert all(chair.stick is not None and chair.commanded is not None for chair in own)
+        at = max(at for at, frame in enumerate(frames) if any(chair.seat == record["seat"] for chair in frame.chairs))
+        sums = shown.film.shot(at).sums[record["seat"]]
+        assert sums.kpi1 == pytest.approx(record["distance_sum"] / record["steps"], abs=1e-3)
+        assert sums.kpi2 == record["steps"]
     assert shown.film.about.warns and not shown.film.about.tells_unsafe
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+from wcsim.bridge.drives.beside import by_person
 from wcsim.bridge.drives.remake import config_of_drive, remade, town_of_drive
 from wcsim.bridge.world import World
+from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Flag, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays
 from wcsim.users.recording.drive_reader import read_drive
-from wcsim.users.recording.drive_types import RecordedTick
+from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent, RecordedTick
 
 NOT_IN_DRIVES: Final = (
     "Unsafe positions: a drive says what its policy chose, and not why.",
@@ -48,7 +51,7 @@ def drive_film(path: Path) -> Iterator[Said]:
         warns=bool(header.policy),
     )
     yield FilmNames(names={0: header.profile})
-    maker, differs = FrameMaker(), 0
+    maker, differs, decides = FrameMaker(), 0, _WhoDecides(drive)
 
     def before(world: World) -> None:
         worlds[:] = [world]
@@ -57,15 +60,37 @@ def drive_film(path: Path) -> Iterator[Said]:
     with closing(remade(drive, before)) as steps:
         for tick, _, after in steps:
             differs += tuple(after.plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
-            yield maker.step_of(worlds[0], {0: _said(tick)})
+            yield maker.step_of(worlds[0], {0: _said(tick, decides.flags(tick))})
     told = "That is the whole drive."
     if differs:
         told += f" {differs} ticks came out elsewhere than recorded: other versions, or another machine, made it."
     yield FilmLine(kind="end", told=told)
 
 
-def _said(tick: RecordedTick) -> TickSays:
-    flags = Flag(0)
+class _WhoDecides:
+    """Whose say it is, tick by tick, as the events of a drive tell."""
+
+    def __init__(self, drive: DriveRecording) -> None:
+        self._events, self._accompanied = deque(drive.events), drive.header.accompanied
+        self._assisted, self._simulated = bool(drive.header.policy), False
+
+    def flags(self, tick: RecordedTick) -> Flag:
+        """Of the next tick. A simulated user who drives where the person was to does so before a handover."""
+        while self._events and self._events[0].tick < tick.tick:
+            self._note(self._events.popleft())
+        alone = self._accompanied and not self._simulated and not by_person(tick)
+        return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._assisted else Flag.UNAIDED)
+
+    def _note(self, event: RecordedEvent) -> None:
+        if event.kind == EventKind.ASSISTANCE:
+            self._assisted = event.detail == "on"
+        elif event.kind == EventKind.POLICY_FAILED:
+            self._assisted = False
+        elif event.kind == EventKind.DRIVER:
+            self._simulated = event.detail == DriverKind.SIMULATED
+
+
+def _said(tick: RecordedTick, flags: Flag) -> TickSays:
     for flag, name in _SAYS:
         flags |= flag if getattr(tick, name) else Flag(0)
     return TickSays(stick=tick.stick, commanded=tick.commanded, flags=flags)
