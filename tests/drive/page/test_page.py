@@ -36,16 +36,6 @@ def running(corner: Path) -> Iterator[Served]:
         yield drive
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield chromium
-        chromium.close()
-
-
 @pytest.fixture
 def page(browser: Any, running: Served) -> Iterator[Any]:
     context = browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True)
@@ -200,8 +190,29 @@ def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
     page.evaluate("window.dispatchEvent(new Event('blur'))")
     at_rest(page)
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    assert page.inner_text("#stick-text") == "you: at rest", "the key that is still down does nothing before it is up"
+    began = int(page.evaluate("document.body.dataset.tick"))
+    for ahead in range(2, 12, 3):
+        page.keyboard.down("ArrowDown")  # repeats by itself
+        wait(page, f"Number(document.body.dataset.tick) >= {began + ahead}")
+        assert page.evaluate(SPEED) < 0.05, "the key that is still down does nothing before it is up"
     page.keyboard.up("ArrowDown")
+    page.keyboard.down("ArrowDown")
+    wait(page, f"{SPEED} > 0.2")
+    page.keyboard.up("ArrowDown")
+
+
+def test_stop_holds_while_a_key_is_still_down(page: Any) -> None:
+    at_rest(page)
+    page.keyboard.down("ArrowUp")
+    wait(page, f"{SPEED} > 0.3")
+    page.click("#stop")
+    wait(page, f"{SPEED} < 0.05")
+    began = int(page.evaluate("document.body.dataset.tick"))
+    for ahead in range(2, 12, 3):
+        page.keyboard.down("ArrowUp")  # repeats by itself
+        wait(page, f"Number(document.body.dataset.tick) >= {began + ahead}")
+        assert page.evaluate(SPEED) < 0.05
+    page.keyboard.up("ArrowUp")
 
 
 def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:

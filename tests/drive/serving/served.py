@@ -54,7 +54,7 @@ class FakePage:
         self._held = ExitStack()
         opened = connect(f"ws://{address}/socket", origin=f"http://{address}")
         self.socket: ClientConnection = self._held.enter_context(opened)
-        self.stick, self.overrule, self.silent = (0.0, 0.0), False, False
+        self.stick, self.overrule, self.away, self.silent = (0.0, 0.0), False, False, False
         self.pictures, self.heard = 0, []  # type: int, list[dict[str, Any]]
 
     def say(self, say: str, **more: object) -> None:
@@ -65,7 +65,7 @@ class FakePage:
         end_s = time.monotonic() + patience_s
         while time.monotonic() < end_s:
             if not self.silent:
-                self.say("stick", x=self.stick[0], y=self.stick[1], overrule=self.overrule)
+                self.say("stick", x=self.stick[0], y=self.stick[1], overrule=self.overrule, away=self.away)
             with suppress(TimeoutError):
                 message = self._read()
                 if message is not None and wanted(message):

@@ -1,6 +1,7 @@
 // The joystick as a disc with the positions an agent can choose: the person's point, the chair's, the unsafe ones.
 
-import { inGate } from "./stick.js";
+import { isPushed } from "./shared.js";
+import { inGate, REST } from "./stick.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const SIZE = 100; // from the middle to the edge of the disc
@@ -41,18 +42,21 @@ export class Grid {
       const scale = 236 / box.width / SIZE;
       return inGate([(event.clientX - box.left - box.width / 2) * scale, -(event.clientY - box.top - box.height / 2) * scale]);
     };
-    let holder = null;
+    const { stick } = this;
+    const end = (event) => { if (event.pointerId === stick.holder) { stick.holder = null; stick.pointer = REST; } };
     svg.addEventListener("pointerdown", (event) => {
-      holder = event.pointerId;
-      svg.setPointerCapture(holder);
-      this.stick.stopped = false;
-      this.stick.pointer = at(event);
+      if (event.button !== 0) return;
+      stick.holder = event.pointerId;
+      svg.setPointerCapture(event.pointerId);
+      stick.pointer = at(event);
       event.preventDefault();
     });
-    svg.addEventListener("pointermove", (event) => { if (event.pointerId === holder) this.stick.pointer = at(event); });
-    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      svg.addEventListener(end, () => { holder = null; this.stick.pointer = [0, 0]; });
-    }
+    svg.addEventListener("pointermove", (event) => {
+      if (!isPushed(event)) end(event);
+      else if (event.pointerId === stick.holder) stick.pointer = at(event);
+    });
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) svg.addEventListener(name, end);
+    svg.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
   setPoints(points) {

@@ -5,7 +5,7 @@ import { Link } from "./link.js";
 import { Hint, Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
-import { big, by, line, note, wireDialogs, wireDisplay } from "./shared.js";
+import { big, by, keep, kept, line, note, wireDialogs, wireDisplay, wireHold } from "./shared.js";
 import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
@@ -18,6 +18,7 @@ let overrules = false;
 let busy = "";
 let lastSaid = "";
 let crash = "";
+let standing = ""; // why the chair does not go
 let sayTimer = 0;
 let busyTimer = 0;
 
@@ -33,14 +34,13 @@ function say(text) {
 function overrule(on) {
   overrules = on;
   by("overrule").setAttribute("aria-pressed", String(on));
-  return on;
+  scan.showOverrule(on);
 }
 
 const stick = new Stick((what, name) => {
-  overrule(false);
   if (what === "plugged") { by("pad").textContent = `Gamepad: ${name}`; say("Gamepad connected."); }
   if (what === "unplugged") { by("pad").textContent = "Gamepad unplugged. The chair stops."; say("Gamepad unplugged. The chair stops."); }
-  if (what === "left") scan.rest();
+  if (what !== "plugged") { overrule(false); scan.rest(); }
   send();
 });
 
@@ -49,11 +49,11 @@ const link = new Link({
     line(LINES[what]);
     say(LINES[what][0]);
     if (what === "open") { scene.tell(); by("place").textContent = "opening the street …"; }
-    else { setBusy(""); stick.stop(); scan.rest(); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
+    else { setBusy(""); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about(about) { setBusy(""); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
-  busy(message) { setBusy(message.told, message.waits !== false); say(busy); stick.stop(); scan.rest(); },
+  busy(message) { setBusy(message.told, message.waits !== false); say(busy); rest(); },
   study(message) { study.tell(message.view); },
   notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) { setBusy(message.told, false); } },
   role: setRole,
@@ -65,9 +65,8 @@ const link = new Link({
     if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. A new start follows.`);
     if (crash && !state.crash) hint.begin();
     crash = state.crash;
-    if (state.crash || (state.let_go && scan.driving)) { scan.rest(); scan.highlight(); stick.stop(); }
-    const pushed = state.let_go && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
-    const standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
+    if (state.crash || (state.let_go && scan.driving)) rest();
+    tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
     big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
@@ -77,7 +76,9 @@ const scene = new Scene(link);
 const grid = new Grid(by("stick"), stick);
 const panel = new Panel(link, say);
 const hint = new Hint(say);
-const scan = new Scan(by("board"), stick, { help: askForHelp, overrule: () => overrule(!overrules), say });
+const scan = new Scan(by("board"), stick, {
+  help: askForHelp, overrule: () => overrule(!overrules), pause: () => by("pause").click(), takeOver: () => by("take-over").click(), say,
+});
 
 const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds });
 
@@ -87,8 +88,19 @@ function setRole(role) {
   by("banner-text").textContent = role.told;
   document.body.dataset.drives = String(role.drives);
   if (role.told) say(role.told);
-  if (!drives) { stick.stop(); overrule(false); } else scene.tell();
+  scan.setRole(drives, Boolean(role.told));
+  if (!drives) { rest(); overrule(false); } else scene.tell();
   study.setRole(drives);
+}
+
+// Words over the street are no live region, so why the chair does not go is said as it changes.
+function tellStanding(state) {
+  const before = standing;
+  const pushed = drives && (state.let_go || stick.stopped) && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
+  standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
+  if (standing === before) return;
+  if (standing) say(standing);
+  else if (before === "Paused") say("Time goes on.");
 }
 
 // What is waited for, and for how long already: the server says nothing while it builds a street.
@@ -102,20 +114,25 @@ function setBusy(told, counts = true) {
 }
 
 function askForHelp() {
-  link.say("help");
-  say("You asked for help.");
+  const why = !link.there ? "the connection is lost" : !drives ? "this page does not drive" : busy ? "the street is not open" : "";
+  if (!why) { link.say("help"); say("You asked for help."); return; }
+  note("bad", `Help was not sent: ${why}.`);
+  say(`Help was not sent: ${why}.`);
+}
+
+function rest() {
+  stick.stop();
+  scan.rest();
 }
 
 function stopNow() {
-  stick.stop();
-  scan.rest();
-  scan.highlight();
+  rest();
   send();
 }
 
 function send() {
   const [x, y] = stick.now();
-  if (drives) link.say("stick", { x, y, overrule: overrules });
+  if (drives) link.say("stick", { x, y, overrule: overrules, away: stick.away });
 }
 
 setInterval(send, SEND_MS);
@@ -124,8 +141,10 @@ by("stop").addEventListener("click", stopNow);
 by("stop").addEventListener("pointerdown", stopNow);
 by("help").addEventListener("click", askForHelp);
 by("take-over").addEventListener("click", () => link.say("takeover"));
-by("overrule").addEventListener("pointerdown", (event) => { by("overrule").setPointerCapture(event.pointerId); overrule(true); });
-for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) by("overrule").addEventListener(end, () => overrule(false));
+wireHold(by("overrule"), (on, event) => { if (on) by("overrule").setPointerCapture(event.pointerId); overrule(on); });
+by("overrule").addEventListener("blur", () => overrule(false));
+// A screen reader presses without a pointer or a key, and cannot hold.
+by("overrule").addEventListener("click", (event) => { if (event.detail === 0) overrule(!overrules); });
 
 const LETTERS = {
   KeyH: (down) => { if (down) askForHelp(); },
@@ -138,15 +157,27 @@ function isField(node) {
   return node instanceof HTMLElement && node.matches("select, input:not([type=checkbox]), summary");
 }
 
+const HOLDS = ["Space", "Enter"];
+const isOverrule = (event) => event.target === by("overrule") && HOLDS.includes(event.code);
+
 // Whatever has the focus and whatever else is pressed: a release that is not seen would keep the stick pushed.
 function release(event) {
   stick.key(event, false);
   scan.release(event.code);
-  if (event.code === "KeyO") overrule(false);
+  if (event.code === "KeyO" || isOverrule(event)) overrule(false);
+}
+
+// While that key is down, a Mac does not tell of others that are released.
+function forget() {
+  stick.forget();
+  scan.rest();
+  overrule(false);
+  send();
 }
 
 function onKey(event, down) {
   if (!down) release(event);
+  else if (event.key === "Meta") forget();
   if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
   const inField = isField(event.target);
   const onButton = event.target instanceof HTMLElement && event.target.matches("button, input, a, summary");
@@ -155,7 +186,7 @@ function onKey(event, down) {
   if (event.code === "Escape") { if (down) stopNow(); return; }
   if (event.code === "Space" && down && event.target !== by("overrule")) stopNow();
   if (inField) return;
-  if (event.target === by("overrule") && (event.code === "Space" || event.code === "Enter")) { overrule(down); event.preventDefault(); return; }
+  if (isOverrule(event)) { if (down && !event.repeat) overrule(true); event.preventDefault(); return; }
   if (event.code === "Space" && !onButton) { event.preventDefault(); return; }
   const isLetter = event.code.startsWith("Key");
   if (isLetter && !by("letters").checked) return;
@@ -169,15 +200,33 @@ addEventListener("keyup", (event) => onKey(event, false));
 // Who has set a slider with a pointer steers on with the arrows; who came to it with Tab goes on setting it.
 addEventListener("pointerup", (event) => { if (event.target instanceof HTMLElement && event.target.matches("input[type=range]")) event.target.blur(); });
 
-by("steer-by").addEventListener("change", () => {
+function steer() {
   const switches = Number(by("steer-by").value) || 0;
   by("scan-label").hidden = switches !== 1;
   stick.stop();
   scan.set(switches);
   document.body.dataset.switches = String(switches);
-  if (switches) { by("steer-by").blur(); by("steering").focus(); }
+}
+
+function setSeconds() {
+  scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4));
+  scan.rest();
+}
+
+by("steer-by").addEventListener("change", () => {
+  steer();
+  keep("steer-by", by("steer-by").value);
+  if (by("steer-by").value !== "stick") { by("steer-by").blur(); by("steering").focus(); }
 });
-by("scan-s").addEventListener("change", () => { scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4)); scan.rest(); });
+by("scan-s").addEventListener("change", () => { setSeconds(); keep("scan-s", scan.seconds); });
+// Who drives with switches alone cannot choose them again after a reload.
+for (const id of ["steer-by", "scan-s"]) {
+  const before = by(id).value;
+  by(id).value = kept(id) ?? before;
+  if (!by(id).value) by(id).value = before; // what was kept is none of the choices
+}
+steer();
+setSeconds();
 
 for (const id of ["new-place", "again", "user"]) by(id).addEventListener(id === "user" ? "change" : "click", () => hint.begin());
 wireDialogs(stopNow);

@@ -57,8 +57,22 @@ export function wireDialogs(first = () => {}) {
   for (const name of ["keys", "display"]) by(`open-${name}`).addEventListener("click", () => { first(); by(name).showModal(); });
 }
 
-const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
-const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* a private window keeps nothing */ } };
+// What a browser keeps for this page; a private window keeps nothing.
+export const kept = (name) => { try { return localStorage.getItem(`wcsim-${name}`); } catch { return null; } };
+export const keep = (name, value) => { try { localStorage.setItem(`wcsim-${name}`, value); } catch { /* then it does not */ } };
+
+// What counts while it is pushed, by a finger, a pen or a mouse's first button: `does(true, event)`, and `does(false)`
+// however that ends. A button that is released while another one is held makes no "pointerup", and a menu takes it away.
+export function wireHold(node, does) {
+  let held = false;
+  const end = () => { if (held) { held = false; does(false); } };
+  node.addEventListener("pointerdown", (event) => { if (event.button === 0) { held = true; does(true, event); } });
+  node.addEventListener("pointermove", (event) => { if (!isPushed(event)) end(); });
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture", "pointerleave"]) node.addEventListener(name, end);
+  node.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+export const isPushed = (event) => Boolean(event.buttons & 1);
 
 // Contrast, larger text, single letters: kept in the browser; `after` is called at each change.
 export function wireDisplay(after = () => {}) {

@@ -1,6 +1,7 @@
 // Where the person's stick is: keys, pointer and gamepad together, the one that is pushed farthest counts.
 
 const DEAD_ZONE = 0.15;
+const LET_GO = 0.05; // a stick within this has been let go of
 const ARROWS = {
   ArrowUp: [0, 1], KeyW: [0, 1], ArrowDown: [0, -1], KeyS: [0, -1],
   ArrowLeft: [-1, 0], KeyA: [-1, 0], ArrowRight: [1, 0], KeyD: [1, 0],
@@ -19,15 +20,20 @@ export function pastDeadZone(x, y) {
   return inGate([x * out, y * out]);
 }
 
+function farthest(sticks) {
+  return sticks.reduce((best, each) => (Math.hypot(...each) > Math.hypot(...best) ? each : best), REST);
+}
+
 export class Stick {
   constructor(tell) {
     this.tell = tell; // hears of gamepads that come and go, and of every loss
     this.held = new Set();
     this.half = false;
     this.pointer = REST;
-    this.latched = REST; // of scanning
+    this.holder = null; // the pointer that pushes the disc, by its number
+    this.latched = REST; // of switches
     this.stopped = false; // until everything has been let go of
-    this.padSeen = false;
+    this.padsSeen = ""; // the names of all gamepads
     this.away = document.hidden;
     addEventListener("blur", () => this.leave());
     addEventListener("focus", () => { this.away = document.hidden; });
@@ -35,32 +41,37 @@ export class Stick {
     addEventListener("gamepaddisconnected", () => this.lose());
   }
 
+  // A key that repeats by itself is no new press: it has been held since before a stop, or since the page was left.
   key(event, down) {
     if (!(event.code in ARROWS)) return false;
-    if (down) this.held.add(event.code); else this.held.delete(event.code);
+    if (!down) this.held.delete(event.code);
+    else if (!event.repeat) this.held.add(event.code);
     this.half = event.shiftKey;
     return true;
   }
 
-  letGo() {
-    this.held.clear();
-    this.pointer = REST;
+  // What is held stays held, and counts for nothing before all of it has been let go of.
+  stop() {
     this.latched = REST;
+    this.stopped = true;
   }
 
-  stop() {
-    this.letGo();
-    this.stopped = true;
+  // Nobody will tell of the keys that are released from now on, so none is held any more.
+  forget() {
+    this.held.clear();
+    this.stop();
   }
 
   leave() {
     this.away = true;
-    this.stop();
+    this.holder = null;
+    this.pointer = REST;
+    this.forget();
     this.tell("left");
   }
 
   lose() {
-    this.padSeen = false;
+    this.padsSeen = "";
     this.stop();
     this.tell("unplugged");
   }
@@ -73,29 +84,33 @@ export class Stick {
     return [a * share, b * share];
   }
 
-  fromPad() {
-    const pads = navigator.getGamepads ? [...navigator.getGamepads()] : [];
-    const pad = pads.find((each) => each && each.connected !== false && each.axes.length >= 2);
-    if (!pad) {
-      if (this.padSeen) this.lose();
+  // Of several gamepads the one that is pushed farthest: what only looks like one lies at rest.
+  fromPads() {
+    const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
+    const pads = all.filter((each) => each && each.connected !== false && each.axes.length >= 2);
+    if (!pads.length) {
+      if (this.padsSeen) this.lose();
       return REST;
     }
-    if (!this.padSeen) { this.padSeen = true; this.tell("plugged", pad.id); }
-    return pastDeadZone(pad.axes[0], -pad.axes[1]);
+    const names = pads.map((each) => each.id).join(", ");
+    if (this.padsSeen !== names) { this.padsSeen = names; this.tell("plugged", names); }
+    return farthest(pads.map((each) => pastDeadZone(each.axes[0], -each.axes[1])));
+  }
+
+  // What is held, the switches aside, which a stop lets go of.
+  pushed() {
+    return farthest([this.pointer, this.fromKeys(), this.fromPads()]);
   }
 
   raw() {
-    const all = [this.latched, this.pointer, this.fromKeys(), this.fromPad()];
-    return all.reduce((best, each) => (Math.hypot(...each) > Math.hypot(...best) ? each : best), REST);
+    return farthest([this.latched, this.pushed()]);
   }
 
   now() {
-    const farthest = this.raw();
+    const pushed = this.pushed();
     if (this.away) return REST;
-    if (this.stopped) {
-      if (Math.hypot(...farthest) < 0.05) this.stopped = false;
-      return REST;
-    }
-    return farthest;
+    if (this.stopped && (this.held.size > 0 || Math.hypot(...pushed) >= LET_GO)) return REST; // two keys may cancel out
+    this.stopped = false;
+    return farthest([this.latched, pushed]);
   }
 }

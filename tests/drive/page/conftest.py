@@ -1,0 +1,30 @@
+"""A browser for the pages of a module, and the page of a drive without any drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.drive.page.stage import Stage
+from tests.drive.page.test_page import CHROMIUM, FLAGS
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def stage(browser: Any) -> Iterator[Stage]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True)
+    found = Stage(context)
+    yield found
+    assert found.errors == []
+    context.close()

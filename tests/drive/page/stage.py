@@ -1,0 +1,134 @@
+"""Pages by themselves: their files, and a socket whose other end is the test. What they say is heard at once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from wcsim.drive import messages as m
+from wcsim.drive.driven import DriverKind
+from wcsim.drive.serving.server import PAGE
+
+ADDRESS = "http://127.0.0.1:9/"
+KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
+PATIENCE_MS = 60_000
+SAID_MS = 150  # in which the page says its stick a few times
+REST = (0.0, 0.0)
+
+ABOUT = m.About(
+    place="a corner", town="corner", policy="dwa", profile="competent", points=[REST], towns=["corner"],
+    profiles=["competent"], suites={}, levels=(0.0, 2.0), own_level=1.0, tells_unsafe=True, tick_s=0.1,
+)  # fmt: skip
+KPIS = m.Kpis(
+    kpi1=0.0, kpi2=1.0, way_m=0.0, time_s=0.1, crashes=0, arrivals=0, given_up=0, helps=0, overrules=0, warnings=0,
+    interventions=0,
+)  # fmt: skip
+STATE = m.DriveState(
+    tick=1, time_s=0.1, step=1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,
+    stick=REST, chosen=REST, commanded=REST, unsafe=[], assisted=True, level=1.0, warning=False, intervening=False,
+    overruled=False, speed_mps=0.0, left_m=9.0, bearing_deg=0.0, crash="", profile="competent", kpis=KPIS, tick_ms=1.0,
+    pictures_ms=1.0, rate=10.0,
+)  # fmt: skip
+
+
+class PageAlone:
+    """A page that has met its server.
+
+    Args:
+        context: Of a browser.
+        file: Of the page.
+    """
+
+    def __init__(self, context: Any, file: str) -> None:
+        self._file = file
+        self.said: list[dict[str, Any]] = []
+        self.errors: list[str] = []
+        self._socket: Any = None
+        context.set_default_timeout(PATIENCE_MS)
+        context.route("**/*", self._read)
+        context.route_web_socket("**/socket", self._meet)
+        self.page = context.new_page()
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.add_init_script(PAD)
+        self.open()
+
+    def open(self) -> None:
+        """Read the page, again too."""
+        self._socket = None
+        self.page.goto(ADDRESS)
+        self.until(lambda: self._socket is not None)
+
+    def hear(self, message: Any) -> None:
+        """The server says something."""
+        self._socket.send(msgspec.json.encode(message).decode())
+
+    def until(self, is_so: Any) -> None:
+        for _ in range(PATIENCE_MS // 50):
+            if is_so():
+                return
+            self.page.wait_for_timeout(50)
+        raise AssertionError(f"never; the last it said were {self.said[-3:]}")
+
+    def text(self, selector: str) -> str:
+        return str(self.page.locator(selector).text_content())
+
+    def _read(self, route: Any) -> None:
+        name = route.request.url.removeprefix(ADDRESS) or self._file
+        path = PAGE / Path(name).name
+        route.fulfill(body=path.read_bytes(), content_type=KINDS[path.suffix])
+
+    def _meet(self, socket: Any) -> None:
+        self._socket = socket
+        socket.on_message(lambda data: self.said.append(json.loads(data)))
+
+
+class Stage(PageAlone):
+    """The page of a drive, which drives."""
+
+    def __init__(self, context: Any) -> None:
+        super().__init__(context, "index.html")
+
+    def open(self) -> None:
+        """Read the page, again too."""
+        super().open()
+        self.hear(ABOUT)
+        self.role(drives=True)
+        self.state()
+
+    def role(self, *, drives: bool) -> None:
+        self.hear(m.PageRole(drives=drives, taken=not drives, told="" if drives else "Another page drives."))
+        self.page.wait_for_selector(f"body[data-drives={str(drives).lower()}]")
+
+    def state(self, **changes: object) -> None:
+        """The drive is as it is."""
+        self.hear(msgspec.structs.replace(STATE, **changes))
+        self.page.wait_for_timeout(SAID_MS)
+
+    def sticks(self) -> set[tuple[float, float]]:
+        """All that the page says of its stick in a while."""
+        return {(stick["x"], stick["y"]) for stick in self._sticks()}
+
+    def overrules(self) -> bool:
+        """What it says of the button that overrules."""
+        return bool(self._sticks()[-1]["overrule"])
+
+    def away(self) -> bool:
+        """What it says of whether somebody looks at it."""
+        return bool(self._sticks()[-1]["away"])
+
+    def heard(self, say: str) -> list[dict[str, Any]]:
+        """What it has said of this kind since it was asked last."""
+        self.page.wait_for_timeout(SAID_MS)
+        found = [message for message in self.said if message["say"] == say]
+        self.said.clear()
+        return found
+
+    def _sticks(self) -> list[dict[str, Any]]:
+        self.page.wait_for_timeout(2 * 33)  # what was on its way when something was done
+        self.said.clear()
+        self.until(lambda: len([message for message in self.said if message["say"] == "stick"]) > 3)
+        return [message for message in self.said if message["say"] == "stick"]

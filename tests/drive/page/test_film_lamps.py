@@ -1,0 +1,39 @@
+"""The lamps of a film's page in Chromium, without any film."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.drive.page.stage import PageAlone
+from tests.drive.page.test_page import CHROMIUM
+from tests.drive.playing.films import ABOUT, film_of
+from wcsim.drive.playing.film_states import FilmAbout, Flag
+from wcsim.drive.playing.play_state import about_of, state_of
+from wcsim.drive.playing.player import Player
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+]
+DECIDES = (
+    (Flag(0), "policy"),
+    (Flag.UNAIDED, "user, no assistance"),
+    (Flag.UNAIDED | Flag.ALONE, "user alone"),
+    (Flag.OVERRULED, "user overrules"),
+)
+TRACE = FilmAbout(title="a trace", town="nowhere", tick_s=0.1)
+
+
+def test_the_lamp_says_who_decides_where_that_is_known(browser: Any) -> None:
+    context = browser.new_context()
+    page = PageAlone(context, "play.html")
+    for about, told in ((ABOUT, DECIDES), (TRACE, [(Flag(0), "not known")])):
+        page.hear(about_of(about, (), "", -1))
+        for flags, words in told:
+            page.hear(state_of(film_of(1, {0: flags}), Player(), 0, {0: "ann"}, ("", "", True)))
+            page.until(lambda words=words: page.text("#lamp-who span") == words)
+    assert page.errors == []
+    context.close()

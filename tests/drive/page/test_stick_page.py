@@ -1,0 +1,198 @@
+"""What counts as a stick in Chromium: keys, pointers, gamepads, and how each of them is let go of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.drive.page.stage import REST, Stage
+from tests.drive.page.test_page import CHROMIUM
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+]
+AHEAD = {(0.0, 1.0)}
+STILL = {REST}
+
+
+def leave(stage: Stage) -> None:
+    for event in ("blur", "focus"):
+        stage.page.evaluate("(name) => window.dispatchEvent(new Event(name))", event)
+    assert stage.sticks() == STILL
+
+
+def crash(stage: Stage) -> None:
+    stage.state(crash="hit a car")
+    stage.state(tick=2)
+
+
+STOPS: dict[str, Callable[[Stage], None]] = {
+    "stop": lambda stage: stage.page.click("#stop"),
+    "escape": lambda stage: stage.page.keyboard.press("Escape"),
+    "crash": crash,
+    "left": leave,
+}
+
+
+@pytest.mark.parametrize("how", STOPS)
+def test_a_held_key_counts_only_once_it_has_been_let_go_of(stage: Stage, how: str) -> None:
+    keyboard = stage.page.keyboard
+    keyboard.down("ArrowUp")
+    assert stage.sticks() == AHEAD
+    STOPS[how](stage)
+    for _ in range(3):
+        keyboard.down("ArrowUp")  # repeats by itself
+        assert stage.sticks() == STILL
+    if how != "left":
+        stage.state(tick=3)
+        assert stage.text("#big") == stage.text("#live") == "Let go of the stick once."
+    keyboard.up("ArrowUp")
+    assert stage.sticks() == STILL
+    keyboard.down("ArrowUp")
+    assert stage.sticks() == AHEAD
+
+
+def touches(stage: Stage) -> Callable[[str, float], None]:
+    """Puts a finger so much of the disc's half above its middle."""
+    send = stage.page.context.new_cdp_session(stage.page).send
+    box = stage.page.locator("#stick svg").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def touch(kind: str, ahead: float = 0.0) -> None:
+        points = [] if kind == "touchEnd" else [{"x": x, "y": y - ahead * box["height"] / 2}]
+        send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    return touch
+
+
+@pytest.mark.parametrize("how", [how for how in STOPS if how != "stop"])  # a mouse would take the finger away
+def test_a_finger_counts_only_once_it_has_been_let_go_of(stage: Stage, how: str) -> None:
+    touch = touches(stage)
+    touch("touchStart", 0.0)
+    touch("touchMove", 0.6)
+    assert max(y for _, y in stage.sticks()) > 0.5
+    STOPS[how](stage)
+    for ahead in (0.61, 0.7, 0.5):
+        touch("touchMove", ahead)
+        assert stage.sticks() == STILL
+    touch("touchEnd")
+    assert stage.sticks() == STILL
+    touch("touchStart", 0.0)
+    touch("touchMove", 0.6)
+    assert max(y for _, y in stage.sticks()) > 0.5
+    touch("touchEnd")
+
+
+def test_two_keys_that_cancel_out_are_not_let_go_of(stage: Stage) -> None:
+    keyboard = stage.page.keyboard
+    for key in ("ArrowUp", "ArrowDown"):
+        keyboard.down(key)
+    keyboard.press("Escape")
+    assert stage.sticks() == STILL
+    keyboard.up("ArrowDown")
+    assert stage.sticks() == STILL
+
+
+def test_a_mouse_drives_by_its_first_button_alone(stage: Stage) -> None:
+    mouse, box = stage.page.mouse, stage.page.locator("#stick svg").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + 0.15 * box["height"]
+    mouse.move(x, y)
+    for button in ("right", "middle"):
+        mouse.down(button=button)
+        mouse.move(x + 2, y)
+        assert stage.sticks() == STILL
+        mouse.up(button=button)
+    mouse.down()
+    assert stage.sticks() != STILL
+    mouse.down(button="right")
+    mouse.up()
+    mouse.move(x, y + 1)
+    assert stage.sticks() == STILL, "the first button was released, and no pointer that one still holds up"
+    mouse.up(button="right")
+    menu = "(id) => document.querySelector(id).dispatchEvent(new Event('contextmenu', { cancelable: true }))"
+    assert [stage.page.evaluate(menu, place) for place in ("#stick svg", "#overrule")] == [False, False]
+
+
+def test_a_mac_that_hides_releases_leaves_no_key_pressed(stage: Stage) -> None:
+    keyboard = stage.page.keyboard
+    keyboard.down("ArrowUp")
+    keyboard.down("o")
+    assert stage.sticks() == AHEAD and stage.overrules()
+    keyboard.down("Meta")
+    keyboard.up("Meta")  # the others were released meanwhile, without a word
+    assert stage.sticks() == STILL and not stage.overrules()
+    stage.page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { code: 'ArrowUp' }))")
+    assert stage.sticks() == AHEAD, "a new press counts"
+
+
+def test_overruling_ends_with_its_key_whatever_else_is_pressed(stage: Stage) -> None:
+    keyboard = stage.page.keyboard
+    stage.page.focus("#overrule")
+    for key in ("Space", "Enter"):
+        keyboard.down(key)
+        assert stage.overrules()
+        keyboard.down("Control")
+        keyboard.up(key)
+        assert not stage.overrules()
+        keyboard.up("Control")
+    stage.page.click("#overrule", button="right")
+    assert not stage.overrules()
+    stage.page.hover("#overrule")
+    stage.page.mouse.down()
+    assert stage.overrules()
+    stage.page.mouse.up()
+    assert not stage.overrules()
+
+
+def test_a_screen_reader_switches_overruling_by_its_press(stage: Stage) -> None:
+    for on in (True, False):
+        stage.page.evaluate("document.getElementById('overrule').click()")
+        assert stage.overrules() is on
+        assert stage.page.get_attribute("#overrule", "aria-pressed") == str(on).lower()
+
+
+def test_of_several_gamepads_the_one_that_is_pushed_counts(stage: Stage) -> None:
+    pads = [None, *({"id": name, "connected": True, "axes": [0.0, 0.0], "buttons": []} for name in ("idle", "held"))]
+    stage.page.evaluate("(pads) => { window.pads = pads; }", pads)
+    stage.until(lambda: stage.text("#pad") == "Gamepad: idle, held")
+    stage.page.evaluate("window.pads[2].axes = [0, -1]")
+    assert stage.sticks() == AHEAD
+    stage.page.evaluate("window.pads = []")
+    assert stage.sticks() == STILL and "unplugged" in stage.text("#pad")
+
+
+def test_a_call_for_help_that_nobody_hears_is_not_told_as_one(stage: Stage) -> None:
+    stage.page.click("#help")
+    assert stage.text("#live") == "You asked for help." and len(stage.heard("help")) == 1
+    stage.role(drives=False)
+    stage.page.keyboard.press("h")
+    assert stage.text("#live") == stage.text("#notice") == "Help was not sent: this page does not drive."
+    assert stage.heard("help") == []
+
+
+def test_why_the_chair_does_not_go_is_said_aloud(stage: Stage) -> None:
+    for changes, told in (
+        ({"paused": True}, "Paused"),
+        ({}, "Time goes on."),
+        ({"waiting": "No page holds the stick. Time stands still."}, "No page holds the stick. Time stands still."),
+    ):
+        stage.state(**changes)
+        assert stage.text("#live") == told
+
+
+def test_a_page_that_was_left_says_so(stage: Stage) -> None:
+    assert not stage.away()
+    stage.page.evaluate("window.dispatchEvent(new Event('blur'))")
+    assert stage.away()
+    stage.page.evaluate("window.dispatchEvent(new Event('focus'))")
+    assert not stage.away()
+
+
+def test_who_drives_goes_on_when_another_page_comes(stage: Stage) -> None:
+    stage.page.keyboard.down("ArrowUp")
+    assert stage.sticks() == AHEAD
+    stage.role(drives=True)
+    assert stage.sticks() == AHEAD
