@@ -26,6 +26,7 @@ def leave(stage: Stage) -> None:
 
 def crash(stage: Stage) -> None:
     stage.state(crash="hit a car")
+    assert stage.text("#live") == stage.text("#big") == "The chair hit a car. A new start follows."
     stage.state(tick=2)
 
 
@@ -61,7 +62,7 @@ def touches(stage: Stage) -> Callable[[str, float], None]:
     box = stage.page.locator("#stick svg").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
-    def touch(kind: str, ahead: float = 0.0) -> None:
+    def touch(kind: str, ahead: float) -> None:
         points = [] if kind == "touchEnd" else [{"x": x, "y": y - ahead * box["height"] / 2}]
         send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
@@ -78,12 +79,12 @@ def test_a_finger_counts_only_once_it_has_been_let_go_of(stage: Stage, how: str)
     for ahead in (0.61, 0.7, 0.5):
         touch("touchMove", ahead)
         assert stage.sticks() == STILL
-    touch("touchEnd")
+    touch("touchEnd", 0.0)
     assert stage.sticks() == STILL
     touch("touchStart", 0.0)
     touch("touchMove", 0.6)
     assert max(y for _, y in stage.sticks()) > 0.5
-    touch("touchEnd")
+    touch("touchEnd", 0.0)
 
 
 def test_two_keys_that_cancel_out_are_not_let_go_of(stage: Stage) -> None:

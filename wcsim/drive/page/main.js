@@ -96,7 +96,8 @@ function setRole(role) {
 // Words over the street are no live region, so why the chair does not go is said as it changes.
 function tellStanding(state) {
   const before = standing;
-  const pushed = drives && (state.let_go || stick.stopped) && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
+  const holds = drives && !state.crash && (state.let_go || stick.stopped); // of a crash something else is said
+  const pushed = holds && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
   standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
   if (standing === before) return;
   if (standing) say(standing);
