@@ -5,6 +5,7 @@ import pytest
 import torch
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
+from torch.nn import functional
 
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.learning.build import build_model, with_window
@@ -210,6 +211,25 @@ def test_what_is_not_in_a_group_does_not_count():
         value[short, 0] += 50.0
         assert loss(batch) != before
         value[short] = kept
+
+
+@pytest.mark.parametrize("phase1", ["supervised", "margin"])
+def test_groups_are_learned_from_in_the_way_that_the_first_phase_is_set_to(phase1, monkeypatch):
+    learner = trained(phase1=phase1, reward_scale=0.1)
+    batch = whole_groups(learner)
+    monkeypatch.setattr(learner.replay_buffer, "sample_groups", lambda size: batch)
+    with torch.no_grad():
+        plain, whole = (float(learner._drawn_loss(learner.replay_buffer, 16, weight)) for weight in (0.0, 2.0))
+        length = batch.live.shape[1]
+        values = group_values(learner.q_net, batch)[:, :length][batch.live]
+        sticks = batch.observations["joystick"][:, :length][batch.live]
+    gaps = np.linalg.norm(sticks.numpy()[:, None] - learner.action_points.points, axis=2)
+    labels = torch.as_tensor(gaps.argmin(axis=1))
+    if phase1 == "supervised":
+        wanted = float(functional.cross_entropy(values / 0.1, labels))
+    else:
+        wanted = float(learner.margin_loss(values, {"joystick": sticks}))
+    assert whole - plain == pytest.approx(2.0 * wanted, rel=1e-4)
 
 
 # --- saved ---

@@ -263,7 +263,7 @@ class SeqDQN(DQN):
     def _drawn_loss(self, buffer: ReplayBuffer, batch_size: int, margin: float) -> torch.Tensor:
         if self.q_net.spec.stateful and isinstance(buffer, FrameReplay):
             settings, nets = self.settings, (self.q_net, self.q_net_target)
-            supervised = (lambda *seen: margin * self.margin_loss(*seen)) if margin > 0.0 else None
+            supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
             batch = buffer.sample_groups(batch_size)
             loss, self.max_abs_q = sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
             return loss
