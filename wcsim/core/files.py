@@ -22,6 +22,7 @@ from wcsim.errors import DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
+_FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
 
 
 @contextmanager
@@ -74,9 +75,9 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir()
         fill(beside)
-        for file in beside.iterdir():
-            file.chmod(_FILE_MODE)
-            _sync(file, os.O_RDONLY)
+        for entry in beside.rglob("*"):
+            entry.chmod(_FOLDER_MODE if entry.is_dir() else _FILE_MODE)
+            _sync(entry, os.O_RDONLY)
         _sync_folder(beside)
         _put_in_place(beside, path)
     except BaseException as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,12 @@ def test_it_trains_and_the_danger_network_stays_as_it_is_to_the_byte(run: Path, 
     assert weights_of(run / "policies" / "final") != weights_of(run / "policies" / "phase1")
     rows = read_metrics(run / "metrics.csv")
     assert all(np.isfinite(float(row["loss"])) for row in rows if int(row["updates"])) and int(rows[-1]["updates"]) > 20
+
+
+def test_whoever_may_read_a_policy_may_read_its_danger_network(run: Path):
+    for folder in (run / PART, run / "policies" / "final" / PART):
+        assert stat.S_IMODE(folder.stat().st_mode) & 0o111, "the right to enter it"
+        assert {stat.S_IMODE(file.stat().st_mode) for file in folder.iterdir()} == {0o644}
 
 
 def test_in_the_second_phase_nothing_unsafe_is_done_where_something_is_safe(run: Path, part: Path):
