@@ -1,7 +1,9 @@
 """Windows of images, from the environment through replay, training and policies on disk to a test of several."""
 
 import json
+import os
 import shutil
+import signal
 
 import gymnasium as gym
 import numpy as np
@@ -230,6 +232,19 @@ def test_a_window_costs_no_more_than_its_newest_image():
     assert one.windows.frames._frames.nbytes == 400 * 2 * H * W
 
 
+def test_a_memory_that_holds_nothing_yet_can_be_kept():
+    twin = replay(400, seats=2)
+    add(twin, [Street(), Street()], ["go", "go"])  # to be forgotten
+    arrays = replay_arrays(replay(400, seats=2))
+    require_fit(twin, arrays)
+    restore_replay(twin, arrays)
+    assert (twin.total, twin.size()) == (0, 0)
+    streets = [Street(), Street()]
+    for _ in range(5):
+        add(twin, streets, ["go", "go"])
+    check(twin, streets)
+
+
 def test_a_window_with_a_forgotten_past_is_kept_whole():
     store, a, b = WindowStore(8, 1, 2, 3), [1, 1, 1], [2, 2, 2]
     store.write(4, np.array([a + a], np.uint8), np.array([True]))
@@ -300,6 +315,18 @@ def test_a_stopped_run_goes_on(tmp_path):
 
     with pytest.raises(InterruptedRunError):
         train(a_run(config(), tmp_path / "run", 5), lambda: Stops(street()))
+    train(a_run(config(), tmp_path / "run", 5, resume=True), street)
+    assert open_run(tmp_path / "run").manifest.status == "done"
+
+
+def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
+    class StopsAtOnce(gym.Wrapper):
+        def reset(self, **options):
+            os.kill(os.getpid(), signal.SIGINT)
+            return super().reset(**options)
+
+    with pytest.raises(InterruptedRunError, match="stopped after 0 of 120"):
+        train(a_run(config(), tmp_path / "run", 5), lambda: StopsAtOnce(street()))
     train(a_run(config(), tmp_path / "run", 5, resume=True), street)
     assert open_run(tmp_path / "run").manifest.status == "done"
 
