@@ -53,7 +53,7 @@ def weights(path):
     return (path / "policies" / "final" / "weights.safetensors").read_bytes()
 
 
-def drive(out, resume=False, at=None):
+def drive(out, epsilon, resume=False, at=None):
     """Train to the end, or be killed a few steps after step `at`; the resumed sitting meets the same street."""
     done = int(step_folders(out / "checkpoints")[-1].name[5:]) if resume else 0
 
@@ -66,21 +66,22 @@ def drive(out, resume=False, at=None):
                 signal.raise_signal(signal.SIGKILL)
             return super().step(action)
 
-    short = config(replay_frames=100, checkpoint_every=50)  # at HALF, the oldest frames are gone
+    explores = {"epsilon_start": epsilon, "epsilon_end": epsilon}
+    short = config(replay_frames=100, checkpoint_every=50, **explores)  # at HALF, the oldest frames are gone
     return train(a_run(short, out, 5, resume=resume), lambda: Killed(done // EPISODE))
 
 
 @pytest.mark.proof
-def test_killed_with_groups_on_disk_it_learns_what_it_would_have_learned(tmp_path):
-    straight = drive(tmp_path / "straight")
+@pytest.mark.parametrize("epsilon", [0.1, 1.0])
+def test_killed_with_groups_on_disk_it_learns_what_it_would_have_learned(tmp_path, epsilon):
+    straight = drive(tmp_path / "straight", epsilon)
     assert (straight / "replay").is_dir()
-    code = (
-        f"from pathlib import Path; from {__name__} import drive; drive(Path({str(tmp_path / 'killed')!r}), at={HALF})"
-    )
+    killed = f"Path({str(tmp_path / 'killed')!r})"
+    code = f"from pathlib import Path; from {__name__} import drive; drive({killed}, {epsilon}, at={HALF})"
     killed = subprocess.run([sys.executable, "-c", f"import torch; torch.set_num_threads(1); {code}"], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert step_folders(tmp_path / "killed" / "checkpoints")[-1].name == f"step-{HALF:08d}"
-    again = drive(tmp_path / "killed", resume=True)
+    again = drive(tmp_path / "killed", epsilon, resume=True)
     assert open_run(again).manifest.steps == STEPS
     assert weights(again) == weights(straight)
 

@@ -173,6 +173,16 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     assert [int(r["episode"]) for r in read_metrics(path / "metrics.csv")] == list(range(1, len(steps) + 1))
 
 
+def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeypatch):
+    rates, begins = [], SeqDQN._begins
+    monkeypatch.setattr(SeqDQN, "_begins", lambda self, n: rates.append(self.exploration_rate) or begins(self, n))
+    asked = a_run(config(phase1_steps=0, epsilon_start=0.7, epsilon_end=0.7), tmp_path / "run", 5)
+    with pytest.raises(InterruptedRunError):
+        train(asked, lambda: Nervous(150, lambda: os.kill(os.getpid(), signal.SIGINT)))
+    train(replace(asked, resume=True), street)
+    assert rates == [pytest.approx(0.7)] * 240
+
+
 def test_a_damaged_checkpoint_is_passed_over(run, tmp_path):
     path, _ = run
     files_of = sorted((path / "checkpoints").glob("step-*"))

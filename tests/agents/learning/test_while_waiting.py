@@ -106,16 +106,25 @@ def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it()
 
 @pytest.mark.parametrize("updates", ["before_acting", "while_waiting"])
 def test_updates_that_are_due_when_a_run_is_stopped_are_done_when_it_goes_on(tmp_path, monkeypatch, updates):
+    """As many, and each with the rate that it would have had."""
     from wcsim.agents.learning.seqdqn import SeqDQN
 
     done, real = [], SeqDQN.do_updates
-    monkeypatch.setattr(SeqDQN, "do_updates", lambda self, steps, size: (done.append(steps), real(self, steps, size)))
-    learned(tmp_path / "straight", street, updates=updates)
+
+    def noted(self, steps, size):
+        real(self, steps, size)
+        done.append((self.num_timesteps, self._n_updates, self.policy.optimizer.param_groups[0]["lr"]))
+
+    monkeypatch.setattr(SeqDQN, "do_updates", noted)
+    fading = {"updates": updates, "learning_rate_fade": 1.0}
+    learned(tmp_path / "straight", street, **fading)
     straight = done.copy()
+    rates = [rate for *_, rate in straight]
+    assert rates == sorted(set(rates), reverse=True), "another one each time"
     done.clear()
-    asked = a_run(config(updates=updates), tmp_path / "parts", 1)
+    asked = a_run(config(**fading), tmp_path / "parts", 1)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(123, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+        train(asked, lambda: Nervous(219, lambda: os.kill(os.getpid(), signal.SIGTERM)))
     assert len(done) < len(straight)
     train(replace(asked, resume=True), street)
     assert done == straight, "none is lost between"

@@ -191,20 +191,26 @@ class SeqDQN(DQN):
             self._carried = tuple(np.where(dones[:, None], 0.0, part).astype(part.dtype) for part in self._next)
 
     def _setup_learn(self, *given: Any, **named: Any) -> tuple[int, BaseCallback]:
-        """SB3's; where it resets the environment, episodes begin."""
+        """SB3's; where it resets the environment, episodes begin. Rates are those of the step that comes next."""
         before = self._last_obs
         out = super()._setup_learn(*given, **named)
         if self._last_obs is not before:
             self._carried = None
+        if self._total_timesteps > self.num_timesteps:  # SB3 sets both after a step, too late for the first one
+            self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+            self._set_exploration_rate()
         return out
 
     def _on_step(self) -> None:
         """Set the exploration rate; the target network follows the gradient steps instead of the world's steps."""
+        self._set_exploration_rate()
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+
+    def _set_exploration_rate(self) -> None:
         if self.plan is None:
             self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
         else:
             self.exploration_rate = self.plan.epsilon(self.num_timesteps)
-        self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
     # --- learning ---
 
