@@ -5,13 +5,16 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
+from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.watching.metrics import MetricsFile, read_metrics
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.config import LearnConfig, RunConfig
@@ -149,6 +152,32 @@ def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
     assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
     with pytest.raises(PolicyError, match="finite"):
         learner._update(torch.tensor(float("inf"), requires_grad=True))
+
+
+class Normed(nn.Module):
+    """An own network that keeps running means."""
+
+    def __init__(self, image_shape, vector_size):
+        super().__init__()
+        self.norm = nn.BatchNorm1d(image_shape[0] + vector_size)
+
+    def forward(self, image, vector):
+        return self.norm(torch.cat([image.mean(dim=(2, 3)), vector], dim=1))
+
+
+def test_the_running_means_of_a_network_are_its_target_s_too_and_those_that_it_acts_by(tmp_path):
+    config = RunConfig(
+        cameras=(CAMERA,), learn=LearnConfig(**SMALL, network=f"{__name__}:Normed", updates="while_waiting")
+    )
+    learner = build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=9)]), 0)
+    learner.learn(60, callback=EpisodeMetrics(MetricsFile(tmp_path / "metrics.csv"), 0.0))
+    learner.catch_up()
+    assert len(read_metrics(tmp_path / "metrics.csv")) >= 6
+    nets = (learner.q_net, learner.q_net_target)
+    online, target = ([v for k, v in net.state_dict().items() if "running_" in k] for net in nets)
+    assert all(torch.equal(one, other) for one, other in zip(online, target, strict=True))
+    assert len(online) == 2 and (online[1] != 1.0).all(), "they have learned"
+    assert not learner.q_net.training
 
 
 def chain_errors(n_step=1, seed=1):

@@ -259,6 +259,7 @@ class SeqDQN(DQN):
             if aid > 0.0:
                 loss = loss + aid * self.advice_loss()
             self._update(loss)
+        self.policy.set_training_mode(False)  # what is asked of it before the next update is asked of one observation
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
@@ -353,3 +354,4 @@ class SeqDQN(DQN):
         torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
         polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
+        polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)  # they are no parameters
