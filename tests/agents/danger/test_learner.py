@@ -67,3 +67,18 @@ def test_a_loss_that_is_no_number_stops_the_run():
         learner.net.base.fill_(float("nan"))
     with pytest.raises(PolicyError, match=r"danger\.learning_rate"):
         learner.learn(lectures(config, 20), 1)
+
+
+def test_a_gradient_that_is_no_number_stops_the_run_before_it_reaches_the_weights(monkeypatch):
+    config = small_config()
+    learner, lessons = DangerLearner(config, 1, 4), lectures(config, 20)
+    learner.learn(lessons, 1)
+    before = [value.detach().clone() for value in learner.net.parameters()]
+
+    def steep(logits, wanted):
+        return (logits - logits.detach()).sqrt().mean()
+
+    monkeypatch.setattr("wcsim.agents.danger.learner.functional.binary_cross_entropy_with_logits", steep)
+    with pytest.raises(PolicyError, match=r"loss was 0\.0 .*gradient (inf|nan) after 1 .*start a new run"):
+        learner.learn(lessons, 1)
+    assert all(torch.equal(one, other) for one, other in zip(before, learner.net.parameters(), strict=True))

@@ -150,8 +150,23 @@ def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
     for _ in range(10):
         learner._update(torch.tensor(float("nan"), requires_grad=True))
     assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
-    with pytest.raises(PolicyError, match="finite"):
+    with pytest.raises(PolicyError, match=r"finite.*start a new run with a smaller learn\.learning_rate"):
         learner._update(torch.tensor(float("inf"), requires_grad=True))
+
+
+def test_an_infinite_gradient_of_a_finite_loss_is_skipped_too():
+    """Clipped, it would be no number, and the weights after it."""
+    learner = model()
+    learner._update(learner.q_net.advantage.bias.sum())
+    before = [p.detach().clone() for p in learner.q_net.parameters()]
+    bias = learner.q_net.advantage.bias
+    for count in range(1, 11):
+        learner._update((bias - bias.detach()).sqrt().sum())
+        assert (learner.last_loss, learner.skipped_updates) == (0.0, count)
+    assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+    learner._update(bias.sum())
+    assert learner.skipped_updates == 0
+    assert not all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
 
 
 class Normed(nn.Module):

@@ -231,6 +231,15 @@ def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_o
     assert all(row["loss"] and row["return"] for row in read_metrics(tmp_path / "run" / "metrics.csv")[2:])
 
 
+@pytest.mark.parametrize(("value", "told"), [(1e6, 1e6), (float("inf"), "inf")])
+def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypatch):
+    monkeypatch.setattr(SeqDQN, "_update", lambda self, loss: setattr(self, "max_abs_q", value))
+    run = train(a_run(config(), tmp_path / "run", 5), street)
+    events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
+    assert [event["max_abs_q"] for event in events if event["event"] == "q_alarm"] == [told]
+    assert open_run(run).manifest.status == "done"
+
+
 def test_wrong_folders_are_explained(run, tmp_path):
     path, _ = run
     with pytest.raises(PolicyError, match="not empty"):

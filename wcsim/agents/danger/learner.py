@@ -49,7 +49,7 @@ class DangerLearner:
         self.updates, self.loss = 0, float("nan")
 
     def learn(self, lectures: Lectures, updates: int, told: Callable[[int], object] = lambda done: None) -> float:
-        """So many updates, each told when done; the smoothed loss. Raises PolicyError when it is not finite."""
+        """So many updates, each told when done; the smoothed loss. Raises PolicyError for one that is not finite."""
         self.net.train()
         for done in range(1, updates + 1):
             for group in self._optimizer.param_groups:
@@ -58,14 +58,14 @@ class DangerLearner:
             seen, unsafe = (part.to(self._device) for part in batch.inputs), batch.unsafe.to(self._device)
             loss = functional.binary_cross_entropy_with_logits(self.net(*seen), unsafe)
             now = float(loss.detach())
-            if not np.isfinite(now):
-                raise PolicyError(
-                    f"the loss was {now} after {self.updates} updates; expected a finite number: make "
-                    "danger.learning_rate smaller"
-                )
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(self.net.parameters(), _CLIP)
+            norm = float(nn.utils.clip_grad_norm_(self.net.parameters(), _CLIP))  # an infinite one cannot be clipped
+            if not (np.isfinite(now) and np.isfinite(norm)):
+                raise PolicyError(
+                    f"the loss was {now} and the norm of its gradient {norm} after {self.updates} updates; expected "
+                    "finite numbers: start a new run with a smaller danger.learning_rate"
+                )
             self._optimizer.step()
             self.updates += 1
             self.loss = now if np.isnan(self.loss) else _SMOOTH * self.loss + (1.0 - _SMOOTH) * now

@@ -38,7 +38,7 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
 States = tuple[npt.NDArray[Any], ...]
-MAX_SKIPPED = 10  # updates in a row with a loss that is not finite
+MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,7 +246,7 @@ class SeqDQN(DQN):
             self.do_updates(*due)
 
     def do_updates(self, gradient_steps: int, batch_size: int) -> None:
-        """Do so many updates. Raises PolicyError when the loss stays out of the finite numbers."""
+        """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         buffer = self.replay_buffer
@@ -340,18 +340,25 @@ class SeqDQN(DQN):
 
     def _update(self, loss: torch.Tensor) -> None:
         self.last_loss = float(loss.detach())
-        if not np.isfinite(self.last_loss):
-            self.skipped_updates += 1
-            if self.skipped_updates > MAX_SKIPPED:
-                raise PolicyError(
-                    f"the loss was {self.last_loss} for {self.skipped_updates} updates in a row; expected a finite "
-                    "number: go back to a checkpoint with a smaller learn.learning_rate or learn.reward_scale"
-                )
+        if not (np.isfinite(self.last_loss) and np.isfinite(self._clipped_gradient(loss))):
+            self._skip_update()
             return
         self.skipped_updates = 0
-        self.policy.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
         polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
         polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)  # they are no parameters
+
+    def _clipped_gradient(self, loss: torch.Tensor) -> float:
+        """Reckon the gradient; its norm before it was clipped, for what is infinite cannot be."""
+        self.policy.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        return float(torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm))
+
+    def _skip_update(self) -> None:
+        """Leave the weights as they are. Raises PolicyError when that has become a habit."""
+        self.skipped_updates += 1
+        if self.skipped_updates > MAX_SKIPPED:
+            raise PolicyError(
+                f"the loss, {self.last_loss}, or its gradient was not finite for {self.skipped_updates} updates in a "
+                "row; expected finite numbers: start a new run with a smaller learn.learning_rate or learn.reward_scale"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -231,7 +232,9 @@ class _Session:
         largest = learn.reward_scale * (reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma))
         if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
             self.alarmed = True
-            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=self.model.max_abs_q, largest=largest)
+            value = self.model.max_abs_q
+            told = value if math.isfinite(value) else str(value)
+            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=told, largest=largest)
 
     def _report(self) -> None:
         if self.progress is not None:

@@ -126,8 +126,8 @@ class SegmentWriter:
             os.ftruncate(self._index, self._records)
             os.ftruncate(self._blobs, self._at)
             raise DiskFullError(
-                f"{blobs_path(self._folder, self.segment)}: could not be written ({error.strerror}); make room, or "
-                "set a smaller learn.replay_frames"
+                f"{blobs_path(self._folder, self.segment)}: could not be written ({error.strerror}); make room "
+                "and --resume, or start a new run with a smaller learn.replay_frames"
             ) from None
         self._at, self._records = offset + len(blob), self._records + RECORD.itemsize
         return offset, crc
