@@ -29,6 +29,7 @@ from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, torch_settings
 from wcsim.agents.learning.watching.metrics import MetricsFile
+from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
 from wcsim.agents.online.online_checkpoint import Counters, OnlineState, load_online, save_online
 from wcsim.agents.online.taught_ride import TaughtRide
@@ -73,12 +74,16 @@ def train_online(run: ResolvedRun, make_env: MakeEnv, listeners: Listeners | Non
         LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
         PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the environment tells no truth.
     """
+    if run.config.learn.tensorboard:
+        require_tensorboard()
     folder, heard_by = folder_of(run, with_window), listeners or Listeners()
     with files.locked(folder.path), torch_settings(run.config), StopRequest(heard_by.wait_no_more) as request:
         env = make_env()
         request.wait_less = getattr(env.unwrapped, "wait_less", request.wait_less)
         try:
-            return _OnlineSession(folder, env, request, heard_by, run.resume).learn()
+            session = _OnlineSession(folder, env, request, heard_by, run.resume)
+            with session.board or contextlib.nullcontext():
+                return session.learn()
         finally:
             env.close()
 
@@ -100,7 +105,9 @@ class _OnlineSession:
         if resume:
             self._resume()
         self._ride.lectures.begin(self._lectures_rng)
-        self._metrics = MetricsFile(run.path / METRICS, keep_to_step=self._now.step if resume else None)
+        keep_to_step = self._now.step if resume else None
+        self._metrics = MetricsFile(run.path / METRICS, keep_to_step)
+        self.board = BoardLog(run.path, keep_to_step) if config.learn.tensorboard else None
         self._begun_s, self._sums = time.monotonic(), EpisodeSums()
         self._kpi1: float | None = None  # of the last finished episode
         self._choose, self._teach = listeners.deciding(self._agent.choose), listeners.learning(self._learner.learn)
@@ -176,7 +183,7 @@ class _OnlineSession:
         return seen, truth_of(info)
 
     def _note(self, after: EpisodeStep, turn: DrivingTurn) -> None:
-        """A row of metrics.csv."""
+        """A row of metrics.csv, and for TensorBoard where that is wanted."""
         now = self._now = replace(
             self._now, episodes=self._now.episodes + 1, crashes=self._now.crashes + int(after.terminated)
         )
@@ -192,7 +199,10 @@ class _OnlineSession:
             "return_start": None,
             "overestimate": None,
         }
-        self._metrics.add({**row, **rest, **learned, "elapsed_s_wall": time.monotonic() - self._begun_s})
+        row = {**row, **rest, **learned, "elapsed_s_wall": time.monotonic() - self._begun_s}
+        self._metrics.add(row)
+        if self.board is not None:
+            self.board.add(row)
         self._sums = EpisodeSums()
 
     def _between(self) -> None:
