@@ -86,6 +86,7 @@ class DangerLearner:
     def restore(self, moments: dict[str, torch.Tensor], updates: int, loss: float) -> None:
         """Go on after so many updates with what `moments` gave then. Raises KeyError when it is of another network."""
         parameters = dict(self.net.named_parameters())
+        self._optimizer.state.clear()
         for name in sorted({name.rpartition(".")[0] for name in moments}):
             held = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
             # The count of steps stays on the CPU, where AdamW keeps it.

@@ -93,11 +93,16 @@ def save_checkpoint(
 
     files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
-    for old in step_folders(folder)[:-KEEP]:
-        if old != target:
-            shutil.rmtree(old, ignore_errors=True)
+    drop_old(folder, target)
     _hold_frames(folder, model)
     return target
+
+
+def drop_old(folder: Path, newest: Path) -> None:
+    """Remove all checkpoints of a run but `newest` and those of the last steps."""
+    for old in step_folders(folder)[:-KEEP]:
+        if old != newest:
+            shutil.rmtree(old, ignore_errors=True)
 
 
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Loaded:
@@ -115,12 +120,17 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
             alive()
             _restore(model, state, load_file(path / MODEL), load_file(path / REPLAY), alive)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
-            told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
-            passed.append(PassedOver(path=path, reason=shown(told, 300)))
+            passed.append(passed_over(path, error))
             continue
         _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
     raise none_sound(folder, passed)
+
+
+def passed_over(path: Path, error: Exception) -> PassedOver:
+    """What is told of a checkpoint that could not be used."""
+    told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
+    return PassedOver(path=path, reason=shown(told, 300))
 
 
 def none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:

@@ -23,9 +23,7 @@ MOST_STEPS = 10**12  # of a run
 DAMAGED = ".damaged"  # added to the name of a checkpoint that was passed over
 KEEP = 3  # checkpoints of a run
 _STEP = re.compile(r"step-(\d{8,18})")
-_KEYS = frozenset(
-    ("schema_version", "num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256")
-)
+_KEYS = frozenset(("num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256"))
 _SEAL = "seal"
 _STATE_KIND = FileKind(what="the state of a checkpoint", limit_bytes=1 << 20, error=PolicyError)
 _ARRAYS_KIND = FileKind(what="the arrays of a checkpoint", limit_bytes=1 << 42, error=PolicyError)
@@ -80,40 +78,62 @@ def set_aside(path: Path) -> Path:
     return path.rename(free)
 
 
-def write_state(folder: Path, values: Mapping[str, Any]) -> None:
-    """Write `state.json` with hashes of the files that are there, and one over itself."""
-    hashes = {name: files.sha256(folder / name) for name in (MODEL, REPLAY)}
-    state = {"schema_version": SCHEMA, **values, "sha256": hashes}
-    files.write_json(folder / STATE, {**state, _SEAL: _seal(state)})
+def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
+    """Write what a checkpoint says, with its version and a hash over all of it."""
+    state = {"schema_version": SCHEMA, **values}
+    files.write_json(path, {**state, _SEAL: _seal(state)})
 
 
-def read_state(folder: Path) -> State:
-    """The state of a checkpoint whose files are as they were written. Raises PolicyError that says what is not."""
-    data = read_json(folder / STATE, _STATE_KIND)
-    schema, seal = data.get("schema_version"), data.pop(_SEAL, None)
-    if type(schema) is not int or schema not in (1, SCHEMA):
-        raise PolicyError(f"{STATE} is of version {shown(schema)}; expected 1 or {SCHEMA}")
-    if set(data) != _KEYS or (seal is None) != (schema == 1):
-        raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
+def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[str, Any], bool]:
+    """What `write_sealed` wrote, and whether it has a hash; one of a version before there was one has none.
+
+    Raises:
+        PolicyError: It is not what was written, or has other entries than `keys`.
+    """
+    data = read_json(path, kind)
+    seal = data.pop(_SEAL, None)
     if seal is not None and seal != _seal(data):
         raise PolicyError(f"{STATE} is damaged: it does not have the hash that it says")
-    state = State(
-        num_timesteps=_whole_number(data, "num_timesteps"),
-        n_updates=_whole_number(data, "n_updates"),
-        episodes=_whole_number(data, "episodes"),
-        explore_rng=_generator(data["explore_rng"], "explore_rng"),
-        replay_rng=_generator(data["replay_rng"], "replay_rng"),
-        extra=_extra(data["extra"]),
-        sealed=seal is not None,
-    )
-    if folder.name != step_name(state.num_timesteps):
-        raise PolicyError(f"{STATE} is of step {state.num_timesteps}; expected that of its folder's name")
-    _require_hashes(folder, data["sha256"])
-    return state
+    schema = data.pop("schema_version", 1)
+    if type(schema) is not int or schema not in (1, SCHEMA):
+        raise PolicyError(f"{STATE} is of version {shown(schema)}; expected 1 or {SCHEMA}")
+    if set(data) != keys or (seal is None) != (schema == 1):
+        raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
+    return data, seal is not None
 
 
 def _seal(state: Mapping[str, Any]) -> str:
     return files.sha256_text(json.dumps(state, sort_keys=True, allow_nan=False))
+
+
+def write_state(folder: Path, values: Mapping[str, Any]) -> None:
+    """Write `state.json` with hashes of the files that are there, and one over itself."""
+    hashes = {name: files.sha256(folder / name) for name in (MODEL, REPLAY)}
+    write_sealed(folder / STATE, {**values, "sha256": hashes})
+
+
+def read_state(folder: Path) -> State:
+    """The state of a checkpoint whose files are as they were written. Raises PolicyError that says what is not."""
+    data, sealed = read_sealed(folder / STATE, _STATE_KIND, _KEYS)
+    state = State(
+        num_timesteps=step_in(folder, data, "num_timesteps"),
+        n_updates=whole_number(data, "n_updates"),
+        episodes=whole_number(data, "episodes"),
+        explore_rng=checked_generator(data, "explore_rng"),
+        replay_rng=checked_generator(data, "replay_rng"),
+        extra=_extra(data["extra"]),
+        sealed=sealed,
+    )
+    _require_hashes(folder, data["sha256"])
+    return state
+
+
+def step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:
+    """The step that a checkpoint is of. Raises PolicyError when its folder has the name of another one."""
+    step = whole_number(data, key)
+    if folder.name != step_name(step):
+        raise PolicyError(f"{STATE} is of step {step}; expected that of its folder's name")
+    return step
 
 
 def _require_hashes(folder: Path, told: Any) -> None:
@@ -125,7 +145,8 @@ def _require_hashes(folder: Path, told: Any) -> None:
             raise PolicyError(f"{name} is damaged")
 
 
-def _whole_number(data: Mapping[str, Any], key: str) -> int:
+def whole_number(data: Mapping[str, Any], key: str) -> int:
+    """A count of a checkpoint. Raises PolicyError when it is none."""
     value = data[key]
     if type(value) is not int or not 0 <= value <= MOST_STEPS:
         raise PolicyError(f"{STATE}: {key} is {shown(value)}; expected a number from 0 to {MOST_STEPS}")
@@ -142,8 +163,9 @@ def _extra(data: Any) -> dict[str, int | float | str | bool]:
     return data
 
 
-def _generator(data: Any, key: str) -> dict[str, Any]:
-    """The state of a Philox generator, every number in its bounds."""
+def checked_generator(values: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The state of a Philox generator, every number in its bounds. Raises PolicyError when it is none."""
+    data = values[key]
     wrong = PolicyError(f"{STATE}: {key} is {shown(data)}; expected the state of a generator")
     if not isinstance(data, dict) or set(data) != {*_GENERATOR, "buffer_pos", "has_uint32", "uinteger"}:
         raise wrong

@@ -262,15 +262,21 @@ class _Session:
 def _loaded(
     run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]
 ) -> Loaded | None:
-    """The newest sound checkpoint, restored; None for a run that has none yet and begins again.
-
-    What was passed over is set aside: it belongs to work that is done again, with another outcome.
-    """
+    """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
     if newest_step(run.checkpoints) < 0:
         say(f"{run.path} was ended before its first checkpoint; it begins again")
         run.event("begin_again")
         return None
     loaded = load_checkpoint(run.checkpoints, model, alive)
+    tell_loaded(run, loaded, say)
+    return loaded
+
+
+def tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) -> None:
+    """Say what a run goes on from where that is not the newest checkpoint, or an older version's.
+
+    What was passed over is set aside: it belongs to work that is done again, with another outcome.
+    """
     for item in loaded.passed_over:
         kept = set_aside(item.path)
         say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")
@@ -278,7 +284,6 @@ def _loaded(
     if not loaded.sealed:
         say(f"{loaded.path}: of an older version; its counters and random states have no hash, and are taken as sound")
         run.event("unsealed", checkpoint=loaded.path.name)
-    return loaded
 
 
 @contextmanager

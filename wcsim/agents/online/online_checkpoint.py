@@ -1,23 +1,53 @@
-"""Checkpoints of a danger network that learns as it drives: plain arrays, counters, random states, data hashes."""
+"""Checkpoints of a danger network that learns as it drives: plain arrays, counters, random states, data hashes.
+
+All of a checkpoint is under a hash, its segments are in the data folder; one that is damaged in any place is passed
+over for the one before it.
+"""
 
 from __future__ import annotations
 
-import shutil
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from wcsim.agents.collecting.data_folder import key_of
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
-from wcsim.agents.learning.checkpoint import PassedOver, generator_state, none_sound, restored_generator
-from wcsim.agents.learning.checkpoint_file import KEEP, step_folders, step_name
+from wcsim.agents.learning.checkpoint import (
+    Loaded,
+    PassedOver,
+    drop_old,
+    generator_state,
+    none_sound,
+    passed_over,
+    restored_generator,
+)
+from wcsim.agents.learning.checkpoint_file import (
+    checked_generator,
+    read_sealed,
+    step_folders,
+    step_in,
+    step_name,
+    whole_number,
+    write_sealed,
+)
+from wcsim.agents.online.taught_ride import TaughtRide
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.core.reading import FileKind, shown
 from wcsim.errors import PolicyError
 
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
+_SHA256: Final = re.compile(r"[0-9a-f]{64}", re.ASCII)
+_KEYS: Final = frozenset(
+    (
+        *("step", "episodes", "crashes", "phase1_done", "updates", "loss"),
+        *("segments", "explore_rng", "lectures_rng", "sha256"),
+    )
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,19 +89,19 @@ def save_online(folder: Path, learner: DangerLearner, state: OnlineState) -> Pat
             "lectures_rng": generator_state(state.lectures_rng),
             "sha256": sha256,
         }
-        files.write_json(work / STATE, values)
+        write_sealed(work / STATE, values)
 
     files.write_folder(target, fill)
-    for old in step_folders(folder)[:-KEEP]:
-        if old != target:
-            shutil.rmtree(old, ignore_errors=True)
+    drop_old(folder, target)
     return target
 
 
-def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | None, tuple[PassedOver, ...]]:
-    """Bring a learner to its newest sound checkpoint; also those that are not sound, newest first.
+def load_online(
+    folder: Path, learner: DangerLearner, ride: TaughtRide, alive: Callable[[], object] = lambda: None
+) -> tuple[OnlineState, Loaded] | None:
+    """Bring a learner, and what it learns from, to the newest sound checkpoint of a run.
 
-    None for a run that was ended before its first checkpoint: it begins again.
+    None for a run that was ended before its first checkpoint: it begins again. `alive` is called now and then.
 
     Raises:
         PolicyError: There are checkpoints, and none is sound; they stay as they are.
@@ -79,29 +109,55 @@ def load_online(folder: Path, learner: DangerLearner) -> tuple[OnlineState | Non
     passed: list[PassedOver] = []
     for path in reversed(step_folders(folder)):
         try:
-            return _restored(path, learner), tuple(passed)
-        except (PolicyError, OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            passed.append(PassedOver(path=path, reason=shown(f"{type(error).__name__}: {error}", 300)))
+            state, sealed = _restored(path, learner, ride, alive)
+        except Exception as error:  # whatever is wrong with it, the one before may be sound
+            passed.append(passed_over(path, error))
+            continue
+        return state, Loaded(path=path, extra={}, sealed=sealed, passed_over=tuple(passed))
     if passed:
         raise none_sound(folder, passed)
-    return None, ()
+    return None
 
 
-def _restored(path: Path, learner: DangerLearner) -> OnlineState:
-    told: dict[str, Any] = read_json(path / STATE, _KIND)
-    require_whole(path, told["sha256"])
+def _restored(
+    path: Path, learner: DangerLearner, ride: TaughtRide, alive: Callable[[], object]
+) -> tuple[OnlineState, bool]:
+    """The state of a checkpoint, and whether it is sealed; all of it is read before the ride is changed."""
+    told, sealed = read_sealed(path / STATE, _KIND, _KEYS)
     counters = Counters(
-        step=int(told["step"]),
-        episodes=int(told["episodes"]),
-        crashes=int(told["crashes"]),
-        phase1_done=bool(told["phase1_done"]),
+        step=step_in(path, told, "step"),
+        episodes=whole_number(told, "episodes"),
+        crashes=whole_number(told, "crashes"),
+        phase1_done=_flag(told, "phase1_done"),
     )
     state = OnlineState(
         counters=counters,
-        segments={str(name): str(sha256) for name, sha256 in told["segments"].items()},
-        explore_rng=restored_generator(told["explore_rng"]),
-        lectures_rng=restored_generator(told["lectures_rng"]),
+        segments=_segments(told["segments"]),
+        explore_rng=restored_generator(checked_generator(told, "explore_rng")),
+        lectures_rng=restored_generator(checked_generator(told, "lectures_rng")),
     )
-    loss = float("nan") if told["loss"] is None else float(told["loss"])
-    read_learner(path, learner, int(told["updates"]), loss)
-    return state
+    updates, loss = whole_number(told, "updates"), _loss(told["loss"])
+    require_whole(path, told["sha256"])
+    read_learner(path, learner, updates, loss)
+    ride.restore(state.segments, alive)
+    return state, sealed
+
+
+def _flag(told: dict[str, Any], key: str) -> bool:
+    if type(told[key]) is not bool:
+        raise PolicyError(f"{STATE}: {key} is {shown(told[key])}; expected true or false")
+    return bool(told[key])
+
+
+def _loss(told: Any) -> float:
+    if told is not None and (type(told) is not float or told < 0.0):
+        raise PolicyError(f"{STATE}: loss is {shown(told)}; expected a number from 0 on, or null before any update")
+    return float("nan") if told is None else told
+
+
+def _segments(told: Any) -> dict[str, str]:
+    """Hashes by file name, of segments that are numbered from 0 on."""
+    whole = isinstance(told, dict) and all(type(value) is str and _SHA256.fullmatch(value) for value in told.values())
+    if not whole or sorted(key_of(name).index for name in told) != list(range(len(told))):
+        raise PolicyError(f"{STATE}: segments are {shown(told)}; expected hashes of all, from the first one on")
+    return dict(told)

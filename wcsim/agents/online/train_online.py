@@ -25,9 +25,8 @@ from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.envs.episode_view import EpisodeStep, delay_ticks
 from wcsim.agents.learning.build import phase_plan, with_window
 from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress
-from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.phases import LearningPhase
-from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, torch_settings
+from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, tell_loaded, torch_settings
 from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
@@ -259,17 +258,14 @@ class _OnlineSession:
     def _resume(self) -> None:
         """Go on from the newest sound checkpoint, in a new world with a seed of its own; begin again without one."""
         run, listeners = self.run, self._listeners
-        state, passed = load_online(run.checkpoints, self._learner)
-        for item in passed:
-            name = set_aside(item.path).name
-            listeners.say(f"{item.path}: passed over ({item.reason}); it is now {name}")
-            run.event("passed_over", checkpoint=name, reason=item.reason)
-        if state is None:
+        found = load_online(run.checkpoints, self._learner, self._ride, listeners.alive)
+        if found is None:
             listeners.say(f"{run.path} was ended before its first checkpoint; it begins again")
             run.event("begin_again")
             return
+        state, loaded = found
+        tell_loaded(run, loaded, listeners.say)
         self._now, self._agent.rng, self._lectures_rng = state.counters, state.explore_rng, state.lectures_rng
-        self._ride.restore(state.segments, listeners.alive)
         self._world_seed = seeding.derive(run.manifest.seed, "agent", "segment", self._now.step)
         self.run = run.with_status("running", self._now.step)
         self.run.event("resume", step=self._now.step, seed=self._world_seed)
