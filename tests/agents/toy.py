@@ -7,6 +7,8 @@ the paper without accelerations.
 
 from __future__ import annotations
 
+import errno
+import importlib
 import math
 import os
 import signal
@@ -39,6 +41,20 @@ def toy_camera(height_px: int = 24, width_px: int = 32) -> CameraConfig:
 def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **info: Any) -> ResolvedRun:
     """A run of these settings; what else its manifest says is left out unless it is given."""
     return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
+
+
+def full_once(monkeypatch: Any, where: str, stage: str) -> None:
+    """The disk is full when the function at `where` writes the policy of this stage for the first time."""
+    module, _, name = where.rpartition(".")
+    write, tries = getattr(importlib.import_module(module), name), []
+
+    def first_fails(path: Path, *given: Any) -> Path:
+        if path.name == stage and not tries:
+            tries.append(path)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, *given)
+
+    monkeypatch.setattr(where, first_fails)
 
 
 def stopped_while_away(waits: list[bool]) -> None:

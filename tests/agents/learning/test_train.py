@@ -18,7 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.agents.toy import ToyStreet, a_run, full_once, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator
@@ -29,7 +29,7 @@ from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile, read_me
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
-from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
@@ -238,6 +238,15 @@ def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypa
     events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
     assert [event["max_abs_q"] for event in events if event["event"] == "q_alarm"] == [told]
     assert open_run(run).manifest.status == "done"
+
+
+def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkeypatch):
+    full_once(monkeypatch, "wcsim.agents.learning.train.save_policy", "phase1")
+    asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="00")
+    with pytest.raises(DiskFullError, match=r"make room and --resume"):
+        train(asked, street)
+    again = train(replace(asked, resume=True), street)
+    assert weights(again, "phase1") == weights(run[0], "phase1")
 
 
 def test_wrong_folders_are_explained(run, tmp_path):

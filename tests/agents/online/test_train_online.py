@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, small_config
-from tests.agents.toy import ToyStreet, a_run, stopped_while_away, toy_camera
+from tests.agents.toy import ToyStreet, a_run, full_once, stopped_while_away, toy_camera
 from wcsim.agents.collecting.data_folder import (
     DATA,
     key_of,
@@ -39,7 +39,7 @@ from wcsim.agents.online.train_online import Listeners, train_online
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import files
-from wcsim.errors import InterruptedRunError, PolicyError, ServerGoneError
+from wcsim.errors import DiskFullError, InterruptedRunError, PolicyError, ServerGoneError
 
 CAMERA = toy_camera(16, 20)
 WORDS = (
@@ -184,6 +184,15 @@ def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_p
         train_online(asked, lambda: Sensing(at=31, call=lambda: stopped_while_away(waits)), listeners)
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
     assert [folder.name for folder in step_folders(tmp_path / "run" / "checkpoints")] == ["step-00000030"]
+
+
+def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkeypatch):
+    full_once(monkeypatch, "wcsim.agents.online.train_online.save_danger", "phase1")
+    asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="0" * 64)
+    with pytest.raises(DiskFullError, match=r"make room and --resume"):
+        train_online(asked, Sensing)
+    again = train_online(replace(asked, resume=True), Sensing)
+    assert weights(again, "phase1") == weights(run[0], "phase1")
 
 
 def test_exploration_lasts_and_some_of_it_is_executed_as_it_is():

@@ -72,9 +72,9 @@ class PhaseSwitch(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if not self.done and self.plan.phase(self.num_timesteps) is LearningPhase.AGENT_DRIVEN:
-            self.done = True
             if self.plan.phase1_steps > 0:
                 self.on_switch()
+            self.done = True  # not before: what fails on a full disk is done when the run goes on
 
     def _on_step(self) -> bool:
         return True

@@ -177,8 +177,8 @@ class _Session:
                 raise self._interrupted() from error
             raise
         if not self.switch.done and self.learn_config.phase1_steps > 0:
-            self.switch.done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
             self._switched()
+            self.switch.done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
         self._checkpoint()
         self._finish("done")
         return self.run.path

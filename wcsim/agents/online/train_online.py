@@ -217,10 +217,10 @@ class _OnlineSession:
             self._report()
 
     def _switch(self) -> None:
-        self._now = replace(self._now, phase1_done=True)
         if self._learn.phase1_steps > 0:
             self._save("phase1")
             self.run.event("phase2", step=self._now.step)
+        self._now = replace(self._now, phase1_done=True)  # not before: see `PhaseSwitch`
 
     def _save(self, stage: str) -> None:
         path, config = self.run.policy(stage), self._config
