@@ -69,6 +69,18 @@ def test_names_that_are_none_are_neither_used_nor_deleted(bench, folder):
     assert {"step-00000120-copy", "step-zzz", "step-00000200"} <= {path.name for path in folder.iterdir()}
 
 
+def test_what_a_killed_process_left_of_one_goes_with_the_next_and_nothing_else_does(bench, folder):
+    load_checkpoint(folder, bench.model)
+    for name in (".step-00000007.tmp", ".step-00000040.old", ".step-7.tmp", ".step-00000007.mine", ".mine.tmp"):
+        (folder / name).mkdir()
+        (folder / name / MODEL).write_bytes(b"begun")
+    (folder / ".step-00000008.tmp").symlink_to("step-00000040")
+    bench.model.num_timesteps = 160
+    save_checkpoint(folder, bench.model, {})
+    begun = {path.name for path in folder.iterdir() if path.name.startswith(".")}
+    assert begun == {".step-7.tmp", ".step-00000007.mine", ".mine.tmp", ".step-00000008.tmp"}
+
+
 BAD = {
     "num_timesteps": 10**9, "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
     "explore_rng": {}, "schema_version": 1,

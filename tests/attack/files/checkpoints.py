@@ -25,7 +25,7 @@ from wcsim.agents.learning.checkpoint import (
     restored_generator,
     save_checkpoint,
 )
-from wcsim.agents.learning.checkpoint_file import MODEL, REPLAY, STATE, step_folders, step_name
+from wcsim.agents.learning.checkpoint_file import MODEL, REPLAY, STATE, left_behind, step_folders, step_name
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
 from wcsim.agents.replay.state import replay_arrays
@@ -155,7 +155,7 @@ def _goes_on(model: SeqDQN, folder: Path, extra: Extra, rng: np.random.Generator
 
 
 def _strays(folder: Path) -> set[str]:
-    known = {path.name for path in step_folders(folder)} | {"LATEST"}
+    known = {path.name for path in step_folders(folder)} | {path.name for path in left_behind(folder)} | {"LATEST"}
     return {path.name for path in folder.iterdir()} - known
 
 

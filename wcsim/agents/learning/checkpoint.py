@@ -25,6 +25,7 @@ from wcsim.agents.learning.checkpoint_file import (
     MODEL,
     REPLAY,
     State,
+    left_behind,
     read_state,
     step_folders,
     step_name,
@@ -99,8 +100,8 @@ def save_checkpoint(
 
 
 def drop_old(folder: Path, newest: Path) -> None:
-    """Remove all checkpoints of a run but `newest` and those of the last steps."""
-    for old in step_folders(folder)[:-KEEP]:
+    """Remove all checkpoints of a run but `newest` and the last ones, and what is left of half-written ones."""
+    for old in (*step_folders(folder)[:-KEEP], *left_behind(folder)):
         if old != newest:
             shutil.rmtree(old, ignore_errors=True)
 
