@@ -148,9 +148,10 @@ class EpisodeMetrics(SeqCallback):
             return
         seen, _ = learner.policy.obs_to_tensor(observation)
         with torch.no_grad():
-            values = learner.q_net(seen).max(dim=1).values
+            values = learner.q_net(seen)
+            taken = values.gather(1, learner.q_net.choice(values, seen)[:, None])[:, 0]
         for seat in starts:
-            value, scale = float(values[seat]), learner.settings.reward_scale
+            value, scale = float(taken[seat]), learner.settings.reward_scale
             self.sums[seat].values = ValueWatch(gamma=learner.gamma, scale=scale, value=value)
 
     def _finish(self, seat: int, info: dict[str, Any]) -> None:

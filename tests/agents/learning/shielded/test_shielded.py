@@ -20,6 +20,7 @@ from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.callbacks import EpisodeMetrics, EpisodeSums
 from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.shielded.danger_part import PART, codes_of_dangers, dangers_of_codes
@@ -27,7 +28,7 @@ from wcsim.agents.learning.shielded.danger_sense import DangerSense
 from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN
 from wcsim.agents.learning.shielded.shielded_policy import ShieldedPolicy
 from wcsim.agents.learning.train import train
-from wcsim.agents.learning.watching.metrics import read_metrics
+from wcsim.agents.learning.watching.metrics import MetricsFile, read_metrics
 from wcsim.agents.policy_api import DANGER_KEY
 from wcsim.agents.runs.parcels import policy_parcel
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
@@ -180,6 +181,18 @@ def test_the_next_value_is_that_of_a_safe_action(part: Path):
     assert int(model.q_net.choice(values, {**batch, DANGER_KEY: danger})) == 7
     danger[..., 7], danger[..., 5] = 250, 240
     assert int(model.q_net.choice(values, {**batch, DANGER_KEY: danger})) == 5
+
+
+def test_the_value_at_the_start_of_an_episode_is_that_of_the_action_that_is_taken(part: Path, tmp_path, monkeypatch):
+    model = build_model(config(part), DangerSense(Sensing(), config(part), part), 1)
+    watch = EpisodeMetrics(MetricsFile(tmp_path / "metrics.csv"), 0.0)
+    watch.init_callback(model)
+    watch.sums, model._last_obs = [EpisodeSums()], model.env.reset()
+    values = torch.as_tensor(ACTIONS.points[:, 1], dtype=torch.float32)[None]  # the farther ahead, the better
+    monkeypatch.setattr(model.q_net, "forward", lambda seen: values)
+    watch._look_at_starts()
+    safe = dangers_of_codes(model._last_obs[DANGER_KEY])[0, -1, 0] < model.shield.threshold
+    assert watch.sums[0].values.value == float(values[0, safe].max()) <= 0.5 < float(values.max())
 
 
 def test_dangers_are_kept_in_a_byte_each_and_mirrored_with_the_actions(part: Path):
