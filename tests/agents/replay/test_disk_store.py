@@ -2,9 +2,11 @@
 
 import inspect
 import json
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -273,6 +275,33 @@ def test_a_full_disk_leaves_what_was_written(tmp_path, monkeypatch):
         assert all(same(frames, range(6)))
     with store(tmp_path) as frames:
         assert (frames.next_number, frames.notes) == (6, [])
+
+
+def open_files():
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.parametrize("place", [blobs_path, index_path])
+def test_a_disk_that_is_full_when_a_segment_begins_leaves_what_was_written(short, tmp_path, monkeypatch, place):
+    with store(tmp_path) as frames:
+        write(frames, 8)
+        real, before = os.open, open_files()
+
+        def full(path, *how):
+            if path == place(tmp_path, 1):
+                raise OSError(28, "No space left on device")
+            return real(path, *how)
+
+        monkeypatch.setattr(os, "open", full)
+        for _ in range(2):
+            with pytest.raises(DiskFullError, match=r"No space left on device.*make room and --resume"):
+                write(frames, 1, 8)
+        monkeypatch.setattr(os, "open", real)
+        assert open_files() < before, "the segment before is closed, and nothing else open"
+        write(frames, 3, 8)
+        assert all(same(frames, range(11)))
+    with store(tmp_path) as frames:
+        assert (frames.next_number, frames.notes) == (11, [])
 
 
 # --- the memory over it ---

@@ -105,15 +105,19 @@ class SegmentWriter:
     """Appends to one segment, whose files may be there already, cut to whole records."""
 
     def __init__(self, folder: Path, segment: int) -> None:
-        self.segment = segment
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
-        self._blobs = os.open(blobs_path(folder, segment), flags, 0o644)
-        self._index = os.open(index_path(folder, segment), flags, 0o644)
-        self._records = os.fstat(self._index).st_size
-        if self._records == 0:  # blobs without an index are nobody's
-            os.ftruncate(self._blobs, 0)
-        self._at = os.fstat(self._blobs).st_size
-        self._folder = folder
+        """Open it, or begin it. Raises DiskFullError; nothing is open then."""
+        self.segment, self._folder = segment, folder
+        with contextlib.ExitStack() as opened:
+            try:
+                self._blobs = _opened(blobs_path(folder, segment), opened)
+                self._index = _opened(index_path(folder, segment), opened)
+                self._records = os.fstat(self._index).st_size
+                if self._records == 0:  # blobs without an index are nobody's
+                    os.ftruncate(self._blobs, 0)
+                self._at = os.fstat(self._blobs).st_size
+            except OSError as error:
+                raise self._full(error) from None
+            opened.pop_all()
 
     def append(self, number: int, blob: bytes) -> tuple[int, int]:
         """Write a blob; returns its offset and checksum. Raises DiskFullError; the segment is what it was then."""
@@ -125,10 +129,7 @@ class SegmentWriter:
         except OSError as error:
             os.ftruncate(self._index, self._records)
             os.ftruncate(self._blobs, self._at)
-            raise DiskFullError(
-                f"{blobs_path(self._folder, self.segment)}: could not be written ({error.strerror}); make room "
-                "and --resume, or start a new run with a smaller learn.replay_frames"
-            ) from None
+            raise self._full(error) from None
         self._at, self._records = offset + len(blob), self._records + RECORD.itemsize
         return offset, crc
 
@@ -136,6 +137,12 @@ class SegmentWriter:
         """Close both files."""
         os.close(self._blobs)
         os.close(self._index)
+
+    def _full(self, error: OSError) -> DiskFullError:
+        return DiskFullError(
+            f"{blobs_path(self._folder, self.segment)}: could not be written ({error.strerror}); make room "
+            "and --resume, or start a new run with a smaller learn.replay_frames"
+        )
 
 
 class SegmentReader:
@@ -163,6 +170,13 @@ class SegmentReader:
         """Close all files."""
         while self._open:
             os.close(self._open.popitem()[1])
+
+
+def _opened(path: Path, held: contextlib.ExitStack) -> int:
+    """A file to append to, closed with `held`."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    held.callback(os.close, descriptor)
+    return descriptor
 
 
 def _write(descriptor: int, data: bytes) -> None:
