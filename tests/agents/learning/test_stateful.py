@@ -1,5 +1,6 @@
 """Networks that carry a state: driven, stored, learned from groups of steps in a row, saved."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -8,6 +9,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch.nn import functional
 
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.sequence_loss import burned_in, group_targets, group_values, sequence_loss
@@ -167,6 +169,38 @@ def test_an_episodes_end_forgets_the_state_of_its_seat_alone():
         learner.replay_buffer, np.zeros(2, int), new, np.zeros(2), np.array([True, False]), [{}, {}]
     )
     assert learner._carried[0].sum(axis=1).tolist() == [0.0, 256.0]
+
+
+class Restarted(gym.Wrapper):
+    """A street whose world begins again at the 30th step, as `Chair.cut` tells it."""
+
+    steps = 0
+
+    def reset(self, **options):
+        self.seen, info = super().reset(**options)
+        return self.seen, info
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps == 30:
+            self.last = self.seen
+            return self.last, 0.0, False, True, {"reason": WORLD_RESTARTED}
+        self.seen, *rest = super().step(action)
+        return self.seen, *rest
+
+
+@pytest.mark.parametrize("learn", [{}, {"network": "patch", "memory": "steps"}])
+def test_a_step_that_was_never_driven_as_the_world_began_again_is_not_learned_from(learn):
+    street = Restarted(ToyStreet(CAMERA, max_steps=23))
+    learner = build_model(config(**learn), DummyVecEnv([lambda: street]), 0)
+    learner.learn(60)
+    buffer = learner.replay_buffer
+    assert (learner.num_timesteps, buffer.total) == (60, 59)
+    assert buffer.ended[28, 0] and not buffer.terminated[28, 0] and buffer.episode_step[29, 0] == 0
+    last = buffer.gather(np.array([28]), np.array([0]))
+    assert (float(last.dones), float(last.discounts)) == (0.0, pytest.approx(learner.gamma))
+    assert all(np.array_equal(last.next_observations[key][0].numpy(), street.last[key]) for key in street.last)
+    assert np.isfinite(learner.last_loss)
 
 
 # --- learning ---

@@ -1,11 +1,14 @@
 """FrameReplay against a reference that keeps every step of every episode in plain lists."""
 
+from itertools import pairwise
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.frame_store import PackedFrames, RawFrames
@@ -128,6 +131,22 @@ def test_truncation_bootstraps_from_its_own_last_observation_and_a_crash_does_no
     assert batch.dones[:, 0].tolist() == [0.0, 1.0]
     assert batch.discounts[:, 0].tolist() == [0.25, 0.25]
     assert number_of(batch.next_observations["joystick"][0]) == reference.steps[0][1][2]
+
+
+@pytest.mark.parametrize("driven", [0, 1, 4])
+def test_a_step_that_was_never_driven_is_left_out_and_the_one_before_leads_to_its_observation(driven):
+    buffer, reference = filled([["go"]] * driven, n_step=3, gamma=0.5)
+    last = reference.steps[0][-1][2] if driven else 77
+    cut = {"TimeLimit.truncated": True, "reason": WORLD_RESTARTED}
+    buffer.add(stack([last]), stack([last]), np.array([9]), np.zeros(1), np.array([True]), [cut])
+    assert buffer.total == driven
+    after = [9001, 9002, 9003]  # of the episode that begins with the new world
+    for now, then in pairwise(after):
+        buffer.add(stack([now]), stack([then]), np.array([0]), np.ones(1), np.array([False]), [{}])
+    assert buffer.episode_step[driven : driven + 2, 0].tolist() == [0, 1]
+    if driven:
+        reference.steps[0][-1] = (*reference.steps[0][-1][:4], "limit")  # it is the last one of its episode
+        check(buffer, reference, np.arange(driven), np.zeros(driven, int))
 
 
 def test_precrash_steps_are_their_share_of_a_batch():

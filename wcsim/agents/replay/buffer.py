@@ -2,10 +2,10 @@
 
 Of a window of frames, too, a row keeps the newest alone (`agents/replay/window_store.py`).
 
-A chain of rows ends where an episode ends (crash or time limit) or where the next step did not continue this one (the
-environment was reset from outside). The observation after the end of a chain is kept beside the ring, so that a
-truncated episode bootstraps from its true last observation. n-step returns never cross an end of a chain; at the newest
-row, whose successor is not known yet, they are shorter.
+A chain of rows ends where an episode ends (crash, time limit, a world that began again) or where the next step did not
+continue this one (the environment was reset from outside). The observation after the end of a chain is kept beside the
+ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
+chain; at the newest row, whose successor is not known yet, they are shorter.
 
 What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
 memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)). Frames lie in memory or,
@@ -28,6 +28,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.agents.replay.disk_store import DiskFrames
 from wcsim.agents.replay.frame_store import Folded, folded, frame_store, unfolded
@@ -151,9 +152,15 @@ class FrameReplay(ReplayBuffer):
         done: npt.NDArray[Any],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Keep one step of every seat; `next_obs` holds the terminal observation of a seat that is done."""
+        """Keep one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
+
+        A step that no seat has driven, as its world began again, is left out: the one before leads to its observation.
+        """
         images, vectors = self.layout.image_rows(obs), self.layout.vector_rows(obs)
         self._cut_where_broken(images, vectors)
+        if all(info.get("reason") == WORLD_RESTARTED for info in infos):
+            self._end_chains()
+            return
         row = self.pos
         self._forget(self.total - self.buffer_size)
         previous = (row - 1) % self.buffer_size
@@ -318,8 +325,17 @@ class FrameReplay(ReplayBuffer):
             kept_images, kept_vectors = self.expected
             same = np.array_equal(images[seat], kept_images[seat]) and np.array_equal(vectors[seat], kept_vectors[seat])
             if not same:
-                self.ended[row, seat] = True
-                self._keep_end(self.total - 1, int(seat))
+                self._end_chain(int(seat))
+
+    def _end_chains(self) -> None:
+        """End the chains of all seats with the last step, and the observation that it led to."""
+        if self.total > 0:
+            for seat in np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]):
+                self._end_chain(int(seat))
+
+    def _end_chain(self, seat: int) -> None:
+        self.ended[(self.total - 1) % self.buffer_size, seat] = True
+        self._keep_end(self.total - 1, seat)
 
     def _keep_end(self, index: int, seat: int) -> None:
         if self.expected is not None:
