@@ -17,8 +17,11 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
+import torch
+from stable_baselines3.common.logger import configure
 
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ServerGoneError
@@ -55,6 +58,22 @@ def full_once(monkeypatch: Any, where: str, stage: str) -> None:
         return write(path, *given)
 
     monkeypatch.setattr(where, first_fails)
+
+
+def same_from_here_on(wrote: SeqDQN, again: SeqDQN, updates: int = 5, batch: int = 8) -> bool:
+    """Whether the learner that wrote a checkpoint and one that was restored from it learn and explore alike."""
+    space = wrote.observation_space
+    space.seed(0)
+    seats = [space.sample() for _ in range(16)]
+    seen = {key: np.stack([seat[key] for seat in seats]) for key in seats[0]}
+    chosen = []
+    for each in (wrote, again):
+        each.set_logger(configure(None, []))
+        each.train(updates, batch)
+        each.exploration_rate = 0.5
+        chosen.append(each.predict(seen)[0])
+    pairs = zip(wrote.policy.parameters(), again.policy.parameters(), strict=True)
+    return np.array_equal(*chosen) and all(torch.equal(one, other) for one, other in pairs)
 
 
 def stopped_while_away(waits: list[bool]) -> None:
