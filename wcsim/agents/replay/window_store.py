@@ -83,8 +83,8 @@ class WindowStore:
         back = np.arange(self._window - 1, -1, -1)[:, None]  # oldest first
         steps = np.minimum(back, self._depth[rows, seats])  # (frames, K)
         read = self.frames.read((index - steps).reshape(-1), np.tile(seats, self._window))
-        out = np.moveaxis(read.reshape(self._window, len(index), self._size), 0, 1)
-        out = out.reshape(len(index), self._window * self._size)  # also of no windows at all
+        in_order = np.moveaxis(read.reshape(self._window, len(index), self._size), 0, 1)
+        out = in_order.reshape(len(index), self._window * self._size)  # also of no windows at all
         if self.whole:
             for k, key in enumerate(zip(index.tolist(), seats.tolist(), strict=True)):
                 out[k] = self.whole.get(key, out[k])
