@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, key_of, read_manifest
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
 from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, REFERENCE, export_danger
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.rounds.learned_data import data_of
@@ -121,29 +121,41 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
     if collect.segments:
         made = [f"{collect.made_towns} made for it"] if collect.made_towns else []
         towns, users = [run.manifest.town, *collect.towns, *made], list(collect.profiles)
-    for file in map(read_manifest, map(Path, others)):
-        towns += file.towns
-        users += file.config.get("collect", {}).get("profiles", CollectConfig().profiles)
+    for folder in map(Path, others):
+        towns += read_manifest(folder).towns
+        users += users_of(folder)
     kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*")) + sum(map(len, others.values()))
     return list(dict.fromkeys(towns)), list(dict.fromkeys(users)), kept
 
 
+def users_of(folder: Path) -> list[str]:
+    """Who drove in a data folder: the user of a run that learned as it drove, else the profiles of those that took turns."""
+    if not is_of_run(folder):
+        return list(read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles))
+    config = open_run(folder.parent).config
+    return list(config.collect.profiles) if config.collect.rounds else [config.env.profile]
+
+
+def is_of_run(folder: Path) -> bool:
+    """Whether a data folder is the one of a run."""
+    return folder.name == DATA and (folder.parent / MANIFEST).is_file()
+
+
 def commands(run: RunFolder) -> list[str]:
     """What was typed for the driving that it learned from, then for the run; no place of this machine is told."""
-    data = [command for folder in data_of(run) for command in driven_by(Path(folder))]
+    data = [command for folder, segments in data_of(run).items() for command in driven_by(Path(folder), segments)]
     return [*data, typed(run)]
 
 
-def driven_by(folder: Path) -> list[str]:
-    """How a data folder came to be: the command of the run that it is of, or one of `wcsim collect` for each seed."""
-    if folder.name == DATA and (folder.parent / MANIFEST).is_file():
+def driven_by(folder: Path, segments: dict[str, str]) -> list[str]:
+    """How segments of a data folder came to be: the command of the run that it is of, or `wcsim collect` for each seed."""
+    if is_of_run(folder):
         return [typed(open_run(folder.parent))]
-    file = read_manifest(folder)
-    seeds = Counter(key_of(name).run for name in file.segments)
-    where = ["--town", ",".join(file.towns), "--out", f"data/{folder.name}"]
+    seeds = Counter(key_of(name).run for name in segments)
+    where = ["--town", ",".join(read_manifest(folder).towns), "--out", f"data/{folder.name}"]
     return [
         shlex.join(["wcsim", "collect", *where, "--seed", str(seed), "--segments", str(count)])
-        + f"  # with the settings in its data.json; SHA-256 of the data {file.data_sha256[:12]}"
+        + f"  # with the settings in its data.json; SHA-256 of the data {data_digest(segments)[:12]}"
         for seed, count in sorted(seeds.items())
     ]
 

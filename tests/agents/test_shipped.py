@@ -13,9 +13,11 @@ from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
+from wcsim.agents.rounds.learned_data import LEARNED
 from wcsim.agents.runs import run_folder, shipped
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
 from wcsim.config import with_overrides
+from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 
@@ -84,6 +86,17 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
     card = TOOL["card"](run, [])
     assert "| trained in | helsinki, corner, monaco (streets" in card and "| data | 3 segments" in card
     assert "switch, ataxic |" in card and "never met" not in card
+    began_with = {str(collected): {f"{names[0]}.npz.zst": "d" * 64}}
+    files.write_json(run.path / LEARNED, {"schema_version": 1, "folders": began_with})
+    assert [line.split(told)[0] for line in TOOL["commands"](run)[:-1]] == [f"{collect} --seed 1 --segments 1"]
+    assert "| data | 1 segments" in TOOL["card"](run, [])
+
+
+def test_the_user_of_a_run_that_learned_as_it_drove_is_named(tmp_path):
+    online = with_overrides(OWN, ("collect.rounds=0", "env.profile=slow"))
+    driven = create_run(tmp_path / "a", online, make_manifest(online, RunInfo(seed=3, town="helsinki"))).path / "data"
+    write_manifest(driven, online, {"helsinki": "a" * 64}, {})
+    assert TOOL["users_of"](driven) == ["slow"]
 
 
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):

@@ -101,13 +101,15 @@ def is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
 def town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
     """Which of so many towns a segment is driven in that is not of scenes: each in turn, over all rounds.
 
+    The first one is drawn for each run, so that many short ones leave no town out.
+
     >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
     >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
-    >>> [town_in_turn(config, key, 3) for key in keys if not is_of_scenes(config, key)]
+    >>> sorted(town_in_turn(config, key, 3) for key in keys if not is_of_scenes(config, key))
     [0, 1, 2]
     """
-    number = _number(config, key)
-    return (number - _scenes_before(config, number)) % towns
+    number, first = _number(config, key), seeding.derive(key.run, "collect", "first town")
+    return (first + number - _scenes_before(config, number)) % towns
 
 
 def _number(config: RunConfig, key: SegmentKey) -> int:

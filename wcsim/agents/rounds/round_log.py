@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,8 @@ _COLUMNS: Final = (
     *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
     *("wait_s_wall", "learn_s_wall"),
 )
+_NEW: Final = _COLUMNS.index("new_steps")
+_OLDER: Final = (*_COLUMNS[:_NEW], *_COLUMNS[_NEW + 1 :])  # of runs that were begun before these were counted
 _KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 _MOST: Final = 1e15
 
@@ -38,9 +41,14 @@ class TrainedRound:
 
 
 def note_round(path: Path, row: Sequence[float]) -> None:
-    """Add a row to metrics.csv; rows from its round on belong to work that was lost. Raises DiskFullError."""
-    old = path.read_text(encoding="utf-8").splitlines() if path.is_file() else [",".join(_COLUMNS)]
-    kept = [old[0], *(line for line in old[1:] if int(line.split(",")[0]) < row[0])]
+    """Add a row to metrics.csv; rows from its round on belong to work that was lost.
+
+    Raises:
+        DiskFullError: There is no room.
+        PolicyError: The file is damaged, or of another version.
+    """
+    old = _rows(path) if path.is_file() else []
+    kept = [",".join(cells) for cells in [list(_COLUMNS), *old] if cells[0] == _COLUMNS[0] or int(cells[0]) < row[0]]
     files.write_bytes(path, "\n".join([*kept, ",".join(_cell(value) for value in row), ""]).encode())
 
 
@@ -55,11 +63,33 @@ def logs_rounds(path: Path) -> bool:
 
 def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
     """All rows of it. Raises PolicyError when it is damaged, or of another version."""
+    return tuple(_round(row, number, path) for number, row in enumerate(_rows(path)))
+
+
+def _rows(path: Path) -> list[list[str]]:
+    """The rows below the head with this version's columns; what an older one left out follows from the row before."""
     rows = list(csv.reader(io.StringIO(read_text(path, _KIND), newline="")))
-    if not rows or tuple(rows[0]) != _COLUMNS:
+    if not rows or tuple(rows[0]) not in (_COLUMNS, _OLDER):
         got = shown(", ".join(rows[0])) if rows else "none"
         raise PolicyError(f"{shown(path)} has columns {got}; expected those of this version: {', '.join(_COLUMNS)}")
-    return tuple(_round(row, number, path) for number, row in enumerate(rows[1:]))
+    head, found = tuple(rows[0]), rows[1:]
+    for number, row in enumerate(found):
+        if len(row) != len(head) or not row[0].isascii() or not row[0].isdigit() or int(row[0]) != number:
+            raise _damaged(path, number)
+    if head == _COLUMNS:
+        return found
+    try:
+        steps = [0, *(int(row[_NEW - 1]) for row in found)]
+    except ValueError:
+        raise _damaged(path, len(found) - 1) from None
+    return [
+        [*row[:_NEW], str(after - before), *row[_NEW:]]
+        for row, (before, after) in zip(found, pairwise(steps), strict=True)
+    ]
+
+
+def _damaged(path: Path, number: int) -> PolicyError:
+    return PolicyError(f"{shown(path)}: row {number + 1} is damaged; expected {len(_COLUMNS)} numbers of a round")
 
 
 def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
@@ -67,12 +97,12 @@ def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
         values = [float(cell) for cell in row]
     except ValueError:
         values = []
-    usable = len(values) == len(_COLUMNS) and all(
+    usable = bool(values) and all(
         0.0 <= value <= _MOST or (name == "loss" and math.isnan(value))
         for name, value in zip(_COLUMNS, values, strict=True)
     )
     if not usable or values[0] != number:
-        raise PolicyError(f"{shown(path)}: row {number + 1} is damaged; expected {len(_COLUMNS)} numbers of a round")
+        raise _damaged(path, number)
     at = dict(zip(_COLUMNS, values, strict=True))
     return TrainedRound(
         round=number,
