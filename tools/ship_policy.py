@@ -129,7 +129,7 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
 
 
 def users_of(folder: Path) -> list[str]:
-    """Who drove in a data folder: the user of a run that learned as it drove, else the profiles of those that took turns."""
+    """Who drove in a data folder: the user of a run that learned as it drove, else all profiles that took turns."""
     if not is_of_run(folder):
         return list(read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles))
     config = open_run(folder.parent).config
@@ -148,7 +148,7 @@ def commands(run: RunFolder) -> list[str]:
 
 
 def driven_by(folder: Path, segments: dict[str, str]) -> list[str]:
-    """How segments of a data folder came to be: the command of the run that it is of, or `wcsim collect` for each seed."""
+    """How segments of a data folder came to be: the command of its run, or `wcsim collect` for each seed."""
     if is_of_run(folder):
         return [typed(open_run(folder.parent))]
     seeds = Counter(key_of(name).run for name in segments)

@@ -66,10 +66,11 @@ def test_its_card_says_how_it_was_made_and_measured(made):
 def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, tmp_path, monkeypatch):
     words = ("collect.segments=0", "collect.made_towns=4")
     info = RunInfo(seed=3, town="helsinki", command=("wcsim", "train", "--out", "/home/me/a"))
-    driven = create_run(tmp_path / "a", OWN, make_manifest(OWN, info)).path / "data"
+    in_rounds = with_overrides(OWN, ("collect.rounds=2",))
+    driven = create_run(tmp_path / "a", in_rounds, make_manifest(in_rounds, info)).path / "data"
     collected = tmp_path / "mine"
     names = ("1-000-0000", "1-000-0001", "2-000-0000")
-    write_manifest(driven, OWN, {"helsinki": "a" * 64}, {})
+    write_manifest(driven, in_rounds, {"helsinki": "a" * 64}, {})
     met = with_overrides(OWN, ('collect.profiles=["slow", "ataxic"]',))
     towns = {"corner": "b" * 64, "monaco": "c" * 64}
     write_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
