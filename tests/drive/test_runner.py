@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -116,7 +117,7 @@ def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: DriveRunner,
     events = Noted()
     drive.session.look_on(events)
     if where == "reset":
-        drive.session.assistance.reset()
+        drive.session.assistance.reset(None)
     drive._tick(100.0)
     assert drive.paused
     drive._assist(m.Assist(on=True))
@@ -175,6 +176,29 @@ def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(de
     assert "No page holds the stick" in desk.turn(10.0)[-1]["waiting"]
     assert desk.turn(0.1) == [], "said once"
     assert [state["waiting"] for state in desk.turn(0.1, x=0.0)] == [""]
+
+
+def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk: Desk) -> None:
+    desk.turn(x=0.0)
+    desk.say("pause", on=True)
+    assert "No page holds the stick" in desk.turn(10.0)[-1]["waiting"]
+    enough = threading.Event()
+
+    def hold() -> None:
+        for _ in range(250):
+            desk.say("stick", x=0.0, y=0.0)
+            if enough.wait(0.02):
+                return
+
+    page = threading.Thread(target=hold)
+    page.start()
+    told: list[dict[str, Any]] = []
+    while page.is_alive() and not told:
+        told = desk.turn()
+    in_between = page.is_alive()
+    enough.set()
+    page.join()
+    assert in_between and told[-1]["waiting"] == ""
 
 
 def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> None:

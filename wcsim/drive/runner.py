@@ -151,7 +151,8 @@ class DriveRunner:
     # --- one turn of the loop ---
 
     def _turn(self) -> None:
-        while self._pipe.poll(self._wait_s()):
+        self._pipe.poll(self._wait_s())  # once: a page says its stick more often than that, and what follows is due
+        while self._pipe.poll():
             self._hear(self._pipe.recv_bytes())
         if self._lead is not None:
             self._lead.wait()
