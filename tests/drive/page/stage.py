@@ -16,7 +16,7 @@ ADDRESS = "http://127.0.0.1:9/"
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
 PATIENCE_MS = 60_000
-SAID_MS = 150  # in which the page says its stick a few times
+STEADY = 4  # so many alike, one after the other, are what the page says of its stick now
 REST = (0.0, 0.0)
 
 ABOUT = m.About(
@@ -48,6 +48,7 @@ class PageAlone:
         self.said: list[dict[str, Any]] = []
         self.errors: list[str] = []
         self._socket: Any = None
+        self._asked = 0
         context.set_default_timeout(PATIENCE_MS)
         context.route("**/*", self._read)
         context.route_web_socket("**/socket", self._meet)
@@ -67,11 +68,17 @@ class PageAlone:
         self._socket.send(msgspec.json.encode(message).decode())
 
     def until(self, is_so: Any) -> None:
-        for _ in range(PATIENCE_MS // 50):
+        for _ in range(PATIENCE_MS // 20):
             if is_so():
                 return
-            self.page.wait_for_timeout(50)
+            self.page.wait_for_timeout(20)
         raise AssertionError(f"never; the last it said were {self.said[-3:]}")
+
+    def catch_up(self) -> None:
+        """Until the page has taken all that it has heard, and what it said by then has come: it answers pictures."""
+        self._asked += 1
+        self._socket.send(self._asked.to_bytes(4, "little"))
+        self.until(lambda: {"say": "shown", "number": self._asked} in self.said)
 
     def text(self, selector: str) -> str:
         return str(self.page.locator(selector).text_content())
@@ -106,10 +113,10 @@ class Stage(PageAlone):
     def state(self, **changes: object) -> None:
         """The drive is as it is."""
         self.hear(msgspec.structs.replace(STATE, **changes))
-        self.page.wait_for_timeout(SAID_MS)
+        self.catch_up()
 
     def sticks(self) -> set[tuple[float, float]]:
-        """All that the page says of its stick in a while."""
+        """Where it says that its stick is, once it says so again and again: one place."""
         return {(stick["x"], stick["y"]) for stick in self._sticks()}
 
     def overrules(self) -> bool:
@@ -122,13 +129,19 @@ class Stage(PageAlone):
 
     def heard(self, say: str) -> list[dict[str, Any]]:
         """What it has said of this kind since it was asked last."""
-        self.page.wait_for_timeout(SAID_MS)
+        self.catch_up()
         found = [message for message in self.said if message["say"] == say]
         self.said.clear()
         return found
 
     def _sticks(self) -> list[dict[str, Any]]:
-        self.page.wait_for_timeout(2 * 33)  # what was on its way when something was done
+        self.catch_up()
         self.said.clear()
-        self.until(lambda: len([message for message in self.said if message["say"] == "stick"]) > 3)
-        return [message for message in self.said if message["say"] == "stick"]
+        newest: list[dict[str, Any]] = []
+
+        def is_steady() -> bool:
+            newest[:] = [message for message in self.said if message["say"] == "stick"][-STEADY:]
+            return len(newest) == STEADY and newest.count(newest[0]) == STEADY
+
+        self.until(is_steady)
+        return newest
