@@ -165,6 +165,22 @@ def test_of_several_gamepads_the_one_that_is_pushed_counts(stage: Stage) -> None
     assert stage.sticks() == STILL and "unplugged" in stage.text("#pad")
 
 
+def test_a_device_that_rests_at_an_end_blocks_nothing(stage: Stage) -> None:
+    axes = ([0.0, -1.0], [0.0, 0.0])
+    pads = [{"id": "usb", "connected": True, "axes": each, "buttons": []} for each in axes]
+    stage.page.evaluate("(pads) => { window.pads = pads; }", pads)
+    assert stage.sticks() == STILL, "pedals"
+    stage.page.evaluate("window.pads[1].axes = [0, -1]")
+    assert stage.sticks() == AHEAD
+    stage.page.evaluate("window.pads[1] = null")
+    assert stage.sticks() == STILL
+    assert stage.text("#pad") == stage.text("#live") == "Gamepad unplugged. The chair stops."
+    stage.page.evaluate("window.pads[0].axes = [0, 0]")
+    assert stage.sticks() == STILL
+    stage.page.evaluate("window.pads[0].axes = [0, -1]")
+    assert stage.sticks() == AHEAD, "it was in its middle"
+
+
 def test_a_call_for_help_that_nobody_hears_is_not_told_as_one(stage: Stage) -> None:
     stage.page.click("#help")
     assert stage.text("#live") == "You asked for help." and len(stage.heard("help")) == 1

@@ -24,6 +24,13 @@ function farthest(sticks) {
   return sticks.reduce((best, each) => (Math.hypot(...each) > Math.hypot(...best) ? each : best), REST);
 }
 
+// Those that are there, each with its place and name.
+function pads() {
+  const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
+  const named = all.map((each, place) => [`${place} ${each?.id}`, each]);
+  return named.filter(([, each]) => each && each.connected !== false && each.axes.length >= 2);
+}
+
 export class Stick {
   constructor(tell) {
     this.tell = tell; // hears of gamepads that come and go, and of every loss
@@ -33,7 +40,8 @@ export class Stick {
     this.holder = null; // the pointer that pushes the disc, by its number
     this.latched = REST; // of switches
     this.stopped = false; // until everything has been let go of
-    this.padsSeen = ""; // the names of all gamepads
+    this.padsSeen = []; // places and names of all gamepads
+    this.padsRested = new Set(); // of those that have been at rest since they came
     this.away = document.hidden;
     addEventListener("blur", () => this.leave());
     addEventListener("focus", () => { this.away = document.hidden; });
@@ -71,7 +79,7 @@ export class Stick {
   }
 
   lose() {
-    this.padsSeen = "";
+    this.padsSeen = pads().map(([name]) => name); // of those that are left nobody says that they have come
     this.stop();
     this.tell("unplugged");
   }
@@ -84,17 +92,17 @@ export class Stick {
     return [a * share, b * share];
   }
 
-  // Of several gamepads the one that is pushed farthest: what only looks like one lies at rest.
+  // Of several gamepads the one that is pushed farthest. One counts once it has been at rest: pedals rest at their ends.
   fromPads() {
-    const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
-    const pads = all.filter((each) => each && each.connected !== false && each.axes.length >= 2);
-    if (!pads.length) {
-      if (this.padsSeen) this.lose();
-      return REST;
-    }
-    const names = pads.map((each) => each.id).join(", ");
-    if (this.padsSeen !== names) { this.padsSeen = names; this.tell("plugged", names); }
-    return farthest(pads.map((each) => pastDeadZone(each.axes[0], -each.axes[1])));
+    const found = pads();
+    const names = found.map(([name]) => name);
+    const before = this.padsSeen;
+    if (before.some((name) => !names.includes(name))) this.lose();
+    else if (names.length > before.length) { this.padsSeen = names; this.tell("plugged", found.map(([, pad]) => pad.id).join(", ")); }
+    this.padsRested = new Set(names.filter((name) => this.padsRested.has(name)));
+    const sticks = found.map(([name, pad]) => [name, pastDeadZone(pad.axes[0], -pad.axes[1])]);
+    for (const [name, stick] of sticks) if (stick === REST) this.padsRested.add(name);
+    return farthest(sticks.filter(([name]) => this.padsRested.has(name)).map(([, stick]) => stick));
   }
 
   // What is held, the switches aside, which a stop lets go of.
