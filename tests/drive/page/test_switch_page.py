@@ -9,6 +9,9 @@ import pytest
 from tests.drive.page.stage import REST, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
+from wcsim.drive import messages as m
+from wcsim.drive.keeping.study_plan import StepKind
+from wcsim.drive.keeping.study_view import StudyView
 
 pytestmark = [
     pytest.mark.browser,
@@ -131,6 +134,25 @@ def test_one_switch_drives_again_after_the_page_was_opened_again(stage: Stage) -
     stage.page.evaluate("localStorage.setItem('wcsim-steer-by', 'nothing of the kind')")
     stage.open()
     assert stage.page.input_value("#steer-by") == "stick"
+
+
+def test_what_one_participant_of_a_study_steers_with_is_not_the_next_ones(stage: Stage) -> None:
+    def meet(participant: int) -> str:
+        view = StudyView(step=0, kind=StepKind.READ, participant=participant, title="Alone", button="Begin to drive")
+        stage.hear(m.Study(view=view))
+        stage.catch_up()
+        assert stage.text("#study-number") == f"Participant {participant}"
+        assert stage.page.input_value("#study-steer") == stage.page.input_value("#steer-by")
+        return str(stage.page.input_value("#steer-by"))
+
+    switches(stage, 3)
+    assert meet(1) == "stick", "chosen before the study"
+    stage.page.select_option("#study-steer", "2")
+    stage.open()
+    assert meet(1) == "2", "a page that is opened again"
+    assert meet(2) == "stick", "a page that stays"
+    stage.open()
+    assert meet(2) == "stick"
 
 
 @pytest.mark.parametrize(("count", "key"), [(1, "b"), (2, "Enter"), (3, "2"), (4, "2")])

@@ -80,7 +80,7 @@ const scan = new Scan(by("board"), stick, {
   help: askForHelp, overrule: () => overrule(!overrules), pause: () => by("pause").click(), takeOver: () => by("take-over").click(), say,
 });
 
-const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds });
+const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds, meet });
 
 function setRole(role) {
   drives = role.drives;
@@ -209,25 +209,40 @@ function steer() {
   document.body.dataset.switches = String(switches);
 }
 
+const FIRST = { "steer-by": by("steer-by").value, "scan-s": by("scan-s").value };
+
 function setSeconds() {
   scan.seconds = Math.min(6, Math.max(0.4, Number(by("scan-s").value) || 1.4));
   scan.rest();
 }
 
+// Who drives with switches alone cannot choose them again after a reload.
+function keepSteering() {
+  for (const id of Object.keys(FIRST)) keep(id, by(id).value);
+  keep("participant", study.view?.participant ?? "");
+}
+
+function steerAs(values) {
+  for (const [id, first] of Object.entries(FIRST)) {
+    by(id).value = values(id) ?? first;
+    if (!by(id).value) by(id).value = first; // what was kept is none of the choices
+  }
+  steer();
+  setSeconds();
+}
+
+// What one participant of a study chose, or somebody before it, is not another's: who is met anew begins with the stick.
+function meet(participant) {
+  if (kept("participant") !== String(participant)) steerAs(() => null);
+}
+
 by("steer-by").addEventListener("change", () => {
   steer();
-  keep("steer-by", by("steer-by").value);
+  keepSteering();
   if (by("steer-by").value !== "stick") { by("steer-by").blur(); by("steering").focus(); }
 });
-by("scan-s").addEventListener("change", () => { setSeconds(); keep("scan-s", scan.seconds); });
-// Who drives with switches alone cannot choose them again after a reload.
-for (const id of ["steer-by", "scan-s"]) {
-  const before = by(id).value;
-  by(id).value = kept(id) ?? before;
-  if (!by(id).value) by(id).value = before; // what was kept is none of the choices
-}
-steer();
-setSeconds();
+by("scan-s").addEventListener("change", () => { setSeconds(); keepSteering(); });
+steerAs(kept);
 
 for (const id of ["new-place", "again", "user"]) by(id).addEventListener(id === "user" ? "change" : "click", () => hint.begin());
 wireDialogs(stopNow);

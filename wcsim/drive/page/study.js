@@ -14,7 +14,7 @@ function element(name, text = "", more = {}) {
 export class Study {
   constructor(link, acts) {
     this.link = link;
-    this.acts = acts; // say(text), stop(), switches(), seconds()
+    this.acts = acts; // say(text), stop(), switches(), seconds(), meet(participant)
     this.view = null;
     this.drives = false;
     this.shown = -1; // the step whose words are on the page
@@ -36,8 +36,10 @@ export class Study {
   }
 
   tell(view) {
-    const isNew = this.view === null || view.step !== this.view.step;
+    const isOther = view.participant !== this.view?.participant; // the server may have begun again, with another one
+    const isNew = isOther || view.step !== this.view.step;
     this.view = view;
+    if (isOther) { this.shown = -1; this.acts.meet(view.participant); }
     this.opens_ms = Date.now() + 1000 * view.wait_s;
     document.body.dataset.study = "true";
     by("assist").disabled = true;
