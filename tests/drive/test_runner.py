@@ -88,6 +88,21 @@ def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: DriveRunner, monke
     assert drive.must_rest
 
 
+def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
+    drive: DriveRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def press() -> bool:
+        for overrule in (True, False):
+            drive._stick(m.Stick(x=0.0, y=0.0, overrule=overrule))
+        drive._tick(100.0)
+        assert drive._last is not None
+        return drive._last.overruled
+
+    assert press()
+    monkeypatch.setattr(DriveSession, "ended", property(lambda session: True))
+    assert not press()
+
+
 def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
     assert drive.session is not None
     drive.session.assistance._policy = Breaks(None)
@@ -224,6 +239,22 @@ def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: De
     assert desk.turn(0.1)[-1]["kpis"]["helps"] == 2
     desk.runner._open(DriveStart(town=desk.runner._start.town, policy="dwa", seed=1))
     assert desk.turn(0.1, x=0.0)[-1]["kpis"]["helps"] == 0, "and in no other place"
+
+
+def test_a_press_while_time_is_paused_does_not_overrule_once_it_goes_on(desk: Desk) -> None:
+    def press() -> None:
+        for overrule in (True, False):
+            desk.say("stick", x=0.0, y=0.0, overrule=overrule)
+
+    press()
+    assert desk.turn(0.1)[-1]["overruled"]
+    desk.say("pause", on=True)
+    press()
+    desk.turn(0.1)
+    desk.say("pause", on=False)
+    told = desk.turn(0.1)[-1]
+    assert (told["paused"], told["overruled"]) == (False, False)
+    assert desk.runner.session is not None and desk.runner.session.ticks == 2
 
 
 LONG = {"town": "\U0001f9bd" * 400, "suite": "a" * 390}  # as short as it is said, and longer as it is passed on

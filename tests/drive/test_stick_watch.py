@@ -61,6 +61,13 @@ def test_a_button_that_was_pressed_between_two_ticks_counts_for_one() -> None:
     watch.hear(AT_REST, False, 0.1)
     watch.require_rest()
     assert not watch.wish(0.2).overrule, "not in the next episode"
+    watch.hear(AT_REST, True, 0.2)
+    watch.hear(AT_REST, False, 0.2)
+    watch.forget_press()
+    assert not watch.wish(0.2).overrule, "it was pressed while time stood still"
+    watch.hear(AT_REST, True, 0.2)
+    watch.forget_press()
+    assert watch.wish(0.2).overrule, "it is held"
 
 
 def test_a_page_that_was_left_lets_time_stand_still_for_a_person_alone() -> None:

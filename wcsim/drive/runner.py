@@ -184,6 +184,8 @@ class DriveRunner:
 
     def _tick(self, now_s: float) -> None:
         session, before = self._open_session(), time.process_time()
+        if session.ended:  # the crash has been shown, and another episode begins
+            self._watch.forget_press()
         self._last = session.tick(self._watch.wish(now_s))
         self.tick_s += _NEWEST * (time.process_time() - before - self.tick_s)
         self.gap_s += _NEWEST * (now_s - self._ticked_s - self.gap_s) if self._ticked_s else 0.0
@@ -284,6 +286,7 @@ class DriveRunner:
         if said.on is not self._paused:
             self._paused = said.on
             self._open_session().say(EventKind.PAUSED if said.on else EventKind.GOES_ON)
+            self._watch.forget_press()
             self._due_s = self._clock()
 
     def _set_user(self, said: m.SetUser) -> None:

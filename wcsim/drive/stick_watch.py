@@ -17,6 +17,11 @@ STANDS_STILL_S: Final = 3.0  # then time stops too: by now the chair has
 RESTS: Final = 0.1  # a stick within this is at rest
 
 
+def rests(x: float, y: float) -> bool:
+    """Whether a stick has been let go of."""
+    return math.hypot(x, y) < RESTS
+
+
 class StickWatch:
     """The stick of the person who drives, as far as it can be trusted.
 
@@ -47,7 +52,7 @@ class StickWatch:
         self._stick, self._overrule, self._heard_s = stick, overrule, now_s
         self._pressed = self._pressed or overrule
         self._here_s = self._here_s if away else now_s
-        if math.hypot(stick.x, stick.y) < RESTS:
+        if rests(stick.x, stick.y):
             self._must_rest = False
 
     def let_go(self) -> None:
@@ -58,7 +63,12 @@ class StickWatch:
 
     def require_rest(self) -> None:
         """Another episode begins."""
-        self._must_rest, self._pressed = True, False
+        self._must_rest = True
+        self.forget_press()
+
+    def forget_press(self) -> None:
+        """Time goes on: a button that was pressed, and released, while it stood overrules nothing."""
+        self._pressed = False
 
     def lost(self, now_s: float) -> bool:
         """Whether no message came for so long that the stick counts no more."""

@@ -181,6 +181,14 @@ def test_a_device_that_rests_at_an_end_blocks_nothing(stage: Stage) -> None:
     assert stage.sticks() == AHEAD, "it was in its middle"
 
 
+def test_the_shortest_press_of_overrule_is_said(stage: Stage) -> None:
+    stage.heard("stick")
+    press = "for (const kind of ['keydown', 'keyup']) window.dispatchEvent(new KeyboardEvent(kind, { code: 'KeyO' }))"
+    stage.page.evaluate(press)
+    said = [stick["overrule"] for stick in stage.heard("stick")]
+    assert said.count(True) == 1 and not said[-1]
+
+
 def test_a_call_for_help_that_nobody_hears_is_not_told_as_one(stage: Stage) -> None:
     stage.page.click("#help")
     assert stage.text("#live") == "You asked for help." and len(stage.heard("help")) == 1

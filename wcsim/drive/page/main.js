@@ -32,9 +32,11 @@ function say(text) {
 }
 
 function overrule(on) {
+  const isNew = on !== overrules;
   overrules = on;
   by("overrule").setAttribute("aria-pressed", String(on));
   scan.showOverrule(on);
+  if (isNew) send(); // at once: the shortest press is over before the next stick is said
 }
 
 const stick = new Stick((what, name) => {

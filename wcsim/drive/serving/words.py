@@ -1,4 +1,7 @@
-"""What waits to be said to a drive that does not hear yet: bounded, and of what repeats the newest alone."""
+"""What waits to be said to a drive that does not hear yet: bounded, and of what repeats the newest alone.
+
+Of sticks those stay too that say what the newest does not: that the button was pressed, or the stick let go of.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from collections import deque
 from typing import Final
 
 from wcsim.drive import messages as m
+from wcsim.drive.stick_watch import rests
 
 _MOST: Final = 256
 _REPEATS: Final = (m.Stick, m.Ready, m.SetView)
@@ -23,7 +27,7 @@ class Words:
         """Say this too."""
         with self._lock:
             if isinstance(message, _REPEATS):
-                for before in [each for each in self._waiting if type(each) is type(message)]:
+                for before in [each for each in self._waiting if _says_as_much(message, each)]:
                     self._waiting.remove(before)
             self._waiting.append(message)
 
@@ -33,3 +37,11 @@ class Words:
             said = list(self._waiting)
             self._waiting.clear()
         return said
+
+
+def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
+    """Whether one of a kind that repeats says all that the one before it is to be heard for."""
+    if isinstance(message, m.Stick) and isinstance(before, m.Stick):
+        still_pressed = message.overrule or not before.overrule
+        return still_pressed and (rests(message.x, message.y) or not rests(before.x, before.y))
+    return type(message) is type(before)
