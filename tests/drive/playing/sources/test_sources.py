@@ -165,8 +165,8 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
     """Before a handover the user alone; the assistance off and on; what was off before a file began is off in it."""
     files = file_names(tmp_path / "a.drive")
     with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
+        session.place = replace(session.place, handover_step=4, episode="dev 0.0")
         session.look_on(DriveKeeper(session, files, lambda _: None))
-        session.place = replace(session.place, handover_step=4)
         ahead = Wish(stick=Joystick(0.0, 1.0))
         for on in (True, False, True, False):
             session.assist(on)
@@ -186,6 +186,18 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
     second = [Flag(frame.chairs[0].flags) for frame in Filmed(drive_film(tmp_path / "a-2.drive")).frames()]
     assert all(Flag.UNAIDED in each for each in second)
     assert not any(Flag.ALONE in each for each in second), "a simulated user who was told to drive"
+
+
+def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner: Path, tmp_path: Path) -> None:
+    with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
+        session.look_on(DriveKeeper(session, file_names(tmp_path / "a.drive"), lambda _: None))
+        session.driver = DriverKind.SIMULATED  # without a word
+        for _ in range(4):
+            session.tick(Wish())
+    drive = read_drive(tmp_path / "a.drive")
+    assert all(tick.intent is not None for tick in drive.ticks) and "driver" not in {e.kind for e in drive.events}
+    flags = [Flag(frame.chairs[0].flags) for frame in Filmed(drive_film(tmp_path / "a.drive")).frames()]
+    assert len(flags) == 4 and not any(Flag.ALONE in each for each in flags)
 
 
 @pytest.fixture(scope="module")

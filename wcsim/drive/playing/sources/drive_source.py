@@ -71,14 +71,18 @@ class _WhoDecides:
     """Whose say it is, tick by tick, as the events of a drive tell."""
 
     def __init__(self, drive: DriveRecording) -> None:
-        self._events, self._accompanied = deque(drive.events), drive.header.accompanied
-        self._assisted, self._simulated = bool(drive.header.policy), False
+        header = drive.header
+        self._events, self._hands_over = deque(drive.events), header.accompanied and bool(header.episode)
+        self._assisted, self._simulated = bool(header.policy), False
 
     def flags(self, tick: RecordedTick) -> Flag:
-        """Of the next tick. A simulated user who drives where the person was to does so before a handover."""
+        """Of the next tick. A simulated user who drives where the person was to does so before a handover.
+
+        Handovers are in episodes of suites alone; elsewhere an older recording may not say that the user was to drive.
+        """
         while self._events and self._events[0].tick < tick.tick:
             self._note(self._events.popleft())
-        alone = self._accompanied and not self._simulated and not by_person(tick)
+        alone = self._hands_over and not self._simulated and not by_person(tick)
         return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._assisted else Flag.UNAIDED)
 
     def _note(self, event: RecordedEvent) -> None:
