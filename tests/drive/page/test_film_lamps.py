@@ -24,13 +24,13 @@ DECIDES = (
     (Flag.UNAIDED | Flag.ALONE, "user alone"),
     (Flag.OVERRULED, "user overrules"),
 )
-TRACE = FilmAbout(title="a trace", town="nowhere", tick_s=0.1)
+JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="square81")
 
 
 def test_the_lamp_says_who_decides_where_that_is_known(browser: Any) -> None:
     context = browser.new_context()
     page = PageAlone(context, "play.html")
-    for about, told in ((ABOUT, DECIDES), (TRACE, [(Flag(0), "not known")])):
+    for about, told in ((ABOUT, DECIDES), (JOURNAL, [(Flag(0), "not known")])):
         page.hear(about_of(about, (), "", -1))
         for flags, words in told:
             page.hear(state_of(film_of(1, {0: flags}), Player(), 0, {0: "ann"}, ("", "", True)))

@@ -7,7 +7,7 @@ import numpy as np
 from wcsim.drive.playing.film_states import ACTOR_ROW, FilmAbout, FilmBody, FilmChair, FilmFrame, FilmStep, Flag
 from wcsim.drive.playing.tick_film import TickFilm
 
-ABOUT = FilmAbout(title="by hand", town="nowhere", tick_s=0.1, actions="square81", warns=True)
+ABOUT = FilmAbout(title="by hand", town="nowhere", tick_s=0.1, actions="square81", warns=True, tells_who=True)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 NOTHING = Flag(0)
 OUTLINE = (1.1, 0.65, 1.3, 0.3)

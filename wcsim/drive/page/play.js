@@ -147,7 +147,7 @@ function tellChair(now) {
   const follows = now.stick && now.commanded;
   lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "steers otherwise" : "follows the stick") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
-  lamp("lamp-who", false, about.points.length ? decides(now) : "not known");
+  lamp("lamp-who", false, about.tells_who ? decides(now) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
   big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street here.");

@@ -41,7 +41,7 @@ class Flag(IntFlag):
     OVERRULED = 128
     HELPED = 256
     ALONE = 512  # the user drives alone, before a handover
-    UNAIDED = 1024  # no policy has a say: there is none, or it is off
+    UNAIDED = 1024  # no policy has a say: there is none, it is off, or follows the stick whatever comes
 
 
 class FilmBody(msgspec.Struct, frozen=True, array_like=True):
@@ -106,6 +106,7 @@ class FilmAbout(msgspec.Struct, frozen=True, tag="about", kw_only=True):
     ticks: int = 0  # that are to come, 0 where that is not known
     tells_unsafe: bool = False
     warns: bool = False
+    tells_who: bool = False  # decides
     live: bool = False
 
 

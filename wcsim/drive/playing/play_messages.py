@@ -76,6 +76,7 @@ class PlayAbout(msgspec.Struct, tag_field="say", tag="about", frozen=True, kw_on
     camera: bool
     tells_unsafe: bool
     warns: bool
+    tells_who: bool  # decides
     live: bool
     ticks: int  # that are to come, 0 where that is not known
     failed: list[FailedLine]

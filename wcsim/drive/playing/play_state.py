@@ -33,6 +33,7 @@ def about_of(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block:
         camera=bool(about.camera),
         tells_unsafe=about.tells_unsafe,
         warns=about.warns,
+        tells_who=about.tells_who,
         live=about.live,
         ticks=about.ticks,
         failed=list(failed),

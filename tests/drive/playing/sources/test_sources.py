@@ -86,7 +86,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
         assert np.allclose(places, record.plants[:, :3], atol=1e-4)
     assert shown.names == {0: "c0", 1: "c1", 2: "c2"}
     assert [line.told for line in shown.lines][-1] == "That is the whole journal."
-    assert shown.film.about.ticks == len(ticked)
+    assert shown.film.about.ticks == len(ticked) and not shown.film.about.tells_who
     moment = shown.film.moment(100, 0, jumped=False)
     assert moment is not None and moment.route is not None and moment.actors
     assert any(chair.flags & Flag.INTERVENING for frame in frames for chair in frame.chairs)
@@ -200,6 +200,17 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
     assert len(flags) == 4 and not any(Flag.ALONE in each for each in flags)
 
 
+def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None:
+    with DriveSession(DriveStart(town=str(corner), seed=4, policy="follow")) as session:
+        session.look_on(DriveKeeper(session, file_names(tmp_path / "a.drive"), lambda _: None))
+        for on in (False, True):
+            session.assist(on)
+            session.tick(Wish())
+    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    assert shown.film.about.tells_who
+    assert [Flag.UNAIDED in Flag(frame.chairs[0].flags) for frame in shown.frames()] == [True, True]
+
+
 @pytest.fixture(scope="module")
 def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a test of `stop` on a block of two chairs."""
@@ -239,6 +250,17 @@ def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
         assert sums.kpi1 == pytest.approx(record["distance_sum"] / record["steps"], abs=1e-3)
         assert sums.kpi2 == record["steps"]
     assert shown.film.about.warns and not shown.film.about.tells_unsafe
+    assert shown.film.about.tells_who
+    assert not any(chair.flags & Flag.UNAIDED for frame in frames for chair in frame.chairs)
+
+
+def test_follow_decides_nothing_in_an_episode(tested: Path, tmp_path: Path) -> None:
+    (tmp_path / "asked.json").write_bytes((tested / "asked.json").read_bytes())
+    for name in ("result.json", "episodes.json"):
+        (tmp_path / name).write_text((tested / name).read_text().replace('"stop"', '"follow"'))
+    shown = Filmed()
+    episode_film(choice(tmp_path), shown.hear)
+    assert all(chair.flags & Flag.UNAIDED for frame in shown.frames() for chair in frame.chairs)
 
 
 def test_an_episode_that_goes_another_way_says_so(tested: Path, tmp_path: Path) -> None:

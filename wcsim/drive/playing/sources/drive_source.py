@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+from wcsim.agents.evaluation.suite.run import UNAIDED
 from wcsim.bridge.drives.beside import by_person
 from wcsim.bridge.drives.remake import config_of_drive, remade, town_of_drive
 from wcsim.bridge.world import World
@@ -49,6 +50,7 @@ def drive_film(path: Path) -> Iterator[Said]:
         unknown=list(NOT_IN_DRIVES),
         ticks=len(drive.ticks),
         warns=bool(header.policy),
+        tells_who=True,
     )
     yield FilmNames(names={0: header.profile})
     maker, differs, decides = FrameMaker(), 0, _WhoDecides(drive)
@@ -73,7 +75,8 @@ class _WhoDecides:
     def __init__(self, drive: DriveRecording) -> None:
         header = drive.header
         self._events, self._hands_over = deque(drive.events), header.accompanied and bool(header.episode)
-        self._assisted, self._simulated = bool(header.policy), False
+        self._assisted, self._simulated = True, False
+        self._can_assist = header.policy not in ("", UNAIDED)
 
     def flags(self, tick: RecordedTick) -> Flag:
         """Of the next tick. A simulated user who drives where the person was to does so before a handover.
@@ -83,7 +86,7 @@ class _WhoDecides:
         while self._events and self._events[0].tick < tick.tick:
             self._note(self._events.popleft())
         alone = self._hands_over and not self._simulated and not by_person(tick)
-        return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._assisted else Flag.UNAIDED)
+        return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._can_assist and self._assisted else Flag.UNAIDED)
 
     def _note(self, event: RecordedEvent) -> None:
         if event.kind == EventKind.ASSISTANCE:

@@ -15,7 +15,7 @@ from wcsim.agents.evaluation.suite.named_policy import is_own_class
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.records import record_of
 from wcsim.agents.evaluation.suite.result_files import KeptResult, read_result
-from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
+from wcsim.agents.evaluation.suite.run import UNAIDED, Piece, drive_piece, piece_of, town_addresses
 from wcsim.agents.policy_api import Policy, TellsUnsafe, Warns
 from wcsim.bridge.world import World
 from wcsim.config.suite import BlockFile
@@ -118,6 +118,8 @@ class _BlockWatch:
         alone = self._steps[seat] <= self.piece.block.episodes[seat].handover_step
         asked, given = step.info["asked"], step.info["given"]
         flags = Flag.ALONE if alone else intervening(asked, given)
+        if self.piece.policy == UNAIDED:
+            flags |= Flag.UNAIDED
         if isinstance(policy, Warns) and policy.warning and not alone:
             flags |= Flag.WARNING
         unsafe = None
@@ -147,6 +149,7 @@ class _BlockWatch:
                 unknown=list(NOT_IN_EPISODES),
                 tells_unsafe=isinstance(policy, TellsUnsafe),
                 warns=isinstance(policy, Warns),
+                tells_who=True,
             )
         )
         self.say(FilmNames(names=_names(block)))

@@ -16,7 +16,7 @@ from wcsim.server.journal.replay import count_ticks, replayed
 from wcsim.types import Joystick
 
 NOT_IN_JOURNALS = (
-    "Warnings and unsafe positions: a journal knows what chairs were given, and no policy's thoughts.",
+    "Warnings, unsafe positions and who decides: a journal knows what chairs were given, and no policy's thoughts.",
     "The cameras' errors: pictures are drawn from where everybody was.",
 )
 
