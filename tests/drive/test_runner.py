@@ -229,6 +229,12 @@ def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> Non
     for _ in range(10):
         desk.turn(0.5, x=0.0, away=True)
     assert desk.runner.waiting == "" and desk.runner.session.ticks > ticks + 5, "one may look on from elsewhere"
+    ticks = desk.runner.session.ticks
+    for _ in range(3):
+        desk.turn(20.0)
+    assert desk.runner.waiting == "" and desk.runner.session.ticks == ticks + 3, "hidden pages say little"
+    desk.say("gone")
+    assert "No page holds the stick" in desk.turn(0.1)[-1]["waiting"]
 
 
 def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: Desk) -> None:

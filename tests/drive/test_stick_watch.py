@@ -77,8 +77,12 @@ def test_a_page_that_was_left_lets_time_stand_still_for_a_person_alone() -> None
         left = second - 1 > STANDS_STILL_S
         assert watch.stands_still(float(second), by_person=True) is left
         assert not watch.stands_still(float(second)), "the simulated user drives on"
+    assert not watch.stands_still(65.0), "a browser lets a page that is hidden for long speak once a minute"
+    assert watch.silent(65.0) and watch.stands_still(65.0, by_person=True)
     watch.hear(AT_REST, False, 6.0)
     assert not watch.stands_still(6.0, by_person=True)
+    watch.let_go()
+    assert watch.stands_still(6.0), "the page is closed"
 
 
 def test_a_long_loss_that_no_tick_saw_counts_too() -> None:

@@ -136,7 +136,7 @@ class DriveRunner:
         now_s = self._clock()
         if not self._stands_still(now_s) or now_s - self._opened_s <= STANDS_STILL_S:
             return ""
-        if self._watch.stands_still(now_s):
+        if self._watch.silent(now_s):
             return "No page holds the stick. Time stands still."
         return "The page that drives was left. Time stands still."
 

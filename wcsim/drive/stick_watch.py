@@ -74,9 +74,17 @@ class StickWatch:
         """Whether no message came for so long that the stick counts no more."""
         return now_s - self._heard_s > LOST_S
 
+    def silent(self, now_s: float) -> bool:
+        """Whether no message came for so long that time stops where a person drives."""
+        return now_s - self._heard_s > STANDS_STILL_S
+
     def stands_still(self, now_s: float, *, by_person: bool = False) -> bool:
-        """Whether no message came for so long that time stops; of a page that nobody has left where a person drives."""
-        return now_s - (self._here_s if by_person else self._heard_s) > STANDS_STILL_S
+        """Whether time stops.
+
+        Where a person drives, it does so long after the last message of a page that nobody has left. A simulated user
+        drives on while there is a page: browsers let one that is long hidden speak once a minute.
+        """
+        return now_s - self._here_s > STANDS_STILL_S if by_person else math.isinf(self._heard_s)
 
     def wish(self, now_s: float) -> Wish:
         """What the person wants in this tick; a button that was pressed since the one before counts for a tick."""
