@@ -14,7 +14,7 @@ import pytest
 from tests.support.cluster.workpieces import echo, hang_once, tell_pid
 from wcsim.server.workers.cluster import bundle
 from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, do_work, kill_worker
-from wcsim.server.workers.cluster.work_folders import work_folder
+from wcsim.server.workers.cluster.work_folders import _born, work_folder
 from wcsim.server.workers.worker_api import Call, Parcel
 
 
@@ -71,7 +71,8 @@ def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, t
 def test_folders_of_others_stay(temporary: Path) -> None:
     with work_folder() as own:
         namespace = own.name.split("-")[2]
-    names = ("wcsim-other", "wcsim-work-x", f"wcsim-work-{int(namespace) + 1}-1-1-a", f"wcsim-work-{namespace}-1-1-b")
+    gone = f"wcsim-work-{namespace}-1-{_born(1)}9-b"  # of a process whose number another one has now
+    names = ("wcsim-other", "wcsim-work-x", f"wcsim-work-{int(namespace) + 1}-1-1-a", gone)
     for name in names:
         (temporary / name).mkdir()
     with work_folder() as own:
