@@ -10,7 +10,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,11 @@ def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
 def write_json(path: Path, data: Any) -> None:
     """Replace a JSON file in one step. Raises ValueError when a number is not finite, DiskFullError."""
     write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+def seal_of(data: Mapping[str, Any]) -> str:
+    """A hash over what a JSON file says, for the file to say too. Raises ValueError when a number is not finite."""
+    return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
 
 
 def write_folder(path: Path, fill: Callable[[Path], None]) -> None:

@@ -164,9 +164,28 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     learner = a_learner()
     save_round(tmp_path, 0, learner, {})
     path = checkpoint_path(tmp_path, 0) / "state.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "segments": {name: "a" * 64}}))
+    state = json.loads(path.read_text())
+    del state["seal"]  # as an older version wrote it, or somebody who means it
+    path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
     with pytest.raises(PolicyError, match="names the segment"):
         load_round(tmp_path, 0, learner)
+
+
+@pytest.mark.parametrize("key", ["updates", "loss", "segments"])
+def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(tmp_path: Path, key: str) -> None:
+    learner = a_learner()
+    for number in range(2):
+        save_round(tmp_path, number, learner, {"3-000-0000.npz.zst": "a" * 64})
+    path = checkpoint_path(tmp_path, 1) / "state.json"
+    state = json.loads(path.read_text())
+    changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
+    path.write_text(json.dumps({**state, key: changed}))
+    assert newest_round(tmp_path) == 0
+    with pytest.raises(PolicyError, match="does not have the hash that it says"):
+        load_round(tmp_path, 1, learner)
+    del state["seal"]
+    path.write_text(json.dumps(state))
+    assert newest_round(tmp_path) == 1, "of before there were seals"
 
 
 def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tmp_path: Path) -> None:

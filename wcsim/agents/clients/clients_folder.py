@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import secrets
@@ -180,7 +179,7 @@ def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) ->
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
     if to_come:
         data[_FILES_TO_COME] = dict(to_come)
-    files.write_json(folder.path / MANIFEST, {**data, _SEAL: _seal(data)})
+    files.write_json(folder.path / MANIFEST, {**data, _SEAL: files.seal_of(data)})
     return folder
 
 
@@ -191,16 +190,12 @@ def _require_sealed(path: Path, data: dict[str, Any]) -> None:
         PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
     """
     seal = data.pop(_SEAL, None)
-    if seal is not None and seal != _seal(data):
+    if seal is not None and seal != files.seal_of(data):
         raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
     hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
     for name, digest in hashes.items() if seal is not None else ():
         if not (path / name).is_file() or files.sha256(path / name) not in (digest, to_come.get(name)):
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
-
-
-def _seal(data: dict[str, Any]) -> str:
-    return files.sha256_text(json.dumps(data, sort_keys=True))
 
 
 def _ticked(journal: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping
@@ -87,7 +86,7 @@ def set_aside(path: Path) -> Path:
 def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
     """Write what a checkpoint says, with its version and a hash over all of it."""
     state = {"schema_version": SCHEMA, **values}
-    files.write_json(path, {**state, _SEAL: _seal(state)})
+    files.write_json(path, {**state, _SEAL: files.seal_of(state)})
 
 
 def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[str, Any], bool]:
@@ -98,7 +97,7 @@ def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[
     """
     data = read_json(path, kind)
     seal = data.pop(_SEAL, None)
-    if seal is not None and seal != _seal(data):
+    if seal is not None and seal != files.seal_of(data):
         raise PolicyError(f"{STATE} is damaged: it does not have the hash that it says")
     schema = data.pop("schema_version", 1)
     if type(schema) is not int or schema not in (1, SCHEMA):
@@ -106,10 +105,6 @@ def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[
     if set(data) != keys or (seal is None) != (schema == 1):
         raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
     return data, seal is not None
-
-
-def _seal(state: Mapping[str, Any]) -> str:
-    return files.sha256_text(json.dumps(state, sort_keys=True, allow_nan=False))
 
 
 def write_state(folder: Path, values: Mapping[str, Any]) -> None:

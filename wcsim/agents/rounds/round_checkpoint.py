@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import torch
 
@@ -17,6 +17,7 @@ from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
 KEPT_ROUNDS: Final = 3  # checkpoints that are kept
+_SEAL: Final = "seal"  # of the state; one of an older version has none
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -36,7 +37,7 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
             "segments": segments,
             "sha256": sha256,
         }
-        files.write_json(target / STATE, state)
+        files.write_json(target / STATE, {**state, _SEAL: files.seal_of(state)})
 
     files.write_folder(checkpoint_path(folder, number), fill)
     for old in _numbers(folder)[:-KEPT_ROUNDS]:
@@ -60,7 +61,7 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
         PolicyError: The checkpoint does not fit, or is damaged.
     """
     path = checkpoint_path(folder, number)
-    state = read_json(path / STATE, _KIND)
+    state = _state(path)
     try:
         read_learner(path, learner, int(state["updates"]), float(state["loss"]))
         segments = {str(name): str(sha256) for name, sha256 in state["segments"].items()}
@@ -86,10 +87,19 @@ def _is_whole(path: Path) -> bool:
     if not is_file(path / STATE):
         return False
     try:
-        require_whole(path, read_json(path / STATE, _KIND)["sha256"])
+        require_whole(path, _state(path)["sha256"])
     except (PolicyError, OSError, KeyError, TypeError):
         return False
     return True
+
+
+def _state(path: Path) -> dict[str, Any]:
+    """What a checkpoint says of itself. Raises PolicyError when it is not what was written."""
+    state = read_json(path / STATE, _KIND)
+    seal = state.pop(_SEAL, None)
+    if seal is not None and seal != files.seal_of(state):
+        raise PolicyError(f"{shown(path / STATE)} is damaged: it does not have the hash that it says")
+    return state
 
 
 def digest_of(net: torch.nn.Module) -> str:
