@@ -19,6 +19,7 @@ from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.evaluation.suite.named_policy import identity_of
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics, EpisodeSums
 from wcsim.agents.learning.flip_augmentation import mirrored
@@ -110,6 +111,14 @@ def test_it_travels_to_other_machines_with_its_danger_network(run: Path, part: P
     assert weights_of(node / parcel.inner / PART) == weights_of(part)
     bare = policy_parcel(str(shutil.copytree(run / "policies" / "final", tmp_path / "without" / "a" / "run")))
     assert f"{PART}/{WEIGHTS}" in bare.names and bare.inner == ""
+
+
+def test_it_is_another_policy_where_its_danger_network_has_another_rule(run: Path, tmp_path: Path):
+    folder = Path(shutil.copytree(run / "policies" / "final", tmp_path / "copy"))
+    before = identity_of(str(folder), "dqn")
+    file = folder / PART / POLICY_JSON
+    file.write_text(file.read_text() + " ")
+    assert identity_of(str(folder), "dqn") != before
 
 
 def test_an_assistance_level_is_the_threshold_of_values_too(run: Path, part: Path):

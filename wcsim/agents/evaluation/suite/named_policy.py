@@ -39,7 +39,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_own_class(name):
         return ["class", name, preset, file_digest(Path(_source_of(name, "policy")))]
     level = split_level(name)[1]
-    return ["folder", preset, _files(policy_path(name)), *([] if level is None else [level])]
+    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if level is None else [level])]
 
 
 def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
@@ -54,8 +54,10 @@ def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
     return {**found, network: Path(_source_of(network, "network"))} if ":" in network else found
 
 
-def _files(folder: Path) -> list[list[str]]:
-    return [[path.name, file_digest(path)] for path in sorted(folder.iterdir()) if path.is_file()]
+def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
+    """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
+    files = [path for path in sorted(folder.glob(pattern)) if path.is_file()]
+    return [[path.relative_to(folder).as_posix(), file_digest(path)] for path in files]
 
 
 def is_onnx(name: str) -> bool:
