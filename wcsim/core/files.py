@@ -21,6 +21,7 @@ from wcsim.core.reading import require_no_links
 from wcsim.errors import DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
+_SEAL = "seal"
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 _FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
 
@@ -67,8 +68,24 @@ def write_json(path: Path, data: Any) -> None:
     write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
-def seal_of(data: Mapping[str, Any]) -> str:
-    """A hash over what a JSON file says, for the file to say too. Raises ValueError when a number is not finite."""
+def write_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
+    """As `write_json`, with a seal: a hash over all that the file says."""
+    write_json(path, {**data, _SEAL: _seal_of(data)})
+
+
+def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
+    """Take the seal out of what a file said; whether there was one, as those of older versions have none.
+
+    Raises:
+        PolicyError: It is not what was written; begins with `where`, and ends with the cure.
+    """
+    seal = data.pop(_SEAL, None)
+    if seal is not None and seal != _seal_of(data):
+        raise PolicyError(f"{where} is damaged: it does not have the hash that it says{cure}")
+    return seal is not None
+
+
+def _seal_of(data: Mapping[str, Any]) -> str:
     return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
 
 

@@ -30,7 +30,7 @@ from wcsim.server.journal.ledger import iter_ledger
 from wcsim.server.journal.parts import part_files
 from wcsim.types import CLIENT_NAME
 
-_SEAL, _FILES, _FILES_TO_COME = "seal", "files_sha256", "files_to_come_sha256"
+_FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
 _NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
@@ -179,7 +179,7 @@ def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) ->
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
     if to_come:
         data[_FILES_TO_COME] = dict(to_come)
-    files.write_json(folder.path / MANIFEST, {**data, _SEAL: files.seal_of(data)})
+    files.write_sealed_json(folder.path / MANIFEST, data)
     return folder
 
 
@@ -189,11 +189,9 @@ def _require_sealed(path: Path, data: dict[str, Any]) -> None:
     Raises:
         PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
     """
-    seal = data.pop(_SEAL, None)
-    if seal is not None and seal != files.seal_of(data):
-        raise PolicyError(f"{path / MANIFEST} is damaged: it does not have the hash that it says; restore it")
+    sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
     hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
-    for name, digest in hashes.items() if seal is not None else ():
+    for name, digest in hashes.items() if sealed else ():
         if not (path / name).is_file() or files.sha256(path / name) not in (digest, to_come.get(name)):
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 

@@ -23,7 +23,6 @@ DAMAGED = ".damaged"  # added to the name of a checkpoint that was passed over
 KEEP = 3  # checkpoints of a run
 _STEP = re.compile(r"step-(\d{8,18})")
 _KEYS = frozenset(("num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256"))
-_SEAL = "seal"
 _STATE_KIND = FileKind(what="the state of a checkpoint", limit_bytes=1 << 20, error=PolicyError)
 _ARRAYS_KIND = FileKind(what="the arrays of a checkpoint", limit_bytes=1 << 42, error=PolicyError)
 _GENERATOR = {"counter": (4, 64), "key": (2, 64), "buffer": (4, 64)}  # how many numbers of so many bits
@@ -85,8 +84,7 @@ def set_aside(path: Path) -> Path:
 
 def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
     """Write what a checkpoint says, with its version and a hash over all of it."""
-    state = {"schema_version": SCHEMA, **values}
-    files.write_json(path, {**state, _SEAL: files.seal_of(state)})
+    files.write_sealed_json(path, {"schema_version": SCHEMA, **values})
 
 
 def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[str, Any], bool]:
@@ -96,15 +94,13 @@ def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[
         PolicyError: It is not what was written, or has other entries than `keys`.
     """
     data = read_json(path, kind)
-    seal = data.pop(_SEAL, None)
-    if seal is not None and seal != files.seal_of(data):
-        raise PolicyError(f"{STATE} is damaged: it does not have the hash that it says")
+    sealed = files.take_seal(data, STATE)
     schema = data.pop("schema_version", 1)
     if type(schema) is not int or schema not in (1, SCHEMA):
         raise PolicyError(f"{STATE} is of version {shown(schema)}; expected 1 or {SCHEMA}")
-    if set(data) != keys or (seal is None) != (schema == 1):
+    if set(data) != keys or sealed != (schema == SCHEMA):
         raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
-    return data, seal is not None
+    return data, sealed
 
 
 def write_state(folder: Path, values: Mapping[str, Any]) -> None:

@@ -17,7 +17,6 @@ from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
 KEPT_ROUNDS: Final = 3  # checkpoints that are kept
-_SEAL: Final = "seal"  # of the state; one of an older version has none
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -37,7 +36,7 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
             "segments": segments,
             "sha256": sha256,
         }
-        files.write_json(target / STATE, {**state, _SEAL: files.seal_of(state)})
+        files.write_sealed_json(target / STATE, state)
 
     files.write_folder(checkpoint_path(folder, number), fill)
     for old in _numbers(folder)[:-KEPT_ROUNDS]:
@@ -96,9 +95,7 @@ def _is_whole(path: Path) -> bool:
 def _state(path: Path) -> dict[str, Any]:
     """What a checkpoint says of itself. Raises PolicyError when it is not what was written."""
     state = read_json(path / STATE, _KIND)
-    seal = state.pop(_SEAL, None)
-    if seal is not None and seal != files.seal_of(state):
-        raise PolicyError(f"{shown(path / STATE)} is damaged: it does not have the hash that it says")
+    files.take_seal(state, shown(path / STATE))
     return state
 
 
