@@ -48,8 +48,8 @@ def note_round(path: Path, row: Sequence[float]) -> None:
         PolicyError: The file is damaged, or of another version.
     """
     old = _rows(path) if path.is_file() else []
-    kept = [",".join(cells) for cells in [list(_COLUMNS), *old] if cells[0] == _COLUMNS[0] or int(cells[0]) < row[0]]
-    files.write_bytes(path, "\n".join([*kept, ",".join(_cell(value) for value in row), ""]).encode())
+    table = (_COLUMNS, *(cells for cells in old if int(cells[0]) < row[0]), map(_cell, row))
+    files.write_bytes(path, "".join(f"{','.join(cells)}\n" for cells in table).encode())
 
 
 def _cell(value: float) -> str:
