@@ -8,20 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
-
+from tools.results.compared import BLINDED, RIVAL, USER, compared_text
 from tools.results.parts import SEEDS
-from wcsim.agents.evaluation.intervals import garwood
-from wcsim.agents.evaluation.suite.result_files import read_episodes
-from wcsim.core import seeding
+from wcsim.agents.evaluation.suite.result_files import read_result
 
-DRAWS: Final = 4000
 COLUMNS: Final = (
-    "part", "policy", "episodes, km", "own", "others", "within", "m/s", "arrivals", "at red", "needless",
-    "warned 1 s ahead", "score (95 %)",
+    "part", "policy", "episodes, km", "own crashes", "own per km (95 %)", "others", "within", "froze", "arrivals",
+    "at red", "m/s", "needed, needless", "missed", "warned 1 s ahead", "false warnings/km", "score (95 %)",
 )  # fmt: skip
-Counts = npt.NDArray[np.float64]
 
 
 def page(out: Path) -> str:
@@ -48,17 +42,29 @@ def suite_table(result: Mapping[str, Any], out: Path) -> str:
             row["policy"].removeprefix(f"{out}/"),
             f"{row['episodes']}, {row['km']:.2f}",
             f"{row['crashes_own']}",
+            rate(row),
             f"{row['crashes_other']}",
             share(row["kpi1_free_within"]),
-            f"{row['speed_mps'] or 0.0:.2f}",
+            f"{row['freezes']}",
             f"{row['arrivals']}",
             f"{row['red_entries']}",
-            f"{row['needless']}",
+            f"{row['speed_mps'] or 0.0:.2f}",
+            f"{row['needed']}, {row['needless']}",
+            f"{row['missed']}",
             share(row["warned_share"]),
+            "-" if row["false_warnings_per_km"] is None else f"{row['false_warnings_per_km']:.0f}",
             f"{row['score'] or 0.0:.3f} ({low:.2f} to {high:.2f})",
         )
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
+
+
+def rate(row: Mapping[str, Any]) -> str:
+    """Own crashes a kilometre with their interval, - on hardly any way."""
+    if row["crashes_per_km"] is None:
+        return "-"
+    low, high = row["crashes_per_km_ci"]
+    return f"{row['crashes_per_km']:.2f} ({low:.2f} to {high:.2f})"
 
 
 def share(value: float | None) -> str:
@@ -67,47 +73,12 @@ def share(value: float | None) -> str:
 
 
 def pooled_text(judged: Path, runs: Sequence[str]) -> str:
-    """Own crashes a kilometre of several networks together, between the blinded oracle (0) and the user alone (1)."""
-    episodes = {
-        name: np.array([[item.record.own, item.record.m / 1000.0] for item in items], np.float64)
-        for name, items in read_episodes(judged).items()
-    }
-    missing = [name for name in ("follow", "oracle-visible", "dwa", *runs) if name not in episodes]
+    """Networks of several seeds together against the baselines, or what has to be driven before."""
+    result = read_result(judged)
+    missing = [name for name in (USER, BLINDED, RIVAL, *runs) if name not in result.episodes]
     if missing:
         return f"{judged}: no rows of {', '.join(missing)}; run the parts before\n"
-    nets = [episodes[run] for run in runs]
-    value, low, high = left_of(nets, episodes["follow"], episodes["oracle-visible"])
-    own, km = sum(float(net[:, 0].sum()) for net in nets), sum(float(net[:, 1].sum()) for net in nets)
-    few, many = (bound / km for bound in garwood(round(own)))
-    rival = episodes["dwa"].sum(0)
-    return (
-        f"{len(runs)} networks: {own:.0f} own crashes in {km:.2f} km, {own / km:.2f} per km ({few:.2f} to {many:.2f}); "
-        f"dwa {rival[0]:.0f} in {rival[1]:.2f}, {rival[0] / rival[1]:.2f} per km.\n"
-        "(network - blinded oracle) / (follow - blinded oracle): "
-        f"{value:.3f} ({low:.3f} to {high:.3f}, bootstrap over episodes)\n"
-    )
-
-
-def left_of(nets: Sequence[Counts], follow: Counts, oracle: Counts) -> tuple[float, float, float]:
-    """What is left of the user's crashes above the oracle's, with its 95 % interval by drawing episodes anew.
-
-    Args:
-        nets: (N, 2) own crashes and km of the same N episodes, a network each.
-        follow: (N, 2) of the user alone.
-        oracle: (N, 2) of the blinded oracle.
-    """
-    together = np.sum(nets, axis=0)
-
-    def left(picks: npt.NDArray[np.int64]) -> Counts:
-        rates = [counts[picks].sum(-2) for counts in (together, follow, oracle)]
-        net, user, best = (rate[..., 0] / np.maximum(rate[..., 1], 1e-9) for rate in rates)
-        ratio: Counts = (net - best) / np.maximum(user - best, 1e-9)
-        return ratio
-
-    count = len(follow)
-    drawn = seeding.generator(0, "bootstrap", count).integers(0, count, (DRAWS, count))
-    low, high = np.percentile(left(drawn), (2.5, 97.5)).tolist()
-    return float(left(np.arange(count))), float(low), float(high)
+    return compared_text(result, runs)
 
 
 if __name__ == "__main__":

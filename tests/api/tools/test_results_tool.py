@@ -2,12 +2,9 @@
 
 import sys
 
-import numpy as np
-import pytest
-
 from tools.results.__main__ import code_of, command_of, is_done, main
 from tools.results.parts import Part, judged, parts, trained
-from tools.results.tables import left_of, page
+from tools.results.tables import page
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.config import RunConfig, load_run_config
 from wcsim.server.specs import RunInfo
@@ -61,16 +58,6 @@ def test_an_unknown_part_is_refused(tmp_path, capsys):
     assert "'laptpo' is unknown; expected one of baselines" in capsys.readouterr().out
     assert main(["--list", "quick", "--out", str(tmp_path)]) == 0
     assert "quick" in capsys.readouterr().out
-
-
-def test_what_is_left_is_none_for_the_oracle_and_all_for_the_user():
-    rng = np.random.default_rng(1)
-    km = np.ones(200)
-    follow, oracle = (np.stack([rng.random(200) < rate, km], 1).astype(float) for rate in (0.5, 0.05))
-    assert left_of([oracle], follow, oracle) == pytest.approx((0.0, 0.0, 0.0))
-    assert left_of([follow, follow], follow, oracle) == pytest.approx((1.0, 1.0, 1.0))
-    value, low, high = left_of([np.stack([rng.random(200) < 0.15, km], 1).astype(float)], follow, oracle)
-    assert low < value < high and 0.0 < value < 0.6
 
 
 def test_a_folder_without_tables_has_none(tmp_path):

@@ -1,0 +1,225 @@
+"""Networks of several seeds against a baseline, over the same episodes, and what is wanted of all of them together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.agents.evaluation.intervals import bootstrapped, garwood
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
+from wcsim.agents.evaluation.suite.result_files import KeptResult, Row
+from wcsim.core import seeding
+from wcsim.users.profiles import HELD_OUT
+
+DRAWS: Final = 4000
+USER: Final = "follow"
+RIVAL: Final = "dwa"
+BLINDED: Final = "oracle-visible"
+BOUNDS: Final = ("oracle", BLINDED)  # they know what no camera shows, or what no picture says
+HARD: Final = ("hazard", "tight")
+Counts = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """A figure of all networks together, and whether it is one that is wanted."""
+
+    what: str
+    bar: str
+    got: str
+    reached: bool
+
+    @property
+    def line(self) -> str:
+        """Its row of a table."""
+        return f"| {self.what} | {self.bar} | {self.got} | {'yes' if self.reached else 'no'} |"
+
+
+def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
+    """Tables in Markdown: scores network by network less the rival's, the user never met, and what is wanted."""
+    parts = [*dict.fromkeys(row["part"] for row in result.rows), ""]
+    lines = ["", f"| part | {' | '.join(_short(run) for run in runs)} |", "|---" * (len(runs) + 1) + "|"]
+    lines += [
+        f"| {part or 'all'} | {' | '.join(difference_text(result, run, part) for run in runs)} |" for part in parts
+    ]
+    lines += ["", f"| policy | own crashes, score with {', '.join(HELD_OUT)} | with all others |", "|---|---|---|"]
+    lines += [by_user_text(result, name) for name in (USER, RIVAL, *runs)]
+    lines += ["", "| what | wanted | the networks | reached |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(item.line for item in wanted(result, runs)), ""])
+
+
+def difference_text(result: KeptResult, run: str, part: str) -> str:
+    """A network's score less the rival's, and the own crashes that the rival has and it has not, and the other way."""
+    mine, others = records_of(result, run, part), records_of(result, RIVAL, part)
+    less = [one.score - other.score for one, other in zip(mine, others, strict=True)]
+    low, high = bootstrapped(less) or (float("nan"), float("nan"))
+    saved, lost = saved_and_lost(mine, others)
+    return f"{np.mean(less):+.3f} ({low:+.3f} to {high:+.3f}), {saved} and {lost}"
+
+
+def by_user_text(result: KeptResult, policy: str) -> str:
+    """A row of what a policy does with the user that no network has met, and with the others."""
+    records = records_of(result, policy)
+    met = [record for record in records if record.profile not in HELD_OUT]
+    new = [record for record in records if record.profile in HELD_OUT]
+    cells = (
+        f"{sum(record.own for record in some)} of {len(some)}, "
+        f"{sum(record.score for record in some) / max(len(some), 1):.3f}"
+        for some in (new, met)
+    )
+    return f"| {_short(policy)} | {' | '.join(cells)} |"
+
+
+def wanted(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
+    """Everything that is wanted of networks on a suite, taken together over their seeds."""
+    rows = {row["policy"]: row for row in result.pooled}
+    return [
+        _left(result, runs),
+        _half(result, runs),
+        *_survived(result, runs),
+        *_obedience(rows, runs),
+        _arrivals(result, runs),
+        _needless(rows, runs),
+        _warned(rows, runs),
+        _ahead(result, runs),
+    ]
+
+
+def records_of(result: KeptResult, policy: str, part: str = "") -> list[EpisodeRecord]:
+    """A policy's episodes of a part, "" for all."""
+    return [item.record for item in result.episodes[policy] if part in ("", item.record.part)]
+
+
+def counts_of(records: Sequence[EpisodeRecord]) -> Counts:
+    """(N, 2) own crashes and km, an episode a row."""
+    return np.array([[record.own, record.m / 1000.0] for record in records], np.float64)
+
+
+def left_of(nets: Sequence[Counts], follow: Counts, oracle: Counts) -> tuple[float, float, float]:
+    """What is left of the user's crashes above the oracle's, with its 95 % interval by drawing episodes anew.
+
+    Args:
+        nets: (N, 2) own crashes and km of the same N episodes, a network each.
+        follow: (N, 2) of the user alone.
+        oracle: (N, 2) of the blinded oracle.
+    """
+    together = np.sum(nets, axis=0)
+
+    def left(picks: npt.NDArray[np.int64]) -> Counts:
+        rates = [counts[picks].sum(-2) for counts in (together, follow, oracle)]
+        net, user, best = (rate[..., 0] / np.maximum(rate[..., 1], 1e-9) for rate in rates)
+        ratio: Counts = (net - best) / np.maximum(user - best, 1e-9)
+        return ratio
+
+    count = len(follow)
+    low, high = np.percentile(left(_drawn(count)), (2.5, 97.5)).tolist()
+    return float(left(np.arange(count))), float(low), float(high)
+
+
+def _drawn(count: int) -> npt.NDArray[np.int64]:
+    return seeding.generator(0, "bootstrap", count).integers(0, count, (DRAWS, count))
+
+
+def _left(result: KeptResult, runs: Sequence[str]) -> Wanted:
+    nets = [counts_of(records_of(result, run)) for run in runs]
+    follow, oracle = (counts_of(records_of(result, name)) for name in (USER, BLINDED))
+    value, low, high = left_of(nets, follow, oracle)
+    own, km = sum(float(net[:, 0].sum()) for net in nets), sum(float(net[:, 1].sum()) for net in nets)
+    few, many = (bound / km for bound in garwood(round(own)))
+    said = f"{value:.3f} ({low:.3f} to {high:.3f}); {own / km:.2f} a km ({few:.2f} to {many:.2f})"
+    what = f"own crashes a km, from `{BLINDED}` (0) to `{USER}` (1)"
+    return Wanted(what=what, bar="0.15, below 0.35", got=said, reached=value <= 0.15 and high <= 0.35)
+
+
+def _half(result: KeptResult, runs: Sequence[str]) -> Wanted:
+    nets = np.array([[record.own for record in records_of(result, run)] for run in runs], np.float64)
+    rival = np.array([record.own for record in records_of(result, RIVAL)], np.float64)
+    mean, picks = nets.mean(0), _drawn(len(rival))
+    drawn = mean[picks].sum(1) / np.maximum(rival[picks].sum(1), 1.0)
+    low, high = np.percentile(drawn, (2.5, 97.5)).tolist()
+    ratio = mean.sum() / max(rival.sum(), 1.0)
+    each = ", ".join(f"{own:.0f}" for own in nets.sum(1))
+    said = f"{ratio:.2f} ({low:.2f} to {high:.2f}); {each} against {rival.sum():.0f}"
+    return Wanted(what=f"own crashes, of `{RIVAL}`'s", bar="0.5", got=said, reached=bool(ratio <= 0.5))
+
+
+def _survived(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
+    """One figure a hard part; reached is a gain of 20 points in one of them and no loss in the other."""
+    gains = {}
+    for part in HARD:
+        rival = np.mean([not record.own for record in records_of(result, RIVAL, part)])
+        nets = [np.mean([not record.own for record in records_of(result, run, part)]) for run in runs]
+        gains[part] = 100.0 * float(np.mean(nets) - rival), 100.0 * float(rival)
+    reached = max(gain for gain, _ in gains.values()) >= 20.0 and min(gain for gain, _ in gains.values()) >= 0.0
+    return [
+        Wanted(
+            what=f"survived in {part}, less `{RIVAL}`'s {rival:.0f} %",
+            bar="20 points in one, none lost in the other",
+            got=f"{gain:+.1f} points",
+            reached=reached,
+        )
+        for part, (gain, rival) in gains.items()
+    ]
+
+
+def _obedience(rows: Mapping[str, Row], runs: Sequence[str]) -> list[Wanted]:
+    within = [rows[run]["kpi1_free_within"] or 0.0 for run in runs]
+    paces = [(rows[run]["speed_mps"] or 0.0) / (rows[USER]["speed_mps"] or 1.0) for run in runs]
+    return [
+        Wanted(
+            what="within 0.1768 on moving free steps", bar="95 %", got=_each(within, 100.0, 1, " %"),
+            reached=float(np.mean(within)) >= 0.95,
+        ),
+        Wanted(
+            what=f"speed, of `{USER}`'s", bar="0.95", got=_each(paces, 1.0, 2), reached=float(np.mean(paces)) >= 0.95
+        ),
+    ]  # fmt: skip
+
+
+def _arrivals(result: KeptResult, runs: Sequence[str]) -> Wanted:
+    rows = {row["policy"]: row for row in result.rows if row["part"] == "crossing"}
+    shares = [rows[run]["arrivals"] / max(rows[run]["attempts"], 1) for run in runs]
+    rival = rows[RIVAL]["arrivals"] / max(rows[RIVAL]["attempts"], 1)
+    return Wanted(
+        what="arrivals of crossings",
+        bar=f"`{RIVAL}`'s {100 * rival:.1f} %, less 3 points",
+        got=_each(shares, 100.0, 1, " %"),
+        reached=float(np.mean(shares)) >= rival - 0.03,
+    )
+
+
+def _needless(rows: Mapping[str, Row], runs: Sequence[str]) -> Wanted:
+    counts = [rows[run]["needless"] for run in runs]
+    most = rows[RIVAL]["needless"]
+    reached = float(np.mean(counts)) <= most
+    return Wanted(what="needless interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
+
+
+def _warned(rows: Mapping[str, Row], runs: Sequence[str]) -> Wanted:
+    shares = [rows[run]["warned_share"] or 0.0 for run in runs]
+    reached = float(np.mean(shares)) >= 0.9
+    return Wanted(what="warned 1 s ahead", bar="90 %", got=_each(shares, 100.0, 0, " %"), reached=reached)
+
+
+def _ahead(result: KeptResult, runs: Sequence[str]) -> Wanted:
+    """The mean score against the best baseline that is no bound."""
+    scores: dict[str, Any] = {row["policy"]: row["score"] or 0.0 for row in result.pooled}
+    best = max((name for name in scores if name not in (*BOUNDS, *runs)), key=scores.__getitem__)
+    mine = np.mean([[record.score for record in records_of(result, run)] for run in runs], axis=0)
+    less = mine - np.array([record.score for record in records_of(result, best)])
+    low, high = bootstrapped(less) or (float("nan"), float("nan"))
+    said = f"{_each([scores[run] for run in runs], 1.0, 3)}; {less.mean():+.3f} ({low:+.3f} to {high:+.3f})"
+    reached = all(scores[run] > scores[best] for run in runs)
+    return Wanted(what="score", bar=f"above `{best}`'s {scores[best]:.3f}", got=said, reached=reached)
+
+
+def _each(values: Sequence[float], factor: float, digits: int, unit: str = "") -> str:
+    return ", ".join(f"{factor * value:.{digits}f}" for value in values) + unit
+
+
+def _short(run: str) -> str:
+    return run.rsplit("/", 1)[-1]
