@@ -92,7 +92,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| seed | {manifest.seed} |",
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
-        f"warn {danger.warn:g} |",
+        f"at once {danger.at_once:g}, warn {danger.warn:g} |",
         f"| camera | {camera.width_px}x{camera.height_px}, {camera.hfov_deg:g} deg, noise {camera.noise}, "
         f"range {camera.range_m:g} m |",
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",

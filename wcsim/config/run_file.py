@@ -119,6 +119,7 @@ class RuleFile(Model):
     lenient: Positive
     shy: NotNegative
     warn: Share
+    at_once: Share = 0.0  # files of before: every tick counts
     doubt: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # files of before have no rival in the rule
     trust: Annotated[float, Field(ge=1.0, le=10.0)] = 1.0
     caution: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0

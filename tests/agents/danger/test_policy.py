@@ -70,6 +70,17 @@ def test_the_rival_is_heard_before_a_wall_where_the_network_only_doubts():
     assert ACTIONS.points[blind.act(seen)][1] == 1.0, "it has no senses that the rival could be asked with"
 
 
+def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
+    """Every action has a danger of some 0.3, above the threshold: the second tick takes the user's own away."""
+    policy, config = policy_of(base=-0.8), small_config()
+    policy.rule = DangerRule(at_once=0.9)
+    for _ in range(2):
+        policy.reset()
+        seen = observation(config)
+        own = ACTIONS.nearest(seen["joystick"])
+        assert [policy.act(seen) == own for _ in range(2)] == [True, False] and policy.unsafe.all()
+
+
 def test_dangers_that_are_no_numbers_are_refused():
     policy = policy_of(base=float("nan"))
     with pytest.raises(PolicyError, match="not finite"):

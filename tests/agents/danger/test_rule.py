@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import DangerRule, alone, choose, within
+from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, alone, choose, next_recent, to_learn, within
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
@@ -101,6 +101,47 @@ def test_what_the_rival_would_take_too_may_be_a_little_less_safe():
     trusting = DangerRule(trust=1.25)
     assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting, doubted=nothing) == wish
     assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting) != wish
+
+
+PATIENT = DangerRule(at_once=0.6)
+
+
+def taken_of(dangers: list[float], rule: DangerRule, others: float = 0.0) -> list[bool]:
+    """Whether the user's own action is taken away, tick by tick, for its dangers."""
+    wish, recent, found = ACTIONS.nearest(STICK), np.zeros(81, np.int64), []
+    for level in dangers:
+        danger = np.full(81, others)
+        danger[wish] = level
+        found.append(choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
+        recent = next_recent(recent, ~within(danger, rule))
+    return found
+
+
+def test_a_lone_doubtful_tick_takes_nothing_away_two_in_a_row_do():
+    assert taken_of([0.3, 0.0, 0.0, 0.3, 0.3, 0.3], DangerRule()) == [True, False, False, True, True, True]
+    short = [0.0] * RECENT_TICKS
+    assert taken_of([0.3, *short, 0.3, 0.3, 0.3], PATIENT) == [False, *map(bool, short), False, True, True]
+
+
+def test_who_drives_to_learn_has_neither_rival_nor_patience():
+    rule = DangerRule(doubt=0.25, trust=1.25, at_once=0.6, threshold=0.3)
+    assert alone(rule) == DangerRule(at_once=0.6, threshold=0.3)
+    assert to_learn(rule) == DangerRule(threshold=0.3)
+    assert taken_of([0.5], to_learn(rule)) == [True]
+
+
+def test_what_is_surely_dangerous_is_taken_away_at_once():
+    assert taken_of([0.0, 0.6, 0.0], PATIENT) == [False, True, False]
+
+
+def test_who_was_helped_a_moment_ago_is_helped_again_at_once():
+    for pause in range(RECENT_TICKS):
+        assert taken_of([0.9, *[0.0] * pause, 0.3], PATIENT)[-1]
+    assert not taken_of([0.9, *[0.0] * RECENT_TICKS, 0.3], PATIENT)[-1]
+
+
+def test_a_doubtful_tick_counts_as_one_where_nothing_is_safe_too():
+    assert taken_of([0.3, 0.3], PATIENT, others=0.25) == [False, True]
 
 
 def test_levels_are_thresholds():

@@ -10,7 +10,7 @@ import torch
 
 from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, heeds, within
+from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, heeds, next_recent, within
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
@@ -42,7 +42,7 @@ class DangerPolicy:
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
         self._eye = Eye(config, delay_ticks, net.spec.looks)
-        self._last = -1
+        self._last, self._recent = -1, np.zeros(len(self._actions), np.int64)
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.sight: DangerSight  # of the newest observation
         self.told: F64  # the newest dangers
@@ -78,6 +78,7 @@ class DangerPolicy:
         """Stand still, and know nothing of the street."""
         self._eye.forget()
         self._alarm, self._last = Alarm(), -1
+        self._recent = np.zeros(len(self._actions), np.int64)
 
     def act(self, observation: Observation) -> int:
         """The action nearest to the user's stick that is safe enough."""
@@ -92,7 +93,9 @@ class DangerPolicy:
         self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule.warn)
         doubted = self._doubted()
         self.unsafe = ~within(danger, self.rule, self._last, doubted)
-        return choose(danger, stick, self._actions, self.rule, self._last, doubted)
+        taken = choose(danger, stick, self._actions, self.rule, self._last, doubted, self._recent > 0)
+        self._recent = next_recent(self._recent, self.unsafe)
+        return taken
 
     def _doubted(self) -> Bool | None:
         """(A,) which actions the rival holds for unsafe; None where the rule, or the network's senses, leave it out."""

@@ -1,7 +1,7 @@
 """From dangers to an action: the nearest to the user's stick that is safe enough.
 
-The user's own is taken whenever it is safe enough; among the others the choice is calm, so that the chair does not
-waver between two ways round. The threshold is the assistance level, and can be set at run time.
+The user's own is taken whenever it is safe enough, or is not for a single tick; among the others the choice is calm, so
+that the chair does not waver between two ways round. The threshold is the assistance level, and can be set at run time.
 """
 
 from __future__ import annotations
@@ -10,13 +10,17 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from wcsim.config import DangerConfig
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool
 
+Ticks = npt.NDArray[np.int64]
+
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
+RECENT_TICKS: Final = 5  # for so long after it was unsafe, a position is out as soon as it is unsafe again
 RIVAL_KEYS: Final = ("doubt", "trust", "caution")  # of `DangerRule`, what is about the rival
 
 
@@ -28,6 +32,7 @@ class DangerRule:
     keep: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: float = 1.3  # times the threshold for the last action
     shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    at_once: float = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
     warn: float = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
     doubt: float = 1.0  # times the threshold for what the rival holds for unsafe
     trust: float = 1.0  # and for what it would take, too; with 1 and 1 it is not asked
@@ -41,6 +46,7 @@ def rule_of(danger: DangerConfig) -> DangerRule:
         keep=danger.keep,
         lenient=danger.lenient,
         shy=danger.shy,
+        at_once=danger.at_once,
         warn=danger.warn,
         doubt=danger.doubt,
         trust=danger.trust,
@@ -49,8 +55,13 @@ def rule_of(danger: DangerConfig) -> DangerRule:
 
 
 def alone(rule: DangerRule) -> DangerRule:
-    """The rule without the rival: who drives to learn has to meet what the network gets wrong."""
+    """The rule without the rival."""
     return replace(rule, doubt=1.0, trust=1.0)
+
+
+def to_learn(rule: DangerRule) -> DangerRule:
+    """The rule of who drives to learn: the network alone at every tick, for it has to meet what it gets wrong."""
+    return replace(alone(rule), at_once=0.0)
 
 
 def heeds(rule: DangerRule) -> bool:
@@ -75,8 +86,26 @@ def within(danger: F64, rule: DangerRule, last: int = -1, doubted: Bool | None =
     return allowed
 
 
+def next_recent(before: Ticks, unsafe: Bool) -> Ticks:
+    """(A,) for how many ticks more each action was unsafe a short time ago; `before` is what it was a tick ago.
+
+    >>> ticks = np.zeros(2, np.int64)
+    >>> for unsafe in ([True, False], [False, False], [False, True]):
+    ...     ticks = next_recent(ticks, np.array(unsafe))
+    >>> ticks.tolist()
+    [3, 5]
+    """
+    return np.where(unsafe, RECENT_TICKS, np.maximum(before - 1, 0))
+
+
 def choose(
-    danger: F64, stick: F64, actions: ActionSet, rule: DangerRule, last: int = -1, doubted: Bool | None = None
+    danger: F64,
+    stick: F64,
+    actions: ActionSet,
+    rule: DangerRule,
+    last: int = -1,
+    doubted: Bool | None = None,
+    recent: Bool | None = None,
 ) -> int:
     """The action. Where none is safe enough, it is as if the rival would take them all.
 
@@ -87,6 +116,7 @@ def choose(
         rule: See there.
         last: The action before, -1 for none.
         doubted: (A,) which actions the rival holds for unsafe; None where it is not asked.
+        recent: (A,) which were unsafe a short time ago, see `next_recent`; None for all of them.
     """
     distance = actions.distances(stick[None])[0]
     cost = distance + rule.shy * danger / limits(danger, rule, doubted)
@@ -94,10 +124,11 @@ def choose(
         cost[last] -= rule.keep
     allowed = within(danger, rule, last, doubted)
     own = int(np.argmin(distance))
-    if allowed[own]:
+    doubtful = recent is not None and not recent[own] and danger[own] < rule.at_once
+    if allowed[own] or doubtful:
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
     if doubted is not None and doubted.any():
-        return choose(danger, stick, actions, rule, last, np.zeros_like(doubted))
+        return choose(danger, stick, actions, rule, last, np.zeros_like(doubted), recent)
     return int(np.argmin(danger + LESS_M * distance))

@@ -10,7 +10,7 @@ from wcsim.agents.collecting.data_drivers import Choice
 from wcsim.agents.collecting.segment import FOLLOW, NETWORK, RECKLESS
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import alone, rule_of
+from wcsim.agents.danger.rule import rule_of, to_learn
 from wcsim.agents.danger.sight import DangerSight
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
@@ -94,6 +94,6 @@ class OnlineAgent:
 
     def _driver_for(self, delay_ticks: int) -> DangerPolicy:
         if delay_ticks not in self._drivers:
-            rule = alone(rule_of(self._config.danger))
+            rule = to_learn(rule_of(self._config.danger))
             self._drivers[delay_ticks] = DangerPolicy("own", self._net, self._config, rule, delay_ticks)
         return self._drivers[delay_ticks]

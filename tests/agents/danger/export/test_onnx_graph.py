@@ -10,7 +10,7 @@ from wcsim.agents.danger.export.drive_law import Drive
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
-from wcsim.agents.danger.rule import DangerRule, choose
+from wcsim.agents.danger.rule import DangerRule, choose, next_recent, within
 from wcsim.agents.danger.sight import Eye
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
 from wcsim.core.joystick import driven, limits_of, shaped_rows
@@ -120,19 +120,26 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
 
 
 def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
-    rule, actions = DangerRule(threshold=0.1), action_set("square81")
+    rule, actions = DangerRule(threshold=0.1, at_once=0.5), action_set("square81")
     graph, rng = DangerGraph(network(), CONFIG, rule), np.random.default_rng(7)
-    chosen, beyond = [], 0
-    for number in range(600):
+    chosen, beyond, doubtful = [], 0, 0
+    for number in range(1200):
         stick = np.clip(rng.uniform(-2.0, 2.0, 2), -1.0, 1.0).astype(np.float32)  # mostly at edges and in corners
         low, high = ((0.0, 1.0), (0.0, 0.1), (0.2, 0.22))[number % 3]  # few are safe, all of them, none is
         danger, last = rng.uniform(low, high, 81).astype(np.float32), int(rng.integers(-1, 81))
         danger[actions.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
-        chosen.append(choose(danger.astype(np.float64), stick.astype(np.float64), actions, rule, last))
+        own = actions.nearest(stick.astype(np.float64))
+        danger[own] = rng.choice(np.array([0.05, 0.3, 0.7, 1.0], np.float32))
+        recent = rng.integers(0, 3, 81)
+        exact = danger.astype(np.float64)
+        chosen.append(choose(exact, stick.astype(np.float64), actions, rule, last, recent=recent > 0))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
-        assert int(graph._values(*told).argmax()) == chosen[-1]
+        values, later = graph._values(*told, torch.as_tensor(recent.astype(np.float32))[None])
+        assert int(values.argmax()) == chosen[-1]
+        assert np.array_equal(later[0].numpy(), next_recent(recent, ~within(exact, rule, last)))
+        doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE
-    assert beyond > 20 and len(set(chosen)) > 40
+    assert beyond > 20 and len(set(chosen)) > 40 and doubtful > 20
 
 
 @pytest.mark.parametrize("part", [{"eye": "both"}, {"memory": False}, {"odometry": False}], ids=str)

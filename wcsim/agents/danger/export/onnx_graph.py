@@ -17,7 +17,7 @@ from wcsim.agents.danger.export.drive_law import Drive, Motion, Places
 from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
-from wcsim.agents.danger.rule import LESS_M, DangerRule
+from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS, DangerRule
 from wcsim.agents.danger.sight import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
@@ -70,7 +70,9 @@ class DangerGraph(nn.Module):
     """
 
     INPUTS: Final = ("depth", "seg", "imu", "odometry", "joystick")
-    STATES: Final = ("state_motion", "state_waiting", "state_sent", "state_last", "state_cells", "state_alarm")
+    STATES: Final = (
+        *("state_motion", "state_waiting", "state_sent", "state_last", "state_cells", "state_alarm", "state_recent"),
+    )
     OUTPUTS: Final = ("values", "warning", "danger")
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
@@ -132,6 +134,7 @@ class DangerGraph(nn.Module):
             "state_last": (1, 1),  # action, counted from 1
             "state_cells": (1, 6, RASTER * RASTER),
             "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
+            "state_recent": (1, len(self.points)),  # ticks left in which each action was unsafe a short time ago
         }
 
     def forward(
@@ -144,7 +147,7 @@ class DangerGraph(nn.Module):
         *states: torch.Tensor,
     ) -> tuple[torch.Tensor, ...]:
         """Values (1, A), warning (1, 1), dangers (1, A), and the next states."""
-        motion, waiting, sent, last, cells, alarm = states
+        motion, waiting, sent, last, cells, alarm, recent = states
         asked = self.drive.shaped(joystick)
         motion, waiting = self._moved(imu, odometry, asked, motion, waiting)
         cells = self._seen(depth, seg, motion, cells)
@@ -155,14 +158,14 @@ class DangerGraph(nn.Module):
         told = codes.new_zeros(1, 1) if self.gaps is None else self.gaps(codes, rolled, places)
         vector = self._vector(imu, motion, sent)
         danger = torch.sigmoid(self.net(codes[None] / 255.0, told[None], vector, self._swept(rolled)))
-        values = self._values(danger, joystick, last)
+        values, recent = self._values(danger, joystick, last, recent)
         action = values.argmax(dim=1)
         alarm = self._alarm(danger, joystick, alarm)
         chosen = self.commands[action][:, None]
         waiting = torch.cat([waiting[:, 1:], chosen], 1)
         sent = torch.cat([self.points[action][:, None], sent[:, :-1]], 1)
         last = (action[:, None] + 1).to(torch.float32)
-        return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm
+        return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm, recent
 
     def _alarm(self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor) -> torch.Tensor:
         """As `alarm.next_alarm`."""
@@ -276,8 +279,10 @@ class DangerGraph(nn.Module):
         found = self.plane + row * SIDE + column
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
-    def _values(self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
-        """The highest one is what `rule.choose` takes."""
+    def _values(
+        self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor, recent: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The highest one is what `rule.choose` takes; and as `rule.next_recent`."""
         rule = self.rule
         distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
         numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
@@ -287,9 +292,11 @@ class DangerGraph(nn.Module):
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
+        later = torch.where(allowed, (recent - 1.0).clamp(min=0.0), torch.full_like(recent, float(RECENT_TICKS)))
+        allowed = allowed | (own & (recent < 0.5) & (danger < rule.at_once))
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
-        return -torch.where(nothing, danger + LESS_M * distance, cost)
+        return -torch.where(nothing, danger + LESS_M * distance, cost), later
 
 
 def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
