@@ -108,19 +108,18 @@ PATIENT = DangerRule(at_once=0.6)
 
 def taken_of(dangers: list[float], rule: DangerRule, others: float = 0.0) -> list[bool]:
     """Whether the user's own action is taken away, tick by tick, for its dangers."""
-    wish, recent, found = ACTIONS.nearest(STICK), np.zeros(81, np.int64), []
+    wish, recent, found = ACTIONS.nearest(STICK), 0, []
     for level in dangers:
         danger = np.full(81, others)
         danger[wish] = level
         found.append(choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
-        recent = next_recent(recent, ~within(danger, rule))
+        recent = next_recent(recent, not within(danger, rule)[wish], level, rule)
     return found
 
 
 def test_a_lone_doubtful_tick_takes_nothing_away_two_in_a_row_do():
     assert taken_of([0.3, 0.0, 0.0, 0.3, 0.3, 0.3], DangerRule()) == [True, False, False, True, True, True]
-    short = [0.0] * RECENT_TICKS
-    assert taken_of([0.3, *short, 0.3, 0.3, 0.3], PATIENT) == [False, *map(bool, short), False, True, True]
+    assert taken_of([0.3, 0.0, 0.3, 0.3, 0.3], PATIENT) == [False, False, False, True, True]
 
 
 def test_who_drives_to_learn_has_neither_rival_nor_patience():

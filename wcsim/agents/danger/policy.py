@@ -42,7 +42,7 @@ class DangerPolicy:
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
         self._eye = Eye(config, delay_ticks, net.spec.looks)
-        self._last, self._recent = -1, np.zeros(len(self._actions), np.int64)
+        self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.sight: DangerSight  # of the newest observation
         self.told: F64  # the newest dangers
@@ -77,8 +77,7 @@ class DangerPolicy:
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self._eye.forget()
-        self._alarm, self._last = Alarm(), -1
-        self._recent = np.zeros(len(self._actions), np.int64)
+        self._alarm, self._last, self._recent = Alarm(), -1, 0
 
     def act(self, observation: Observation) -> int:
         """The action nearest to the user's stick that is safe enough."""
@@ -90,11 +89,12 @@ class DangerPolicy:
         """The same, while another action may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         danger = self.dangers(observation)
-        self._alarm = next_alarm(self._alarm, float(danger[self._actions.nearest(stick)]), self.rule.warn)
+        own = self._actions.nearest(stick)
+        self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
         doubted = self._doubted()
         self.unsafe = ~within(danger, self.rule, self._last, doubted)
         taken = choose(danger, stick, self._actions, self.rule, self._last, doubted, self._recent > 0)
-        self._recent = next_recent(self._recent, self.unsafe)
+        self._recent = next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
         return taken
 
     def _doubted(self) -> Bool | None:

@@ -10,17 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.config import DangerConfig
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool
 
-Ticks = npt.NDArray[np.int64]
-
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
-RECENT_TICKS: Final = 5  # for so long after it was unsafe, a position is out as soon as it is unsafe again
+RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
 RIVAL_KEYS: Final = ("doubt", "trust", "caution")  # of `DangerRule`, what is about the rival
 
 
@@ -86,16 +83,25 @@ def within(danger: F64, rule: DangerRule, last: int = -1, doubted: Bool | None =
     return allowed
 
 
-def next_recent(before: Ticks, unsafe: Bool) -> Ticks:
-    """(A,) for how many ticks more each action was unsafe a short time ago; `before` is what it was a tick ago.
+def next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> int:
+    """For how many ticks more the user's own action is taken away as soon as it is unsafe.
 
-    >>> ticks = np.zeros(2, np.int64)
-    >>> for unsafe in ([True, False], [False, False], [False, True]):
-    ...     ticks = next_recent(ticks, np.array(unsafe))
-    >>> ticks.tolist()
-    [3, 5]
+    Args:
+        before: What it was a tick ago; 0 at the start.
+        unsafe: Whether the user's own action is unsafe in this tick.
+        danger: Of it.
+        rule: See there.
+
+    >>> rule, ticks, found = DangerRule(at_once=0.6), 0, []
+    >>> for danger in (0.3, 0.0, 0.3, 0.3, 0.0):
+    ...     ticks = next_recent(ticks, danger >= rule.threshold, danger, rule)
+    ...     found.append(ticks)
+    >>> found
+    [1, 0, 1, 5, 4]
     """
-    return np.where(unsafe, RECENT_TICKS, np.maximum(before - 1, 0))
+    if not unsafe:
+        return max(before - 1, 0)
+    return RECENT_TICKS if before > 0 or danger >= rule.at_once else 1
 
 
 def choose(
@@ -105,7 +111,7 @@ def choose(
     rule: DangerRule,
     last: int = -1,
     doubted: Bool | None = None,
-    recent: Bool | None = None,
+    recent: bool = True,
 ) -> int:
     """The action. Where none is safe enough, it is as if the rival would take them all.
 
@@ -116,7 +122,7 @@ def choose(
         rule: See there.
         last: The action before, -1 for none.
         doubted: (A,) which actions the rival holds for unsafe; None where it is not asked.
-        recent: (A,) which were unsafe a short time ago, see `next_recent`; None for all of them.
+        recent: Whether the user's own was unsafe a short time ago, see `next_recent`.
     """
     distance = actions.distances(stick[None])[0]
     cost = distance + rule.shy * danger / limits(danger, rule, doubted)
@@ -124,8 +130,7 @@ def choose(
         cost[last] -= rule.keep
     allowed = within(danger, rule, last, doubted)
     own = int(np.argmin(distance))
-    doubtful = recent is not None and not recent[own] and danger[own] < rule.at_once
-    if allowed[own] or doubtful:
+    if allowed[own] or (not recent and danger[own] < rule.at_once):
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))

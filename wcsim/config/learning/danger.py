@@ -40,7 +40,7 @@ class DangerConfig(Model):
     keep: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
     lenient: Positive = 1.3  # times the threshold for the last action
     shy: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
-    at_once: Share = 0.0  # danger from which one tick takes the user's own away; below it two in a row; 0: every tick
+    at_once: Share = 0.0  # danger from which one tick takes the user's own away; below it two in a row do; 0: one
     doubt: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # times the threshold for what `dwa` holds for unsafe
     trust: Annotated[float, Field(ge=1.0, le=10.0)] = 1.0  # and for what `dwa` would take; 1 and 1: it is not asked
     caution: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0  # the level of that `dwa`

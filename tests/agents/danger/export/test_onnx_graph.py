@@ -130,13 +130,14 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         danger[actions.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
         own = actions.nearest(stick.astype(np.float64))
         danger[own] = rng.choice(np.array([0.05, 0.3, 0.7, 1.0], np.float32))
-        recent = rng.integers(0, 3, 81)
+        recent = int(rng.integers(0, 3))
         exact = danger.astype(np.float64)
         chosen.append(choose(exact, stick.astype(np.float64), actions, rule, last, recent=recent > 0))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
-        values, later = graph._values(*told, torch.as_tensor(recent.astype(np.float32))[None])
+        values, later = graph._values(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
-        assert np.array_equal(later[0].numpy(), next_recent(recent, ~within(exact, rule, last)))
+        unsafe = not within(exact, rule, last)[own]
+        assert float(later[0, 0]) == next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE
     assert beyond > 20 and len(set(chosen)) > 40 and doubtful > 20

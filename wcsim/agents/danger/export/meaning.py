@@ -45,10 +45,10 @@ _OUTPUTS: Final = {
     "danger": "float32 (1, A) in 0..1: how sure it is that the action ends badly",
 }
 _RULE: Final = (
-    "already in `values`: the user's own action where its danger is below threshold, or below at_once and the same "
-    "action was not above the threshold within the last ticks that state_recent counts; else the nearest that is "
-    "below it, each farther by shy times its danger over the threshold, the last one nearer by keep and allowed up to "
-    "lenient times the threshold; it warns above warn"
+    "already in `values`: the user's own action where its danger is below threshold, or below at_once and it was not "
+    "above the threshold in the ticks before, which state_recent counts; else the nearest action that is below it, "
+    "each farther by shy times its danger over the threshold, the last one nearer by keep and allowed up to lenient "
+    "times the threshold; it warns above warn"
 )
 _GUARD: Final = (
     "a tick is bad without frames, with an input or output that is not finite, a frame older than oldest_s, or an "

@@ -134,7 +134,7 @@ class DangerGraph(nn.Module):
             "state_last": (1, 1),  # action, counted from 1
             "state_cells": (1, 6, RASTER * RASTER),
             "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
-            "state_recent": (1, len(self.points)),  # ticks left in which each action was unsafe a short time ago
+            "state_recent": (1, 1),  # ticks left in which the user's own action was unsafe a short time ago
         }
 
     def forward(
@@ -292,8 +292,11 @@ class DangerGraph(nn.Module):
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
-        later = torch.where(allowed, (recent - 1.0).clamp(min=0.0), torch.full_like(recent, float(RECENT_TICKS)))
-        allowed = allowed | (own & (recent < 0.5) & (danger < rule.at_once))
+        doubtful = (recent < 0.5) & (danger < rule.at_once)
+        unsafe = (own & ~allowed).any(dim=1, keepdim=True)
+        sure = (own & ~doubtful).any(dim=1, keepdim=True).to(recent.dtype)
+        later = torch.where(unsafe, 1.0 + (RECENT_TICKS - 1.0) * sure, (recent - 1.0).clamp(min=0.0))
+        allowed = allowed | (own & doubtful)
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
         return -torch.where(nothing, danger + LESS_M * distance, cost), later
