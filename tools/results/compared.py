@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ BLINDED: Final = "oracle-visible"
 BOUNDS: Final = ("oracle", BLINDED)  # they know what no camera shows, or what no picture says
 HARD: Final = ("hazard", "tight")
 Counts = npt.NDArray[np.float64]
+Rows = Mapping[tuple[str, str], Row]  # by policy and part, "" for all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +44,7 @@ class Wanted:
 def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
     """Tables in Markdown: scores network by network less the rival's, the user never met, and what is wanted."""
     parts = [*dict.fromkeys(row["part"] for row in result.rows), ""]
-    lines = ["", f"| part | {' | '.join(_short(run) for run in runs)} |", "|---" * (len(runs) + 1) + "|"]
+    lines = ["", f"| part | {' | '.join(Path(run).name for run in runs)} |", "|---" * (len(runs) + 1) + "|"]
     lines += [
         f"| {part or 'all'} | {' | '.join(difference_text(result, run, part) for run in runs)} |" for part in parts
     ]
@@ -55,10 +57,8 @@ def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
 def difference_text(result: KeptResult, run: str, part: str) -> str:
     """A network's score less the rival's, and the own crashes that the rival has and it has not, and the other way."""
     mine, others = records_of(result, run, part), records_of(result, RIVAL, part)
-    less = [one.score - other.score for one, other in zip(mine, others, strict=True)]
-    low, high = bootstrapped(less) or (float("nan"), float("nan"))
     saved, lost = saved_and_lost(mine, others)
-    return f"{np.mean(less):+.3f} ({low:+.3f} to {high:+.3f}), {saved} and {lost}"
+    return f"{_mean_text(scores_of(mine) - scores_of(others))}, {saved} and {lost}"
 
 
 def by_user_text(result: KeptResult, policy: str) -> str:
@@ -71,18 +71,18 @@ def by_user_text(result: KeptResult, policy: str) -> str:
         f"{sum(record.score for record in some) / max(len(some), 1):.3f}"
         for some in (new, met)
     )
-    return f"| {_short(policy)} | {' | '.join(cells)} |"
+    return f"| {Path(policy).name} | {' | '.join(cells)} |"
 
 
 def wanted(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
     """Everything that is wanted of networks on a suite, taken together over their seeds."""
-    rows = {row["policy"]: row for row in result.pooled}
+    rows = {(row["policy"], row["part"]): row for row in (*result.rows, *result.pooled)}
     return [
         _left(result, runs),
         _half(result, runs),
-        *_survived(result, runs),
+        *_survived(rows, runs),
         *_obedience(rows, runs),
-        _arrivals(result, runs),
+        _arrivals(rows, runs),
         _needless(rows, runs),
         _warned(rows, runs),
         _ahead(result, runs),
@@ -97,6 +97,11 @@ def records_of(result: KeptResult, policy: str, part: str = "") -> list[EpisodeR
 def counts_of(records: Sequence[EpisodeRecord]) -> Counts:
     """(N, 2) own crashes and km, an episode a row."""
     return np.array([[record.own, record.m / 1000.0] for record in records], np.float64)
+
+
+def scores_of(records: Sequence[EpisodeRecord]) -> Counts:
+    """(N,) of each episode."""
+    return np.array([record.score for record in records], np.float64)
 
 
 def left_of(nets: Sequence[Counts], follow: Counts, oracle: Counts) -> tuple[float, float, float]:
@@ -147,28 +152,29 @@ def _half(result: KeptResult, runs: Sequence[str]) -> Wanted:
     return Wanted(what=f"own crashes, of `{RIVAL}`'s", bar="0.5", got=said, reached=bool(ratio <= 0.5))
 
 
-def _survived(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
+def _survived(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
     """One figure a hard part; reached is a gain of 20 points in one of them and no loss in the other."""
-    gains = {}
-    for part in HARD:
-        rival = np.mean([not record.own for record in records_of(result, RIVAL, part)])
-        nets = [np.mean([not record.own for record in records_of(result, run, part)]) for run in runs]
-        gains[part] = 100.0 * float(np.mean(nets) - rival), 100.0 * float(rival)
-    reached = max(gain for gain, _ in gains.values()) >= 20.0 and min(gain for gain, _ in gains.values()) >= 0.0
+
+    def survived(policy: str, part: str) -> float:
+        row = rows[policy, part]
+        return 100.0 * (1.0 - row["crashes_own"] / row["episodes"])
+
+    gains = {part: float(np.mean([survived(run, part) for run in runs])) - survived(RIVAL, part) for part in HARD}
+    reached = max(gains.values()) >= 20.0 and min(gains.values()) >= 0.0
     return [
         Wanted(
-            what=f"survived in {part}, less `{RIVAL}`'s {rival:.0f} %",
+            what=f"survived in {part}, less `{RIVAL}`'s {survived(RIVAL, part):.0f} %",
             bar="20 points in one, none lost in the other",
             got=f"{gain:+.1f} points",
             reached=reached,
         )
-        for part, (gain, rival) in gains.items()
+        for part, gain in gains.items()
     ]
 
 
-def _obedience(rows: Mapping[str, Row], runs: Sequence[str]) -> list[Wanted]:
-    within = [rows[run]["kpi1_free_within"] or 0.0 for run in runs]
-    paces = [(rows[run]["speed_mps"] or 0.0) / (rows[USER]["speed_mps"] or 1.0) for run in runs]
+def _obedience(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
+    within = [rows[run, ""]["kpi1_free_within"] or 0.0 for run in runs]
+    paces = [(rows[run, ""]["speed_mps"] or 0.0) / (rows[USER, ""]["speed_mps"] or 1.0) for run in runs]
     return [
         Wanted(
             what="within 0.1768 on moving free steps", bar="95 %", got=_each(within, 100.0, 1, " %"),
@@ -180,10 +186,9 @@ def _obedience(rows: Mapping[str, Row], runs: Sequence[str]) -> list[Wanted]:
     ]  # fmt: skip
 
 
-def _arrivals(result: KeptResult, runs: Sequence[str]) -> Wanted:
-    rows = {row["policy"]: row for row in result.rows if row["part"] == "crossing"}
-    shares = [rows[run]["arrivals"] / max(rows[run]["attempts"], 1) for run in runs]
-    rival = rows[RIVAL]["arrivals"] / max(rows[RIVAL]["attempts"], 1)
+def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
+    crossing = [rows[name, "crossing"] for name in (RIVAL, *runs)]
+    rival, *shares = (row["arrivals"] / max(row["attempts"], 1) for row in crossing)
     return Wanted(
         what="arrivals of crossings",
         bar=f"`{RIVAL}`'s {100 * rival:.1f} %, less 3 points",
@@ -192,34 +197,34 @@ def _arrivals(result: KeptResult, runs: Sequence[str]) -> Wanted:
     )
 
 
-def _needless(rows: Mapping[str, Row], runs: Sequence[str]) -> Wanted:
-    counts = [rows[run]["needless"] for run in runs]
-    most = rows[RIVAL]["needless"]
+def _needless(rows: Rows, runs: Sequence[str]) -> Wanted:
+    most, *counts = (rows[name, ""]["needless"] for name in (RIVAL, *runs))
     reached = float(np.mean(counts)) <= most
     return Wanted(what="needless interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
 
 
-def _warned(rows: Mapping[str, Row], runs: Sequence[str]) -> Wanted:
-    shares = [rows[run]["warned_share"] or 0.0 for run in runs]
+def _warned(rows: Rows, runs: Sequence[str]) -> Wanted:
+    shares = [rows[run, ""]["warned_share"] or 0.0 for run in runs]
     reached = float(np.mean(shares)) >= 0.9
     return Wanted(what="warned 1 s ahead", bar="90 %", got=_each(shares, 100.0, 0, " %"), reached=reached)
 
 
 def _ahead(result: KeptResult, runs: Sequence[str]) -> Wanted:
     """The mean score against the best baseline that is no bound."""
-    scores: dict[str, Any] = {row["policy"]: row["score"] or 0.0 for row in result.pooled}
-    best = max((name for name in scores if name not in (*BOUNDS, *runs)), key=scores.__getitem__)
-    mine = np.mean([[record.score for record in records_of(result, run)] for run in runs], axis=0)
-    less = mine - np.array([record.score for record in records_of(result, best)])
-    low, high = bootstrapped(less) or (float("nan"), float("nan"))
-    said = f"{_each([scores[run] for run in runs], 1.0, 3)}; {less.mean():+.3f} ({low:+.3f} to {high:+.3f})"
-    reached = all(scores[run] > scores[best] for run in runs)
-    return Wanted(what="score", bar=f"above `{best}`'s {scores[best]:.3f}", got=said, reached=reached)
+    scores = {name: scores_of(records_of(result, name)) for name in result.episodes if name not in BOUNDS}
+    means = {name: float(each.mean()) for name, each in scores.items()}
+    best = max((name for name in means if name not in runs), key=means.__getitem__)
+    less = np.mean([scores[run] for run in runs], axis=0) - scores[best]
+    said = f"{_each([means[run] for run in runs], 1.0, 3)}; {_mean_text(less)}"
+    reached = all(means[run] > means[best] for run in runs)
+    return Wanted(what="score", bar=f"above `{best}`'s {means[best]:.3f}", got=said, reached=reached)
+
+
+def _mean_text(values: Counts) -> str:
+    """A mean over episodes and its 95 % interval, with their signs."""
+    low, high = bootstrapped(values) or (float("nan"), float("nan"))
+    return f"{values.mean():+.3f} ({low:+.3f} to {high:+.3f})"
 
 
 def _each(values: Sequence[float], factor: float, digits: int, unit: str = "") -> str:
     return ", ".join(f"{factor * value:.{digits}f}" for value in values) + unit
-
-
-def _short(run: str) -> str:
-    return run.rsplit("/", 1)[-1]
