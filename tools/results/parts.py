@@ -44,6 +44,7 @@ ON_TOP: Final = (
     *("learn.danger_weight=1", "learn.phase1_steps=0"),
     *("cameras.0.noise=typical", "world.action_delay_ticks=2"),
 )
+AT_0_MS: Final = "world.action_delay_ticks=0"
 NETWORK_ALONE: Final = ("danger.doubt=1.0", "danger.trust=1.0")  # the rival in the rule would hide what it loses
 # Half of the updates that the rounds have.
 ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500", *NETWORK_ALONE)
@@ -94,6 +95,8 @@ def parts(out: Path) -> list[Part]:
         Part(name="paper-v1", says="that network on Street Assist v1", steps=(paper, judged(out, "v1", ("paper-1",))))
     )
     found.append(Part(name="v1", says="the three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
+    both = judged(out, "dev", runs), judged(out, "dev", runs, alone=True, settings=(AT_0_MS,))
+    found.append(Part(name="dev", says="the three networks on the suite dev, and on it without delay", steps=both))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
 
@@ -129,20 +132,26 @@ def trained(
 ) -> Step:
     """A training run in Helsinki, or one that learns from a data folder."""
     run = out / name
-    changed = [word for setting in settings for word in ("--set", setting)]
-    words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *changed)
+    words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *_set(settings))
     words = (*words, "--data", str(data)) if data is not None else words
     again = ("train", "--resume", "--out", str(run))
     return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 
-def judged(out: Path, suite: str, runs: tuple[str, ...], alone: bool = False) -> Step:
+def judged(
+    out: Path, suite: str, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()
+) -> Step:
     """A test of runs on a suite, beside all baselines or beside the user alone; kept blocks are not driven again."""
-    name = "-".join((suite, *runs)) if runs else suite
+    kind = "-".join((suite, *(setting.replace("=", "-") for setting in settings)))
+    name = "-".join((kind, *runs))
     policies = tuple(str(out / run) for run in runs) or BASELINES
-    # One folder a suite: what it has kept of the baselines serves every test.
-    folder = out / "judged" / suite
+    # One folder a suite and its settings: what it has kept of the baselines serves every test.
+    folder = out / "judged" / kind
     table = out / "tables" / f"{name}.json"
     words = ("test", *policies, "--suite", suite, "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
-    words = (*words, "--json", str(table))
+    words = (*words, *_set(settings), "--json", str(table))
     return Step(words=words, again=(*words, "--resume"), folder=folder, makes=table)
+
+
+def _set(settings: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(word for setting in settings for word in ("--set", setting))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tools.results.compared import BLINDED, RIVAL, USER, compared_text
-from tools.results.parts import SEEDS
+from tools.results.parts import AT_0_MS, SEEDS, judged
 from wcsim.agents.evaluation.suite.result_files import read_result
 
 COLUMNS: Final = (
@@ -25,10 +25,11 @@ def page(out: Path) -> str:
         result = json.loads(path.read_text(encoding="utf-8"))
         said = f"{result['suite']}-{result['set']}, list `{result['list_sha256'][:12]}`"
         found.append(f"### {path.stem} ({said})\n\n" + suite_table(result, out))
-    judged = out / "judged" / "v1"
+    v1 = out / "judged" / "v1"
     runs = [name for name in (f"laptop-{seed}" for seed in SEEDS) if (out / name).is_dir()]
-    if (judged / "episodes.json").is_file() and runs:
-        found.append(pooled_text(judged, [str(out / name) for name in runs]))
+    if (v1 / "episodes.json").is_file() and runs:
+        found.append(pooled_text(v1, [str(out / name) for name in runs]))
+    found.append(delay_text(out, runs))
     return "\n".join(found)
 
 
@@ -72,13 +73,33 @@ def share(value: float | None) -> str:
     return "-" if value is None else f"{100.0 * value:.1f} %"
 
 
-def pooled_text(judged: Path, runs: Sequence[str]) -> str:
+def pooled_text(folder: Path, runs: Sequence[str]) -> str:
     """Networks of several seeds together against the baselines, or what has to be driven before."""
-    result = read_result(judged)
+    result = read_result(folder)
     missing = [name for name in (USER, BLINDED, RIVAL, *runs) if name not in result.episodes]
     if missing:
-        return f"{judged}: no rows of {', '.join(missing)}; run the parts before\n"
+        return f"{folder}: no rows of {', '.join(missing)}; run the parts before\n"
     return compared_text(result, runs)
+
+
+def delay_text(out: Path, runs: Sequence[str]) -> str:
+    """Scores on `dev` with the delay and without, a network a row; nothing before both are driven."""
+    both = [judged(out, "dev", tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
+    if not all(path.is_file() for path in both):
+        return ""
+    late, prompt = (_scores(path) for path in both)
+    lines = ["| network | score with the delay | without | of it |", "|---|---|---|---|"]
+    lines += [
+        f"| {name} | {late[str(out / name)]:.3f} | {prompt[str(out / name)]:.3f} "
+        f"| {100.0 * late[str(out / name)] / prompt[str(out / name)]:.0f} % |"
+        for name in runs
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _scores(path: Path) -> dict[str, float]:
+    pooled = json.loads(path.read_text(encoding="utf-8"))["pooled"]
+    return {row["policy"]: row["score"] or 0.0 for row in pooled}
 
 
 if __name__ == "__main__":

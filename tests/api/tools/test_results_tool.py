@@ -1,10 +1,11 @@
 """`make results`: parts, what is typed, what is left of the user's crashes."""
 
+import json
 import sys
 
 from tools.results.__main__ import code_of, command_of, is_done, main
-from tools.results.parts import Part, judged, parts, trained
-from tools.results.tables import page
+from tools.results.parts import AT_0_MS, Part, judged, parts, trained
+from tools.results.tables import delay_text, page
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.config import RunConfig, load_run_config
 from wcsim.server.specs import RunInfo
@@ -62,3 +63,13 @@ def test_an_unknown_part_is_refused(tmp_path, capsys):
 
 def test_a_folder_without_tables_has_none(tmp_path):
     assert page(tmp_path) == ""
+
+
+def test_what_a_delay_costs_is_said_once_both_lists_are_driven(tmp_path):
+    late, prompt = (judged(tmp_path, "dev", ("n-1",), settings=settings) for settings in ((), (AT_0_MS,)))
+    assert late.folder != prompt.folder and "--set" not in late.words and AT_0_MS in prompt.words
+    late.makes.parent.mkdir()
+    for step, score in ((late, 0.6), (prompt, 0.8)):
+        assert delay_text(tmp_path, ["n-1"]) == ""
+        step.makes.write_text(json.dumps({"pooled": [{"policy": str(tmp_path / "n-1"), "score": score}]}))
+    assert "| n-1 | 0.600 | 0.800 | 75 % |" in delay_text(tmp_path, ["n-1"])
