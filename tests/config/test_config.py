@@ -53,7 +53,10 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
         ("cameras.0.hfov_deg=10", "hfov_deg.* got 10 deg; expected at least 20 and at most 140 deg"),
         ("cameras.0.p_BC_m=[0.3, 0.0, 9.0]", "p_BC_m.2.* got 9.0 m; expected at least 0.02 and at most 3 m"),
         ("cameras.0.name='a b'", "name"),
-        ("cameras.0.noise=some", "CameraNoiseConfig.*some"),
+        ("cameras.0.noise=some", "noise: got .some.; expected typical, none, or a table of depth, classes, rgb$"),
+        ("cameras.0.noise.depth=typical", "depth: got .typical.; expected none, or a table of baseline_m, sigma_px"),
+        ("sensors.odometry=typicla", "odometry: got .typicla.; expected typical, none, .*did you mean 'typical'"),
+        ("learn=3", "learn: got 3; expected a table of keys"),
         ("cameras.0.noise.depth.sigma_px=-1", "sigma_px.* got -1 px; expected at least 0 and at most 2 px"),
         ("cameras.0.noise.rgb.snr_db=100", "snr_db.* got 100 dB; expected at least 6 and at most 80 dB"),
         ("cameras.0.noise.classes.border_px=1.5", "border_px"),
@@ -72,6 +75,14 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
 def test_a_number_out_of_bounds_is_refused_with_its_unit_and_its_bounds(override, says):
     with pytest.raises(ConfigError, match=says):
         load_run_config("quick", (override,))
+
+
+def test_what_is_wrong_with_an_item_is_told_without_what_follows_for_its_list():
+    with pytest.raises(ConfigError) as told:
+        load_run_config("quick", ("cameras.0.widht_px=80",))
+    assert str(told.value).endswith("remove it or correct its name; did you mean 'width_px'?")
+    with pytest.raises(ConfigError, match=r"cameras: Tuple should have at least 1 item"):
+        load_run_config("quick", ("cameras=[]",))
 
 
 def test_a_camera_must_see_something():

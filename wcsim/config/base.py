@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -35,6 +35,7 @@ class Model(BaseModel):
     """Base of all models: frozen, and unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    stand_ins: ClassVar[tuple[str, ...]] = ()  # words that are taken in the place of its table
 
 
 def fault(model: type[BaseModel], item: Any) -> str:
@@ -45,6 +46,8 @@ def fault(model: type[BaseModel], item: Any) -> str:
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
         return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"
+    if item["type"] == "model_type":
+        return f"{key}: got {got}; {_table(model, item)}"
     if item["type"] not in _OUT_OF_BOUNDS:
         return f"{key}: {item['msg']}, got {got}"
     names = [part for part in item["loc"] if isinstance(part, str)]
@@ -59,6 +62,15 @@ def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
     keys = list(next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {}))
     near = meant(str(loc[-1]), keys)
     return near if near or not keys or len(keys) > _MOST_KEYS else f"; expected one of: {', '.join(keys)}"
+
+
+def _table(model: type[BaseModel], item: Any) -> str:
+    """What is expected where something else stands than a table, and the word for it that is nearest."""
+    kind = next((kind for kind in _parts(_at(model, item["loc"])) if _is_model(kind)), Model)
+    words, keys = getattr(kind, "stand_ins", ()), list(kind.model_fields)
+    table = f"a table of {', '.join(keys)}" if 0 < len(keys) <= _MOST_KEYS else "a table of keys"
+    expected = f"expected {', '.join(words)}, or {table}" if words else f"expected {table}"
+    return expected + (meant(item["input"], words) if isinstance(item["input"], str) else "")
 
 
 def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +13,7 @@ from wcsim.config.run import RunConfig
 from wcsim.config.sensors import by_word
 from wcsim.core import reading
 from wcsim.core.reading import FileKind, shown
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, meant
 
 CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
 
@@ -37,10 +38,16 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found = error.errors()
+        found = _causes(error.errors())
         told = [fault(model, item) for item in found[:_FAULTS]]
         more = [f"and {len(found) - _FAULTS} more"] if len(found) > _FAULTS else []
         raise ConfigError(f"{where}: " + "; ".join([*told, *more])) from None
+
+
+def _causes(found: Sequence[Any]) -> list[Any]:
+    """Errors of pydantic without those of lists that are too short only as an item of theirs is wrong."""
+    above = {item["loc"][:depth] for item in found for depth in range(len(item["loc"]))}
+    return [item for item in found if item["type"] != "too_short" or item["loc"] not in above]
 
 
 def parse_json(model: type[M], text: str, where: str) -> M:
@@ -53,8 +60,9 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
     folder = Path(__file__).parent / "presets"
     path = folder / f"{preset}.toml"
     if not path.is_file():
-        known = ", ".join(sorted(item.stem for item in folder.glob("*.toml")))
-        raise ConfigError(f"unknown preset {shown(preset)!r}; expected one of: {known}")
+        known = sorted(item.stem for item in folder.glob("*.toml"))
+        told = f"unknown preset {shown(preset)!r}; expected one of: {', '.join(known)}"
+        raise ConfigError(told + meant(preset, known))
     data = reading.read_toml(path, CONFIG_FILE)
     where = f"preset {preset}"
     if file is not None:

@@ -34,6 +34,8 @@ def by_word(key: str, given: Any) -> Any:
 class DepthNoiseConfig(Model):
     """A stereo camera's errors. The defaults are those of a small active stereo camera indoors or in the shade."""
 
+    stand_ins = ("none",)
+
     baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05  # between the two imagers
     sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # of the disparity
     step_px: Annotated[float, Field(ge=0.0, le=1.0)] = 0.03125  # to which the disparity is rounded, 0 for not at all
@@ -49,6 +51,8 @@ class DepthNoiseConfig(Model):
 class ClassNoiseConfig(Model):
     """The errors of a network that names the pixels."""
 
+    stand_ins = ("none",)
+
     border_px: Annotated[int, Field(ge=0, le=8)] = 2  # a pixel may take the class of another so near
     border_share: Share = 0.5  # of the pixels at a border that do
     grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # squares that err together
@@ -59,11 +63,15 @@ class ClassNoiseConfig(Model):
 class ColourNoiseConfig(Model):
     """The errors of a colour picture."""
 
+    stand_ins = ("none",)
+
     snr_db: Annotated[float, Field(ge=6.0, le=80.0)] = 40.0  # 20 log10(255 / sigma)
 
 
 class CameraNoiseConfig(Model):
     """Which pictures of a camera are disturbed, and how; a part that is missing, or "none", is exact."""
+
+    stand_ins = ("typical", "none")
 
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
@@ -140,6 +148,8 @@ class ImuConfig(Model):
 class SensorConfig(Model):
     """Base of the section of a sensor whose reading is a row of numbers."""
 
+    stand_ins = ("typical", "none")
+
     @property
     @abstractmethod
     def measure(self) -> Measure:
@@ -167,6 +177,8 @@ class SensorsConfig(Model):
     A field is the name of a kind in `physics/sensors/registry.py`. The word "typical" stands for a table without keys,
     "none" for no sensor. What is not there is not written either, so that old files and their hashes stay.
     """
+
+    stand_ins = ("none",)
 
     @model_validator(mode="before")
     @classmethod
