@@ -15,6 +15,7 @@ import pytest
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
+from wcsim.drive.drawing.still import StillPictures
 from wcsim.physics import engine
 from wcsim.towns.scenario.town import find_town
 
@@ -307,6 +308,13 @@ def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
     assert files_in(folder) == {"new", *made}
     street = cv2.imread(made[0])
     assert street.shape == (540, 960, 3) and street.std() > 20.0
+
+
+def test_look_shows_no_chair_that_still_turns_towards_its_way(wcsim, folder, corner, monkeypatch):
+    faces = iter([False, False, True, True])  # at the beginning, and after each tick
+    monkeypatch.setattr(StillPictures, "on_way", property(lambda stills: next(faces)))
+    told = wcsim("look", corner, "--seconds", "0.3")
+    assert re.search(r"after 0\.[23] s", told.out)
 
 
 def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):

@@ -22,7 +22,7 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import hardest
-from wcsim.types import F64, ClientSnapshot, Command, Joystick, Route
+from wcsim.types import F64, ClientSnapshot, Command, Joystick, PlantState, Route
 from wcsim.users.hand import on_disc
 
 AT_REST = Joystick(0.0, 0.0)
@@ -119,10 +119,7 @@ class DriveSession(Closing):
     @property
     def bearing_rad(self) -> float:
         """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
-        plant, route = self._client.plant, self._route
-        arc_m = min(self._done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
-        x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
-        return wrap(math.atan2(y_m - float(plant.p_WB_m[1]), x_m - float(plant.p_WB_m[0])) - plant.yaw_rad)
+        return way_bearing_rad(self._route, self._done_m, self._client.plant)
 
     @property
     def crash(self) -> str:
@@ -364,6 +361,13 @@ class DriveSession(Closing):
 
     def _intent(self) -> Joystick | None:
         return self.world.seats[0].user.intent
+
+
+def way_bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
+    """Where a way goes on, so far along it, from the chair's heading to the left; 0 straight ahead."""
+    arc_m = min(done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
+    x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
+    return wrap(math.atan2(y_m - float(plant.p_WB_m[1]), x_m - float(plant.p_WB_m[0])) - plant.yaw_rad)
 
 
 def in_gate(stick: Joystick) -> Joystick:

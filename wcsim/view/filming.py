@@ -130,17 +130,22 @@ class FilmedDrive:
 class BusiestMoment:
     """Keeps, while a stage goes on, the moment when most actors, and most of them, were in the picture."""
 
-    def __init__(self, stage: FilmedDrive) -> None:
-        """Begins with now, which stays if nothing is ever in view."""
-        self._stage, self._most = stage, -1.0
+    def __init__(self, stage: FilmedDrive, fits: bool = True) -> None:
+        """Begins with now, which stays if nothing better comes; see `look`."""
+        self._stage, self._best = stage, (fits, -1.0)
         self.shot = stage.shot(0.0)
 
-    def look(self, after_s: float) -> bool:
-        """Take this moment instead, if there is more in it; whether it was taken."""
-        now = self._stage.business()
-        if now <= self._most:
+    def look(self, after_s: float, fits: bool = True) -> bool:
+        """Take this moment instead, if there is more in it, or if it is the first that fits; whether it was taken.
+
+        Args:
+            after_s: Since the beginning.
+            fits: Whether it is what whoever looks wants; one that is not is never taken after one that is.
+        """
+        now = (fits, self._stage.business())
+        if now <= self._best:
             return False
-        self.shot, self._most = self._stage.shot(after_s), now
+        self.shot, self._best = self._stage.shot(after_s), now
         return True
 
 

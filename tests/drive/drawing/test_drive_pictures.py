@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import struct
 
 import cv2
@@ -8,6 +9,7 @@ import pytest
 
 from wcsim.drive.drawing.guidance import GOAL_RGB, WAY_RGB, ground_points, mark_goal
 from wcsim.drive.drawing.pictures import CameraKind, DrivePictures, PageLooks
+from wcsim.drive.drawing.still import StillPictures
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.types import Joystick
 
@@ -51,6 +53,16 @@ def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSe
     assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
     changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
     assert changed > 0.3
+
+
+def test_a_still_tells_whether_the_chair_faces_its_way(session: DriveSession) -> None:
+    stills, told = StillPictures(session.world), set()
+    session.assist(False)
+    for _ in range(90):
+        session.tick(Wish(stick=Joystick(1.0, 0.0)))
+        assert stills.on_way is (abs(session.bearing_rad) < math.radians(30.0))
+        told.add(stills.on_way)
+    assert told == {True, False}, "it turns on the spot"
 
 
 def test_the_camera_is_at_a_new_start_at_once(session: DriveSession) -> None:

@@ -29,7 +29,7 @@ class Options:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
     """Where TOWN-street.png, TOWN.png and TOWN.webm go."""
     seconds: float = 10.0
-    """How long it is filmed; the pictures are of the busiest moment of these."""
+    """How long it is filmed; the pictures are of the busiest moment of these in which the chair faces its way."""
     set: Repeated = ()
     """section.key=value, laid over the settings, such as chair.plant=mine.toml; may be given several times."""
 
@@ -53,12 +53,13 @@ def run(words: list[str]) -> int:
         open_stage(town, options.seed, _WIDTH_PX, options.set) as stage,
         stage.film(video) as film,
     ):
-        stills, busiest = StillPictures(stage.world), BusiestMoment(stage)
+        stills = StillPictures(stage.world)
+        busiest = BusiestMoment(stage, stills.on_way)
         seen, frames = stills.draw(), round(options.seconds / film.tick_s)
         write_whole(street, lambda part: write_png(part, seen))  # something to look at while it is filmed
         for done in range(1, frames + 1):
             film.add()
-            if busiest.look(done * film.tick_s):
+            if busiest.look(done * film.tick_s, stills.on_way):
                 seen = stills.draw()
             bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
     tell_made(missing)

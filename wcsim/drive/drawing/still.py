@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from typing import Final
+
 from wcsim.bridge.world import World
 from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
+from wcsim.drive.session import way_bearing_rad
 from wcsim.physics.renderer.instances import chair_pose
 from wcsim.types import U8
 
 _LOOKS = PageLooks(width_px=960, height_px=540)
+_ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
 
 
 class StillPictures:
@@ -16,6 +21,12 @@ class StillPictures:
 
     def __init__(self, world: World) -> None:
         self._world, self._pictures = world, StreetPictures(world.street, None)
+
+    @property
+    def on_way(self) -> bool:
+        """Whether the chair faces its way now: while it turns first, its picture shows a way that leads elsewhere."""
+        user, plant = self._world.seats[0], self._world.snapshot.clients[0].plant
+        return abs(way_bearing_rad(user.route, user.user.route_progress_m, plant)) < _ON_WAY_RAD
 
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""
