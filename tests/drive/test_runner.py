@@ -14,7 +14,7 @@ from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.runner import JSON, PICTURES, DriveRunner
+from wcsim.drive.runner import JSON, LINE, PICTURES, DriveRunner
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import Joystick
@@ -64,6 +64,12 @@ def test_nobody_at_the_stick_lets_time_stand_still(corner: Path, monkeypatch: py
     states = [json.loads(data) for kind, data in heard if kind == JSON and b'"say":"state"' in data]
     assert {state["tick"] for state in states} == {0}
     assert sum(kind == PICTURES for kind, _ in heard) == 1
+
+
+def test_the_terminal_hears_when_the_chair_stands_in_its_street(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard = heard_of(DriveStart(town=str(corner), policy="dwa", seed=4), monkeypatch)
+    lines = [data.decode() for kind, data in heard if kind == LINE]
+    assert lines[0].endswith(", seed 4: the chair stands in its street")
 
 
 @pytest.fixture

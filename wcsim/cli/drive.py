@@ -11,6 +11,7 @@ import tyro
 from wcsim.cli.pictures.video import require_policy
 from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse, says
 from wcsim.cli.shared.run_config import require_user
+from wcsim.drive.keeping.kept_files import require_new
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
@@ -58,6 +59,11 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
+    if says(words, "--set"):
+        raise ConfigError(
+            "--set is no option of drive, which takes its settings, the chair among them, from the policy; expected "
+            "--policy RUN, a run that was trained with yours: wcsim train --set ... --out RUN"
+        )
     options = parse(Options, words, "drive")
     in_bounds("--port", options.port, 0, 65535)
     if options.study:
@@ -87,6 +93,8 @@ def _require_place(options: Options, words: list[str]) -> None:
     """Refuse what is not there before the simulators are loaded."""
     if options.out is not None or options.participant is not None:
         raise ConfigError("--participant and --out are for a study; expected --study beside them")
+    if options.record is not None:
+        require_new(options.record, "--record")
     require_policy(options.policy)
     require_user(options.profile)
     if options.suite:
@@ -108,7 +116,6 @@ def _require_alone(options: Options, words: list[str]) -> None:
 
 
 def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | None]:
-    from wcsim.drive.keeping.kept_files import require_new
     from wcsim.drive.starting import DriveStart, checked, require_kept
 
     start = DriveStart(
@@ -121,7 +128,6 @@ def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | Non
         seat=options.seat,
     )
     if options.record is not None:
-        require_new(options.record, "--record")
         require_kept(start)
     return checked(start), options.record
 

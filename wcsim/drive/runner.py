@@ -344,6 +344,7 @@ class DriveRunner:
         self._held_s, self._paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
         self._say(about_of(session))
         self._state()
+        self._log(f"{session.place.told}: the chair stands in its street")
         return session
 
     # --- a study ---

@@ -209,15 +209,16 @@ def test_a_drive_that_never_moved_leaves_no_file(kept: Kept, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_are_new_ones(tmp_path: Path) -> None:
+def test_files_are_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.drive"
     assert require_new(path, "--record") == path
     path.touch()
     (tmp_path / "a-2.drive").touch()
     with pytest.raises(ConfigError, match="exists; expected the name of a new file"):
         require_new(path, "--record")
-    with pytest.raises(ConfigError, match="cannot be written to"):
-        require_new(path / "b.drive", "--record")
+    with pytest.raises(ConfigError, match=f": {path} cannot be written to; choose another place with --record"):
+        monkeypatch.chdir(tmp_path)
+        require_new(Path("a.drive/b.drive"), "--record")
     assert next(file_names(path)) == tmp_path / "a-3.drive"
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import http.client
 import signal
+import socket
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.drive.serving.served import FakePage, served
+from wcsim.drive.runner import DriveOrder
+from wcsim.drive.serving.server import ServeOrder, serve_drive
+from wcsim.drive.starting import DriveStart
+from wcsim.errors import ConfigError
 
 pytestmark = pytest.mark.timeout(900)  # a busy machine opens a street in minutes
 Served = tuple[str, subprocess.Popen[str]]
@@ -20,6 +25,20 @@ Served = tuple[str, subprocess.Popen[str]]
 def running(corner: Path) -> Iterator[Served]:
     with served(corner) as drive:
         yield drive
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
+def test_a_host_that_is_not_this_machine_is_named_and_not_the_port(host: str) -> None:
+    order = ServeOrder(start=DriveOrder(start=DriveStart()), host=host, port=0)
+    with pytest.raises(ConfigError, match=f"^{host}:0: cannot be served .*; expected --host with a name or address"):
+        serve_drive(order)
+
+
+def test_a_port_that_somebody_has_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        order = ServeOrder(start=DriveOrder(start=DriveStart()), port=taken.getsockname()[1])
+        with pytest.raises(ConfigError, match=r"choose another --port, 0 takes a free one$"):
+            serve_drive(order)
 
 
 def read(address: str, path: str, headers: dict[str, str]) -> http.client.HTTPResponse:

@@ -17,9 +17,11 @@ def require_new(path: Path, option: str) -> Path:
     """The same path. Raises ConfigError when something is there already, or nothing can be written there."""
     if os.path.lexists(path):
         raise ConfigError(f"{option} {shown(path)} exists; expected the name of a new file")
-    folder = next(each for each in (path.parent, *path.absolute().parents) if each.exists())
+    folder = next(each for each in path.absolute().parents if each.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise ConfigError(f"{option} {shown(path)}: {shown(folder)} cannot be written to; choose another place")
+        raise ConfigError(
+            f"{option} {shown(path)}: {shown(folder)} cannot be written to; choose another place with {option}"
+        )
     return path
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -161,10 +163,7 @@ class DriveServer:
                 server_header=None,
             )
         except OSError as error:
-            where = f"{self._order.host}:{self._order.port}"
-            raise ConfigError(
-                f"{where}: cannot be served ({error.strerror}); choose another --port, 0 takes a free one"
-            ) from None
+            raise _not_served(self._order, error) from None
         try:
             self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C ends it)")
             self._order.say(self._order.kind.begins)
@@ -283,6 +282,17 @@ class DriveServer:
     def _send(self, message: m.PageMessage) -> None:
         if self._process is not None:
             self._process.send(message)
+
+
+def _not_served(order: ServeOrder, error: OSError) -> ConfigError:
+    """What is wrong with an address: the host is no name or address of this machine, or the port cannot be had."""
+    of_host = isinstance(error, socket.gaierror) or error.errno in (None, errno.EADDRNOTAVAIL)  # None: tried several
+    cure = (
+        "expected --host with a name or address of this machine, or 0.0.0.0 for all that it has"
+        if of_host
+        else "choose another --port, 0 takes a free one"
+    )
+    return ConfigError(f"{order.host}:{order.port}: cannot be served ({error.strerror or error}); {cure}")
 
 
 def _file(data: bytes, kind: str, host: str) -> Response:
