@@ -202,5 +202,11 @@ def meant(word: str, known: Iterable[str]) -> str:
     >>> meant("folow", ["follow", "stop"]), meant("xyz", ["follow"])
     ("; did you mean 'follow'?", '')
     """
+    near = nearest(word, known)
+    return f"; did you mean {near!r}?" if near else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known word that is nearest to one that was typed, "" where none is near."""
     found = difflib.get_close_matches(word[:80].lower(), list(known), n=1, cutoff=0.7)
-    return f"; did you mean {found[0]!r}?" if found else ""
+    return found[0] if found else ""

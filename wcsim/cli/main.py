@@ -14,7 +14,7 @@ from types import FrameType
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
 from wcsim.core.reading import shown
-from wcsim.errors import WcsimError
+from wcsim.errors import WcsimError, meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +148,9 @@ def _no_subcommand(words: list[str]) -> int:
 
         print(__version__)
         return Exit.DONE
-    names = ", ".join(item.name for item in SUBCOMMANDS)
-    print(f"wcsim: unknown command {words[0]!r}; expected one of: {names}", file=sys.stderr)
+    names = [item.name for item in SUBCOMMANDS]
+    told = f"unknown command {words[0]!r}; expected one of: {', '.join(names)}{meant(words[0], names)}"
+    print(f"wcsim: {told}", file=sys.stderr)
     return Exit.REFUSED
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, meant
 
 PROFILE_SUFFIX = ".toml"
 """Of the file of a profile, where else the name of one stands."""
@@ -56,8 +56,11 @@ def profile(name: str) -> UserProfile:
     for known in _PROFILES:
         if known.name == name:
             return known
-    names = ", ".join(item.name for item in _PROFILES)
-    raise ConfigError(f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE")
+    names = ", ".join(profile_names())
+    raise ConfigError(
+        f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE"
+        f"{meant(name, profile_names())}"
+    )
 
 
 def is_of_file(name: str) -> bool:

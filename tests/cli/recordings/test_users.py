@@ -24,7 +24,9 @@ def drive(tmp_path_factory) -> Path:
 def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     result = wcsim("users", "fit", drive, "--out", "my user.toml", "--base", "slow", "--json", "told.json")
     assert result.code == 0, result
-    assert "reaction_s" in result.out and "wcsim test --profile" in result.out
+    assert "reaction_s" in result.out
+    hint = result.out.rpartition("try it: ")[2].strip()
+    assert hint == "wcsim test --profile 'my user.toml' --only --episodes 1 --max-steps 600", "a minute, not an hour"
     assert "only 4" in result.err and "tremor" in result.out
     told = json.loads(Path("told.json").read_text())
     assert told["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)

@@ -43,6 +43,21 @@ EARLY = {
     "test --town helsinki": "helsinki is a training town",
     "test --network nowhere:Net": "network module 'nowhere' was not found",
     "test --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "tran": "did you mean 'train'?",
+    "town improt": "did you mean 'import'?",
+    "train --preset laptob": "did you mean 'laptop'?",
+    "test --profile tremour": "did you mean 'tremor'?",
+    "video --policy shiped": "did you mean 'shipped'?",
+    "drive --policy nobody": "shipped, module:Class of your own, or a baseline: follow, random",
+    "drive --set chair.plant=mine.toml": "expected --policy RUN, a run that was trained with yours",
+    "look --tow helsinki": "--tow is no option of look; expected TOWN by itself: wcsim look TOWN",
+    "test --policy dwa": "--policy is no option of test; expected POLICY by itself: wcsim test POLICY",
+    "export --policy shipped": "expected POLICY by itself: wcsim export POLICY",
+    "look --out file/look": "is not a folder that can be written; choose another place with --out",
+    "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb; did you mean",
+    "replay none.drive --verify": "none.drive: is not there; expected a run folder, a trace or a journal, or a",
+    "replay file --verify": "file: is no journal and no recorded drive, and nothing else can be verified",
+    "export shipped --onnx x --ride none.drive": "--ride none.drive: is not there; expected a recorded drive",
     "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
     "join ipc://there --network huge": "unknown network 'huge'",
 }
@@ -102,6 +117,12 @@ def test_an_item_that_a_list_has_not_is_named_with_those_it_has(wcsim, folder):
     refused(wcsim(*given.split()), "cameras.3: there is no such item, the list cameras has 1", "expected cameras.0;")
     refused(wcsim("train", "--set", "cameras.hfov_deg=90"), "cameras.hfov_deg: there is no such item", "[[cameras]]")
     refused(wcsim("train", "--set", "imu.p_BI_m.3=1"), "imu.p_BI_m: expected a list", "as imu.p_BI_m=[...]")
+
+
+def test_a_drive_that_cannot_be_kept_is_refused_before_anything_is_loaded(wcsim, folder):
+    Path("file").write_text("a file, not a folder")
+    refused(wcsim("drive", "--record", "file/a.drive"), f"{folder / 'file'} cannot be written to", "with --record")
+    refused(wcsim("drive", "--record", "file"), "--record file exists; expected the name of a new file")
 
 
 def test_a_baseline_that_is_misspelt_is_answered_with_the_nearest(wcsim, folder):

@@ -215,9 +215,10 @@ def policy_path(name: str) -> Path:
             "of your own"
         )
     if not is_folder(Path(head)):
+        names = (*NAMES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, or a "
-            f"baseline: {', '.join((*NAMES, *UPPER_BOUNDS))}{meant(head, (*NAMES, *UPPER_BOUNDS))}"
+            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, {SHIPPED}, "
+            f"module:Class of your own, or a baseline: {', '.join(names)}{meant(head, (SHIPPED, *names))}"
         )
     run = open_run(Path(head))
     found = run.policy(stage)

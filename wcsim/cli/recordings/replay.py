@@ -92,7 +92,9 @@ def run(words: list[str]) -> int:
 def _check(options: Options) -> None:
     for path in options.runs:
         if not is_folder(path) and not is_file(path):
-            raise ConfigError(f"{shown(path)}: is not there; expected a run folder, a trace or a journal")
+            raise ConfigError(
+                f"{shown(path)}: is not there; expected a run folder, a trace or a journal, or a recorded drive"
+            )
     task = _task(options)
     runs = 2 if options.first_difference else 1
     if len(options.runs) != runs:
@@ -264,7 +266,8 @@ def _verify(options: Options) -> int:
         return _verify_drive(found.path, options)
     if found.kind != JOURNAL:
         raise ConfigError(
-            f"{found.path}: is no journal, and only a journal or a drive can be verified; expected one of a server"
+            f"{shown(found.path)}: is no journal and no recorded drive, and nothing else can be verified; expected a "
+            "run folder of a server, its journal, or a file of `wcsim drive --record` or `wcsim users record`"
         )
     from wcsim.server.journal.journal import read_header
     from wcsim.server.journal.replay import verify

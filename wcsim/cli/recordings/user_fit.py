@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -57,13 +58,18 @@ def run(options: UserFitOptions) -> int:
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
     write_whole(options.out, lambda part: part.write_text(text, encoding="utf-8"))
     _print(fit)
-    print(f"wrote {options.out}; try it: wcsim test --profile {options.out}")
+    print(f"wrote {options.out}; try it: {_trial(options.out)}")
     if options.json is not None:
         from wcsim.users.fitting.fit_user import is_told
 
         told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
         write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
     return 0
+
+
+def _trial(out: Path) -> str:
+    """A minute with the fitted user alone, as it can be typed."""
+    return shlex.join(["wcsim", "test", "--profile", str(out), "--only", "--episodes", "1", "--max-steps", "600"])
 
 
 def base_name(path: Path) -> str:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 
 from wcsim.core.reading import is_folder, shown
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, meant, nearest
 
 T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
@@ -35,12 +36,25 @@ def parse(options: type[T], words: list[str], command: str) -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
     Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
-    hear of it before the work than after it.
+    hear of it before the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
+    _require_bare(options, words, command)
     parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers())
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
     check_output("--json", getattr(parsed, "json", None))
     return parsed
+
+
+def _require_bare(options: type, words: Sequence[str], command: str) -> None:
+    """Refuse an option that is meant for what stands without a name: the parser knows none that is like it."""
+    hints = get_type_hints(options, include_extras=True)
+    notes = {name.replace("_", "-"): getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    for option in (word.partition("=")[0] for word in words if word.startswith("--")):
+        found = notes.get(nearest(option[2:], notes), ())
+        if tyro.conf.Positional in found:
+            told = next((note.metavar for note in found if getattr(note, "metavar", None)), nearest(option[2:], notes))
+            bare = re.findall(r"\w+", told)[0].upper()  # of [TOWN], or FILE [FILE ...]
+            raise ConfigError(f"{option} is no option of {command}; expected {bare} by itself: wcsim {command} {bare}")
 
 
 def _numbers() -> tyro.constructors.ConstructorRegistry:
@@ -97,7 +111,8 @@ def subcommand(words: list[str], command: str, known: Collection[str], options: 
         print("\n".join([f"usage: wcsim {command} {'|'.join(known)} [options]", "", *lines]))
         return ""
     got = f"unknown {command} command {words[0]!r}" if words else f"{command} needs a command"
-    raise ConfigError(f"{got}; expected one of: {', '.join(known)} (wcsim {command} --help)")
+    near = meant(words[0], known) if words else ""
+    raise ConfigError(f"{got}; expected one of: {', '.join(known)} (wcsim {command} --help){near}")
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -162,7 +177,9 @@ def check_folder(option: str, folder: Path) -> None:
     while not os.path.lexists(place) and place != place.parent:
         place = place.parent
     if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigError(f"{option}: {shown(place)} is not a folder that can be written; choose another place")
+        raise ConfigError(
+            f"{option}: {shown(place)} is not a folder that can be written; choose another place with {option}"
+        )
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -15,6 +15,7 @@ from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import RunConfig
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, PolicyError
 
 
@@ -51,6 +52,10 @@ def run(words: list[str]) -> int:
     if not 2 <= options.steps <= 100_000:
         raise ConfigError(f"--steps {options.steps}; expected 2 to 100000")
     check_folder("--onnx", options.onnx)
+    if options.ride is not None and not options.ride.exists():
+        raise ConfigError(
+            f"--ride {shown(options.ride)}: is not there; expected a recorded drive, a journal, or the folder of a run"
+        )
     path = policy_path(options.policy)
     if not is_danger(path):
         raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
