@@ -116,3 +116,13 @@ def test_options_that_a_sentence_names_are_there(told: str, capsys: pytest.Captu
     assert main([words[0], *second, *(each for word in first[:1] for each in (word, "x")), "--help"]) == 0
     known = set(OPTION.findall(capsys.readouterr().out))
     assert set(OPTION.findall(told)) <= known
+
+
+REPLAYED = re.compile(r"`wcsim replay ([^`]+)`")
+TASKS = ("--page", "--fcd", "--mcap", "--verify", "--first-difference")
+
+
+def test_a_sentence_that_replays_something_says_what_is_done_with_it() -> None:
+    told = [found for page in PAGES for found in REPLAYED.findall(page.read_text(encoding="utf-8"))]
+    assert told
+    assert [words for words in told if len({*TASKS} & {*words.split()}) != 1] == []
