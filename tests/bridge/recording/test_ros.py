@@ -6,6 +6,7 @@ import math
 import struct
 import sys
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +15,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests.users.recording.drives import tick, write_drive
 from wcsim.bridge.recording.ros_bag import RosBag
-from wcsim.bridge.recording.ros_chairs import drive_bag, quaternion_of, trace_bag
+from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, quaternion_of, trace_bag
 from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import load_run_config
 from wcsim.core.rotations import matrix, quaternion
 from wcsim.errors import ConfigError
 from wcsim.physics.sensors.camera_geometry import mount
-from wcsim.types import Joystick
+from wcsim.types import CameraFrame, Joystick
 from wcsim.users.recording.drive_reader import read_drive
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -116,9 +117,32 @@ def test_pictures_have_their_encoding_and_ideal_cameras_their_numbers(tmp_path):
     assert found["/imu"].linear_acceleration.z == 9.81
 
 
-def test_a_camera_looks_along_z_of_its_frame(tmp_path):
-    from wcsim.bridge.recording.ros_chairs import RosChair
+def test_the_file_in_a_bags_metadata_is_the_one_that_is_there(bag):
+    with (bag[2] / "a.mcap").open("rb") as file:
+        told = [each.metadata["serialized_metadata"] for each in make_reader(file).iter_metadata()]
+    assert len(told) == 1 and "a.mcap" in told[0] and "bag.mcap" not in told[0]
 
+
+def test_depth_is_infinite_where_nothing_is_in_range_and_no_number_where_nothing_was_measured(tmp_path):
+    """REP 118; wcsim's own pictures have the range and 0 there."""
+    config = load_run_config("quick")
+    camera = config.cameras[0]
+    depth = np.full((camera.height_px, camera.width_px), 7.5, np.float32)
+    depth[0, 0], depth[0, 1] = camera.range_m, 0.0
+    frame = CameraFrame(name=camera.name, taken_tick=1, depth_m=depth, class_id=np.zeros(depth.shape, np.uint8))
+    imu = SimpleNamespace(
+        yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0, gyro_radps=np.zeros(3), accel_mean_mps2=np.array([0.0, 0.0, 9.81])
+    )
+    client = SimpleNamespace(tick=1, sensors=SimpleNamespace(imu=imu, cameras=(frame,)))
+    with RosBag(tmp_path / "a.mcap") as made:
+        RosChair(made, None, 0.0).sensed(0.1, client, config)
+    (told,) = [m for topic, _, _, m in messages(tmp_path / "a.mcap") if topic.endswith("depth/image_raw")]
+    seen = told.data.view(np.float32)
+    assert seen[0] == np.inf and np.isnan(seen[1]) and (seen[2:] == 7.5).all()
+    assert depth[0, 0] == camera.range_m, "the picture itself is left as it is"
+
+
+def test_a_camera_looks_along_z_of_its_frame(tmp_path):
     config = load_run_config("quick")
     with RosBag(tmp_path / "a.mcap") as made:
         RosChair(made, None, 0.0).mounted(0.0, config)

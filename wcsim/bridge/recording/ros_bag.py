@@ -35,7 +35,8 @@ class RosBag(Closing):
         self._path = path
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
-        self._writer: Any = Writer(self._work / "bag", version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._bag = self._work / path.stem  # its metadata calls the file as it will be called
+        self._writer: Any = Writer(self._bag, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         self._topics: dict[str, Any] = {}
         self._closed = False
@@ -48,7 +49,7 @@ class RosBag(Closing):
         self._closed = True
         try:
             self._writer.close()
-            (self._work / "bag" / "bag.mcap").replace(self._path)
+            (self._bag / f"{self._bag.name}.mcap").replace(self._path)
         finally:
             shutil.rmtree(self._work, ignore_errors=True)
 

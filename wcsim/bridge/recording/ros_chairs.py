@@ -18,7 +18,7 @@ from wcsim.config import RunConfig
 from wcsim.core.frames import wrap
 from wcsim.core.rotations import quaternion
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
-from wcsim.types import F64, ClientSnapshot, Joystick
+from wcsim.types import F32, F64, ClientSnapshot, Joystick
 from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
@@ -81,7 +81,8 @@ class RosChair:
             space, where = f"camera/{frame.name}", self.frame(optical(frame.name))
             size_px, ideal = (camera.width_px, camera.height_px), pinhole(camera)
             self._bag.camera_info(self.topic(f"{space}/camera_info"), time_s, where, size_px, ideal.focal_px)
-            self._bag.image(self.topic(f"{space}/depth/image_raw"), time_s, where, frame.depth_m, "32FC1")
+            depth_m = measured(frame.depth_m, camera.range_m)
+            self._bag.image(self.topic(f"{space}/depth/image_raw"), time_s, where, depth_m, "32FC1")
             self._bag.image(self.topic(f"{space}/class/image_raw"), time_s, where, frame.class_id, "mono8")
             if frame.rgb is not None:
                 self._bag.image(self.topic(f"{space}/rgb/image_raw"), time_s, where, frame.rgb, "rgb8")
@@ -126,6 +127,17 @@ def trace_bag(tick_s: float, records: Iterable[TickRecord], out: Path) -> dict[s
 def optical(name: str) -> str:
     """The frame of a camera's pictures: x right, y down, z forward."""
     return f"camera_{name}_optical_frame"
+
+
+def measured(depth_m: F32, range_m: float) -> F32:
+    """Depth (H, W) as REP 118 has it: +Inf where nothing is within the range, NaN where nothing was measured.
+
+    >>> measured(np.array([[0.0, 3.5, 40.0]], np.float32), 40.0).tolist()
+    [[nan, 3.5, inf]]
+    """
+    told: F32 = np.where(depth_m > 0.0, depth_m, np.float32(np.nan))
+    told[depth_m >= np.float32(range_m)] = np.inf
+    return told
 
 
 def quaternion_of(turn: F64) -> F64:
