@@ -101,6 +101,11 @@ def test_a_setting_that_there_is_not_is_noticed() -> None:
         load_run_config("quick", ("world.strete=careless",))
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_page_installs_extras_of_the_wheel_for_no_index_has_wcsim(page: Path) -> None:
+    assert not re.findall(r"pip install '?wcsim\b(?!-)", page.read_text(encoding="utf-8"))
+
+
 OPTION = re.compile(r"--[a-z][a-z-]+")
 TOLD = re.compile(r"`(wcsim [a-z][^`]*--[^`]*)`")
 INLINE = {found for page in PAGES for found in TOLD.findall(page.read_text(encoding="utf-8"))}
