@@ -1,8 +1,9 @@
 """Drives with an exported policy from camera frames: NumPy and ONNX Runtime, no wcsim.
 
-    wcsim export runs/mine --onnx exported
-    python examples/exported_policy.py exported              # drives the recorded reference steps again, and compares
-    python examples/exported_policy.py exported ride.npz     # prints the sticks of a ride with the same inputs
+    wcsim export runs/mine --onnx exported          # puts this file into the folder, too
+    python exported/exported_policy.py              # drives the reference steps beside it again, and compares
+    python exported_policy.py exported              # those of another folder
+    python exported_policy.py exported ride.npz     # prints the sticks of a ride with the same inputs
 
 The folder's meaning.json says what each input is, and what the guard trusts. The model's values follow its rule: the
 action nearest to the user's stick that is safe enough has the highest one. A port that sees nothing follows the stick
@@ -89,7 +90,7 @@ class Driver:
 
 
 if __name__ == "__main__":
-    folder = Path(sys.argv[1])
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
     ride = np.load(sys.argv[2] if len(sys.argv) > 2 else folder / "reference.npz")
     driver = Driver(folder, clock=lambda: 0.0)  # a recorded ride waits for nobody
     keys = ("depth", "seg", "imu", "odometry", "joystick")

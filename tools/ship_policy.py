@@ -18,7 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
-from wcsim.agents.danger.export.onnx_export import MEANING, MODEL, REFERENCE, export_danger
+from wcsim.agents.danger.export.export_folder import REFERENCE
+from wcsim.agents.danger.export.guard_file import MEANING
+from wcsim.agents.danger.export.onnx_export import export_danger
+from wcsim.agents.policies.onnx_policy import MODEL_FILE
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.rounds.learned_data import data_of
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
@@ -51,7 +54,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
         def fill(target: Path) -> None:
             for name in (POLICY_JSON, WEIGHTS):
                 shutil.copyfile(policy / name, target / name)
-            shutil.copyfile(Path(held) / "onnx" / MODEL, target / "model.onnx")
+            shutil.copyfile(Path(held) / "onnx" / MODEL_FILE, target / "model.onnx")
             for name in (MEANING, REFERENCE):
                 shutil.copyfile(Path(held) / "onnx" / name, target / name)
             if (to / "README.md").is_file():

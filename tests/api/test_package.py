@@ -317,7 +317,10 @@ FOLDERS_NAMED = {path.name for path in (ROOT / "wcsim").iterdir() if path.is_dir
     "examples",
     "scenarios",
 }
-NOT_OURS = {"__init__.py", "randomTrips.py", "dist/NOTES.md", "wcsim/Street-v1"}  # any; SUMO's; a release's; an id
+NOT_OURS = {
+    *("__init__.py", "randomTrips.py", "dist/NOTES.md", "wcsim/Street-v1"),  # any; SUMO's; a release's; an id
+    "exported_policy.py",  # of an exported folder
+}
 
 
 def is_ours(word: str) -> bool:

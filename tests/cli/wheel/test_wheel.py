@@ -49,6 +49,7 @@ def test_every_file_that_is_no_code_is_inside(unpacked):
     data = {path.relative_to(ROOT) for path in (ROOT / "wcsim").rglob("*") if path.is_file()}
     data = {path for path in data if "__pycache__" not in path.parts}
     data |= {Path("wcsim") / path.relative_to(ROOT) for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
+    data.add(Path("wcsim/examples/exported_policy.py"))
     assert {path for path in data if not (unpacked / path).is_file()} == set()
 
 
@@ -60,7 +61,8 @@ def test_a_shipped_town_opens(unpacked, tmp_path):
 def test_a_shipped_policy_goes_into_the_wheel(tmp_path):
     """What `tools/ship_policy.py` writes, in a copy of the project with nothing else."""
     held = (*HELD, FILES)
-    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore", "wcsim/__init__.py"):
+    loop = "examples/exported_policy.py"
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore", "wcsim/__init__.py", loop):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     (tmp_path / "scenarios" / "sumo").mkdir(parents=True)

@@ -20,7 +20,7 @@ from wcsim.server.journal.records import JournalRecord, Respawned, Ticked
 from wcsim.server.journal.replay import replayed
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
-from wcsim.users.recording.drive_reader import is_drive, read_drive
+from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,8 +28,20 @@ class RecordedRide:
     """Successive ticks of one episode."""
 
     seen: tuple[Observation, ...]
-    actions: tuple[int, ...]  # what the policy of then chose in each
+    actions: tuple[int, ...]  # what the policy of then chose in each, whichever it was
     delay_ticks: int  # from a command to the chair that obeys it
+
+
+def recorded_with(path: Path) -> tuple[RunConfig, str]:
+    """The settings of a recording, and the policy that drove it; "" of a journal, which names none.
+
+    Raises what `recorded_ride` raises.
+    """
+    path = _file_of(path)
+    if is_drive(path):
+        header = read_drive_header(path)
+        return config_of_drive(header), header.policy
+    return _config_of_journal(path), ""
 
 
 def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
@@ -45,11 +57,19 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
         ConfigError: Its settings cannot be used here, or that seat drove nowhere.
         JournalError: It is neither, or damaged.
     """
-    path = path / JOURNAL if path.is_dir() else path
+    path = _file_of(path)
     ride = _of_drive(path, steps) if is_drive(path) else _of_journal(path, steps, seat)
     if not ride.seen:
         raise ConfigError(f"{shown(path)}: seat {seat} drove no tick; expected the seat of a chair: name another one")
     return ride
+
+
+def _file_of(path: Path) -> Path:
+    return path / JOURNAL if path.is_dir() else path
+
+
+def _config_of_journal(path: Path) -> RunConfig:
+    return parse_json(RunConfig, read_header(path).config, "the configuration in the journal")
 
 
 def _of_drive(path: Path, steps: int) -> RecordedRide:
@@ -73,8 +93,7 @@ def _of_drive(path: Path, steps: int) -> RecordedRide:
 
 
 def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
-    config = parse_json(RunConfig, read_header(path).config, "the configuration in the journal")
-    watch = _SeatWatch(config, seat, steps)
+    watch = _SeatWatch(_config_of_journal(path), seat, steps)
     with closing(replayed(path, None, None, "", watch.look)) as records:
         for _ in records:
             if watch.over:

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
+from wcsim.agents.danger.export.export_folder import require_export_place
+from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
+from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import RunConfig
-from wcsim.core.reading import shown
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.core.reading import is_folder, shown
+from wcsim.errors import ConfigError, PolicyError, meant
+
+if TYPE_CHECKING:
+    from wcsim.agents.danger.export.onnx_export import ExportFacts
+
+_SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly this policy that chose them
 
 
 @dataclass
@@ -26,12 +36,13 @@ class Options:
     policy: Annotated[str, tyro.conf.Positional]
     """A run of a danger network, its policy folder, or shipped; RUN@0.2 sets the assistance level."""
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder to make."""
+    """Folder to make; one of an earlier export is replaced."""
     town: str = "helsinki"
     """Where the reference steps are driven, by turns with the user's stick and with one that is pushed: a town's name,
     its folder, or anybody's .sumocfg."""
     ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """A recorded drive, or the journal of a run, whose first episode gives the reference steps and actions instead."""
+    """A recorded drive, or the journal of a run, whose first episode gives the reference steps instead; the actions are
+    still the policy's own, and how many of them were driven then is said."""
     seat: int = 0
     """Of a journal."""
     steps: int = 200
@@ -52,28 +63,75 @@ def run(words: list[str]) -> int:
     if not 2 <= options.steps <= 100_000:
         raise ConfigError(f"--steps {options.steps}; expected 2 to 100000")
     check_folder("--onnx", options.onnx)
+    require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
             f"--ride {shown(options.ride)}: is not there; expected a recorded drive, a journal, or the folder of a run"
         )
-    path = policy_path(options.policy)
-    if not is_danger(path):
-        raise PolicyError(f"{options.policy} gives values for actions; expected a danger network (learn.head=danger)")
+    path = _network(options.policy)
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
 
-    config, ride, actions = _ride(options)
+    config, ride, recorded = _ride(options)
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
-    facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1], actions)
-    small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
+    chosen = None if recorded is None else recorded.actions
+    facts = export_danger(path, options.onnx, config, ride, limit_ms, split_level(options.policy)[1], chosen)
+    print(f"exported to {options.onnx}: {_compared(facts)}")
+    if recorded is not None and facts.same_as_recorded is not None:
+        print(_beside_recording(facts.same_as_recorded, recorded.by, options.policy))
+    print(_costs(facts))
+    if options.json is not None:
+        write_json(options.json, asdict(facts))
+    return Exit.DONE
+
+
+def _network(name: str) -> Path:
+    """The folder of a danger network. Raises PolicyError, also for what drives and has none."""
+    if is_plain(name):
+        raise PolicyError(
+            f"{shown(name)} has no network of wcsim's to export; expected a run of a danger network, its policy "
+            f"folder, or {SHIPPED}"
+        )
+    head = split_level(name)[0]
+    run = Path(head.rpartition(":")[0] or head)
+    if head != SHIPPED and not is_folder(run) and not is_folder(Path(head)):
+        raise PolicyError(
+            f"{shown(head)} is not a run: there is no such folder; expected one of a danger network that `wcsim train` "
+            f"made, its policy folder, or {SHIPPED}{meant(head, (SHIPPED,))}"
+        )
+    path = policy_path(name)
+    if not is_danger(path):
+        raise PolicyError(f"{name} gives values for actions; expected a danger network (learn.head=danger)")
+    return path
+
+
+def _compared(facts: ExportFacts) -> str:
+    """How the model compares with the network and with wcsim."""
     borders = f" ({facts.border_off:.1g} in {facts.border_steps} of the steps, at borders of cells)"
-    borders = borders if facts.border_steps else ""
-    within = "within" if cost.p99_ms <= facts.bar_ms else "over"
-    print(
-        f"exported to {options.onnx}: {facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most"
-        f"{borders}\n"
+    return (
+        f"{facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most"
+        f"{borders if facts.border_steps else ''}\n"
         f"{facts.same_actions:.1%} of {facts.steps} actions the same ({facts.same_as_wcsim:.1%} as in wcsim), "
-        f"{facts.interventions} of them not the user's own; {facts.warnings} steps with a warning\n"
+        f"{facts.interventions} of them not the user's own; {facts.warnings} steps with a warning"
+    )
+
+
+def _beside_recording(same: float, by: str, policy: str) -> str:
+    """How the network's own actions compare with those of a recording."""
+    told = f"{same:.1%} of the actions as in the recording{f', where {shown(by, 80)} chose' if by else ''}"
+    if same >= _SAME_POLICY and by.partition("@")[0] not in (*NAMES, *UPPER_BOUNDS):
+        return told
+    return (
+        f"{told}: not this policy, or not at this level; the reference steps hold what {shown(policy)} chooses "
+        f"there. What it does when it drives itself: wcsim drive --policy {shlex.quote(policy)} --record FILE"
+    )
+
+
+def _costs(facts: ExportFacts) -> str:
+    """What a step takes."""
+    small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
+    within = "within" if cost.p99_ms <= facts.bar_ms else "over"
+    return (
         f"one thread: {cost.p50_ms:.2f} ms a step (p99 {cost.p99_ms:.2f}, {within} the bar of {facts.bar_ms:g} ms; "
         f"{cost.cpu_p50_ms:.2f} ms of the processor), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
@@ -81,22 +139,35 @@ def run(words: list[str]) -> int:
         f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers off by "
         f"{facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} the same"
     )
-    if options.json is not None:
-        write_json(options.json, asdict(facts))
-    return Exit.DONE
 
 
-def _ride(options: Options) -> tuple[RunConfig, list[Observation], tuple[int, ...] | None]:
-    """The settings, the reference steps, and the actions of a recording."""
-    from wcsim.agents.evaluation.suite.named_policy import open_named
-    from wcsim.agents.rounds.recorded_ride import recorded_ride
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """What was chosen in a recording, and by whom; "" where it does not say."""
+
+    actions: tuple[int, ...]
+    by: str
+
+
+def _ride(options: Options) -> tuple[RunConfig, list[Observation], Recorded | None]:
+    """The settings, the reference steps, and what was chosen in a recording of them."""
+    from wcsim.agents.danger.export.shown_settings import require_shown
+    from wcsim.agents.rounds.recorded_ride import recorded_ride, recorded_with
     from wcsim.agents.rounds.reference_ride import reference_ride
 
-    held = None if options.ride is None else recorded_ride(options.ride, options.steps, options.seat)
-    delay = options.delay_ticks if held is None or options.delay_ticks is not None else held.delay_ticks
-    own = () if delay is None else (f"world.action_delay_ticks={delay}",)
-    config = config_of(options.policy, "laptop", own)
-    if held is not None:
-        return config, list(held.seen), held.actions
-    policy = open_named(options.policy, config, 0)
-    return config, reference_ride(options.town, config, options.steps, policy), None
+    if options.ride is None:
+        config = _config(options, options.delay_ticks)
+        policy = open_named(options.policy, config, 0)
+        return config, reference_ride(options.town, config, options.steps, policy), None
+    then, by = recorded_with(options.ride)
+    require_shown(then, _config(options, None), options.ride, options.policy)  # before its world is made again
+    held = recorded_ride(options.ride, options.steps, options.seat)
+    delay = held.delay_ticks if options.delay_ticks is None else options.delay_ticks
+    return _config(options, delay), list(held.seen), Recorded(actions=held.actions, by=by)
+
+
+def _config(options: Options, delay_ticks: int | None) -> RunConfig:
+    """The settings that fit the policy."""
+    return config_of(
+        options.policy, "laptop", () if delay_ticks is None else (f"world.action_delay_ticks={delay_ticks}",)
+    )

@@ -13,9 +13,9 @@ import pytest
 from tests.agents.danger.export.test_guarded_policy import EXAMPLE
 from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
 from wcsim.agents.danger.export import onnx_export
-from wcsim.agents.danger.export.guard_file import guard_of
+from wcsim.agents.danger.export.guard_file import MEANING, guard_of
 from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
-from wcsim.agents.danger.export.onnx_export import MEANING, MOST_OFF, ExportFacts, export_danger
+from wcsim.agents.danger.export.onnx_export import MOST_OFF, ExportFacts, export_danger
 from wcsim.agents.danger.guard import GuardRule
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,29 +14,24 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from wcsim.agents.danger.export.export_folder import INT8, LOOP, REFERENCE, loop_place
 from wcsim.agents.danger.export.footprint import BAR_MS, PERIOD_S, SHARE, Footprint, footprint
+from wcsim.agents.danger.export.guard_file import MEANING
 from wcsim.agents.danger.export.meaning import meaning_of
 from wcsim.agents.danger.export.onnx_graph import DangerGraph
+from wcsim.agents.danger.export.shown_settings import ODOMETRY, TURNS, as_words, settings_apart
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import alone
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.networks.onnx_form import exported
-from wcsim.agents.policies.onnx_policy import open_session
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
 from wcsim.agents.policy_api import Observation
-from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F32
 
-MODEL, INT8, ABOUT, MEANING, REFERENCE = (
-    "policy.onnx",
-    "policy-int8.onnx",
-    "policy.toml",
-    "meaning.json",
-    "reference.npz",
-)
 _PRESET: Final = "quick"  # that policy.toml begins with
 MOST_OFF: Final = 1e-4  # of a danger, between the model and the network it was made of
 BORDER_SHARE: Final = 0.02  # of the steps, in which a place may lie on the border of two cells and be read in the other
@@ -55,6 +51,7 @@ class ExportFacts:
     border_off: float  # of a danger, in these
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
+    same_as_recorded: float | None = None  # share of a recording's actions that are these; None without a recording
     int8_most_off: float
     int8_same_actions: float
     cost: Footprint
@@ -85,7 +82,7 @@ def export_danger(
         ride: Observations of successive ticks of one episode, for the reference steps.
         limit_ms: For a decision, 99 of 100 times.
         level: Of assistance, a threshold of danger; None for the policy's own.
-        recorded: What was chosen in the ride when it was recorded: the reference's actions; None for the network's.
+        recorded: What was chosen in the ride when it was recorded, by whomever, to compare with; None for no recording.
 
     Raises:
         PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
@@ -105,16 +102,17 @@ def export_danger(
     facts: list[ExportFacts] = []
 
     def fill(target: Path) -> None:
-        (target / MODEL).write_bytes(model)
-        _quantised(target / MODEL, target / INT8)
+        (target / MODEL_FILE).write_bytes(model)
+        _quantised(target / MODEL_FILE, target / INT8)
         facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded))
         if facts[0].cost.p99_ms > limit_ms:
             raise PolicyError(
                 f"a decision takes {facts[0].cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
                 "export it anyway with --force"
             )
-        (target / ABOUT).write_text(_about(config), encoding="utf-8")
-        measured = {"sha256": files.sha256(target / MODEL), "facts": asdict(facts[0])}
+        (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
+        shutil.copyfile(loop_place(), target / LOOP)
+        measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts[0])}
         files.write_json(target / MEANING, {**meaning_of(policy, graph, config), **measured})
 
     files.write_folder(out, fill)
@@ -171,12 +169,12 @@ def _write_reference(
             values, _, danger, *state = graph(*given, *state)
             dangers.append(danger[0].numpy())
             actions.append(int(values.argmax()))
-    off = _off(run_model(target / MODEL, ride, graph.INPUTS, before)["danger"], np.stack(dangers))
-    told = run_model(target / MODEL, ride, graph.INPUTS)
+    off = _off(run_model(target / MODEL_FILE, ride, graph.INPUTS, before)["danger"], np.stack(dangers))
+    told = run_model(target / MODEL_FILE, ride, graph.INPUTS)
     small = run_model(target / INT8, ride, graph.INPUTS)
     inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.INPUTS}
-    to_compare = np.array(actions if recorded is None else recorded)
-    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": to_compare}
+    # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
+    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": np.array(actions)}
     np.savez_compressed(target / REFERENCE, **kept)
     own = points.nearest_many(inputs["joystick"])
     at_border = off > MOST_OFF
@@ -198,9 +196,10 @@ def _write_reference(
         int8_most_off=float(np.abs(small["danger"] - np.stack(dangers)).max()),
         int8_same_actions=float(np.mean(small["values"].argmax(axis=1) == actions)),
         same_as_wcsim=float(np.mean(same)),
-        cost=footprint(target / MODEL, target / REFERENCE, graph.INPUTS),
+        same_as_recorded=None if recorded is None else float(np.mean(np.array(actions) == np.array(recorded))),
+        cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.INPUTS),
         int8_cost=footprint(target / INT8, target / REFERENCE, graph.INPUTS),
-        bytes=(target / MODEL).stat().st_size,
+        bytes=(target / MODEL_FILE).stat().st_size,
         int8_bytes=(target / INT8).stat().st_size,
     )
 
@@ -235,18 +234,12 @@ def _quantised(path: Path, out: Path) -> None:
 
 def _about(config: RunConfig) -> str:
     """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
-    own, plain = config.model_dump(mode="json"), load_run_config(_PRESET).model_dump(mode="json")
-    camera, usual = own["cameras"][0], plain["cameras"][0]
-    told = [(f"cameras.0.{key}", camera[key]) for key in ("width_px", "height_px")]
-    told += [(f"cameras.0.{key}", camera[key]) for key in SIGHT_KEYS if camera[key] != usual[key]]
-    told += [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
-    told += [
-        (f"{section}.{key}", own[section][key])
-        for section, key in (("env", "actions"), ("env", "classes"), ("world", "tick_s"), ("imu", "tilt"))
-        if own[section][key] != plain[section][key]
-    ]
+    usual = load_run_config(_PRESET)
+    own, plain = config.model_dump(mode="json"), usual.model_dump(mode="json")
+    told = [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
+    told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
     told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
-    settings = [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told]
-    settings += ["sensors.odometry=typical", "env.observe_gyro=true"]
+    size = as_words((f"cameras.0.{key}", own["cameras"][0][key]) for key in ("width_px", "height_px"))
+    settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told), ODOMETRY, TURNS))
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'

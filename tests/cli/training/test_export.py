@@ -1,0 +1,107 @@
+"""`wcsim export`: what it refuses before it drives, and the folder that it leaves."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from tests.cli.conftest import files_in
+from tests.cli.test_bad_input import refused
+from tests.users.recording.drives import tick, write_drive
+from wcsim.agents.danger.export.export_folder import WRITTEN
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.rounds import recorded_ride
+from wcsim.agents.rounds.recorded_ride import RecordedRide
+from wcsim.cli.recordings.user_record import SMALL_CAMERA
+from wcsim.cli.training import export
+from wcsim.config import load_run_config
+
+SEEN = ("cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true")
+
+
+@pytest.fixture
+def policy(folder: Path) -> Path:
+    save_danger(folder / "own", network(), DangerRule(threshold=0.4), CONFIG)
+    return Path("own")
+
+
+def a_drive(folder: Path, *settings: str) -> Path:
+    (folder / "a.drive").unlink(missing_ok=True)
+    return write_drive(folder / "a.drive", [tick(1)], config=load_run_config("quick", settings).model_dump_json())
+
+
+def lacking(told: str) -> list[str]:
+    """What a refusal says that is to be typed besides."""
+    return shlex.split(told.partition("that made it with ")[2].partition(", or by")[0])
+
+
+@pytest.mark.parametrize("name", ["dwa", "dwa@1.5", "follow", "tests.own:Policy"])
+def test_what_has_no_network_is_not_exported(wcsim, folder, name):
+    refused(wcsim("export", name, "--onnx", "x"), f"{name} has no network", "a danger network", "shipped")
+    assert files_in(folder) == set()
+
+
+def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim, folder):
+    told = wcsim("export", "runs/a", "--onnx", "x")
+    refused(told, "runs/a is not a run", "danger network")
+    assert "dwa" not in told.err and "did you mean" not in told.err
+    refused(wcsim("export", "shiped", "--onnx", "x"), "did you mean 'shipped'?")
+
+
+def test_only_an_earlier_export_is_replaced(wcsim, folder, policy):
+    Path("mine").mkdir()
+    for name in (*WRITTEN, "notes.txt"):
+        Path("mine", name).write_text("kept")
+    refused(wcsim("export", policy, "--onnx", "mine"), "mine holds notes.txt", "new folder")
+    assert Path("mine", "notes.txt").read_text() == "kept"
+
+
+def test_a_recording_without_what_the_network_sees_is_refused_with_all_that_it_lacks(wcsim, folder, policy):
+    a_drive(folder, "cameras.0.width_px=16", "cameras.0.height_px=12", "env.classes=wcsim")
+    told = wcsim("export", policy, "--onnx", "x", "--ride", "a.drive")
+    refused(told, "a.drive was recorded without what own sees", "record again", "wcsim drive --policy own --record")
+    words = lacking(told.err)
+    assert words[::2] == ["--set"] * (len(words) // 2)
+    a_drive(folder, *words[1::2])
+    assert "recorded without" not in wcsim("export", policy, "--onnx", "x", "--ride", "a.drive").err
+    assert not Path("x").exists()
+
+
+def test_the_page_says_what_a_simulated_users_drive_lacks_for_the_policy_that_ships(wcsim, folder):
+    a_drive(folder, *SMALL_CAMERA)
+    words = lacking(wcsim("export", "shipped", "--onnx", "x", "--ride", "a.drive").err)
+    page = (Path(__file__).parents[3] / "docs" / "export.md").read_text().replace("\\\n", " ")
+    (typed,) = [line.split() for line in page.splitlines() if line.strip().startswith("wcsim users record")]
+    assert words and typed[-len(words) :] == words
+
+
+@pytest.mark.parametrize("same, by, own", [(1.0, "own", True), (1.0, "", True), (0.99, "follow", False)])
+def test_a_recording_of_another_policy_is_told_from_one_of_its_own(same, by, own):
+    told = export._beside_recording(same, by, "runs/my own")
+    assert own == ("wcsim drive --policy 'runs/my own' --record FILE" not in told)
+
+
+def test_the_reference_of_somebody_elses_drive_is_what_the_policy_chooses_there(wcsim, folder, policy, monkeypatch):
+    """And the folder stands alone: its own loop, in a process without wcsim, chooses the same."""
+    a_drive(folder, *SEEN)
+    ridden = RecordedRide(seen=tuple(ride(12)), actions=(80,) * 12, delay_ticks=2)
+    monkeypatch.setattr(recorded_ride, "recorded_ride", lambda *given: ridden)
+    told = wcsim("export", policy, "--onnx", "x", "--ride", "a.drive", "--force")
+    assert told.code == 0, told
+    assert "0.0% of the actions as in the recording, where dwa chose" in told.out
+    assert "wcsim drive --policy own --record FILE" in told.out
+    with np.load("x/reference.npz") as kept:
+        assert len(kept["action"]) == 12 and (kept["action"] != 80).all()
+    assert json.loads(Path("x/meaning.json").read_text())["facts"]["same_as_recorded"] == 0.0
+    assert {path.name for path in Path("x").iterdir()} == set(WRITTEN)
+    alone = subprocess.run([sys.executable, "-P", "x/exported_policy.py"], capture_output=True, text=True, check=False)
+    assert alone.returncode == 0, alone.stderr
+    assert alone.stdout.startswith("12 of 12 actions as recorded")

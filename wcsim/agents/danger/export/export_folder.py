@@ -1,0 +1,39 @@
+"""The files of an exported policy's folder, and whether a folder may become one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import wcsim
+from wcsim.agents.danger.export.guard_file import MEANING
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
+from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.errors import ConfigError, PolicyError
+
+INT8, REFERENCE, LOOP = "policy-int8.onnx", "reference.npz", "exported_policy.py"
+WRITTEN: Final = (MODEL_FILE, INT8, ABOUT_FILE, MEANING, REFERENCE, LOOP)
+_MOST_NAMED: Final = 3
+
+
+def require_export_place(option: str, folder: Path) -> None:
+    """Refuse a folder that holds what no export wrote, for an export takes its whole place. Raises ConfigError."""
+    others = sorted(path.name for path in folder.iterdir() if path.name not in WRITTEN) if is_folder(folder) else []
+    if others:
+        named = ", ".join(shown(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (len(others) > _MOST_NAMED)
+        raise ConfigError(
+            f"{option} {shown(folder)} holds {named}, which no export wrote; expected a new folder, or that of an "
+            "export, which is replaced: choose another one"
+        )
+
+
+def loop_place() -> Path:
+    """The loop in NumPy that drives an exported policy: in a wheel within the package, in a checkout beside it.
+
+    Raises PolicyError when it is in neither.
+    """
+    package = Path(wcsim.__file__).parent
+    for place in (package, package.parent):
+        if is_file(place / "examples" / LOOP):
+            return place / "examples" / LOOP
+    raise PolicyError(f"wcsim has no examples/{LOOP}; expected one in {shown(package)} or beside it: install it again")

@@ -1,0 +1,61 @@
+"""The settings that decide what a danger network is shown, as the words of `--set`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+from wcsim.agents.policy_api import ODOMETRY_KEY
+from wcsim.agents.runs.policy_file import SIGHT_KEYS
+from wcsim.config import RunConfig
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+
+ODOMETRY, TURNS = "sensors.odometry=typical", "env.observe_gyro=true"
+_CAMERA: Final = ("width_px", "height_px", *SIGHT_KEYS)
+_OTHERS: Final = (("env", "actions"), ("env", "classes"), ("world", "tick_s"))
+
+
+def settings_apart(own: RunConfig, other: RunConfig) -> list[str]:
+    """The settings of what a network sees and can choose, as far as another configuration has others."""
+    mine, others = own.model_dump(mode="json"), other.model_dump(mode="json")
+    camera, usual = mine["cameras"][0], others["cameras"][0]
+    told = [(f"cameras.0.{key}", camera[key]) for key in _CAMERA if camera[key] != usual[key]]
+    told += [(f"{part}.{key}", mine[part][key]) for part, key in _OTHERS if mine[part][key] != others[part][key]]
+    return as_words(told)
+
+
+def as_words(told: Iterable[tuple[str, Any]]) -> list[str]:
+    """Settings as words.
+
+    >>> as_words([("world.tick_s", 0.1), ("env.classes", "wcsim")])
+    ['world.tick_s=0.1', 'env.classes=wcsim']
+    """
+    return [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told]
+
+
+def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) -> None:
+    """Refuse a recording in which a network would see another street than it knows, or lack a sense.
+
+    Args:
+        recorded: Settings of the recording.
+        own: Those that fit the policy.
+        file: The recording.
+        policy: The network's name.
+
+    Raises:
+        PolicyError: With all that has to be set when it is recorded again.
+    """
+    words = settings_apart(own, recorded)
+    words += [] if ODOMETRY_KEY in recorded.sensors.measures() else [ODOMETRY]
+    words += [] if recorded.env.observe_gyro else [TURNS]
+    if words:
+        typed = " ".join(f"--set {shlex.quote(word)}" for word in words)
+        raise PolicyError(
+            f"{shown(file)} was recorded without what {shown(policy)} sees; expected a recording with "
+            f"{', '.join(words)}: record again, by the command that made it with {typed}, or by "
+            f"wcsim drive --policy {shlex.quote(policy)} --record FILE, which needs no settings"
+        )
