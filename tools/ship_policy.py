@@ -27,7 +27,7 @@ from wcsim.agents.rounds.learned_data import data_of
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.agents.runs.shipped import shipped_folder, shipped_place, write_hashes
-from wcsim.config import CollectConfig
+from wcsim.config import CameraConfig, CollectConfig
 from wcsim.core import files
 from wcsim.users.profiles import HELD_OUT
 
@@ -96,8 +96,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
         f"at once {danger.at_once:g}, warn {danger.warn:g} |",
-        f"| camera | {camera.width_px}x{camera.height_px}, {camera.hfov_deg:g} deg, noise {camera.noise}, "
-        f"range {camera.range_m:g} m |",
+        f"| camera | {camera_told(camera)} |",
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
         f"| code | {manifest.git_revision or 'unknown'} |",
@@ -115,6 +114,30 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def camera_told(camera: CameraConfig) -> str:
+    """What a camera is like, and where it sits.
+
+    >>> camera_told(CameraConfig(width_px=80, height_px=60))
+    '80x60, 87 deg, range 40 m, noise none, at x 0.35, y 0, z 1 m of the chair, 0 deg to the left, -15 deg up'
+    """
+    x_m, y_m, z_m = camera.p_BC_m
+    return (
+        f"{camera.width_px}x{camera.height_px}, {camera.hfov_deg:g} deg, range {camera.range_m:g} m, "
+        f"noise {noise_told(camera)}, at x {x_m:g}, y {y_m:g}, z {z_m:g} m of the chair, "
+        f"{camera.yaw_deg:g} deg to the left, {camera.pitch_deg:g} deg up"
+    )
+
+
+def noise_told(camera: CameraConfig) -> str:
+    """The word for a camera's noise, or its numbers where there is no word."""
+    if camera.noise is None:
+        return "none"
+    if camera.noise == CameraConfig.model_validate({"noise": "typical"}).noise:
+        return "typical"
+    parts = camera.noise.model_dump(mode="json", exclude_none=True)
+    return ", ".join(f"{part}.{key} {value}" for part, numbers in parts.items() for key, value in numbers.items())
 
 
 def driving(run: RunFolder) -> tuple[list[str], list[str], int]:

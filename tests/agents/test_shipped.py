@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +19,7 @@ from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, ope
 from wcsim.agents.rounds.learned_data import LEARNED
 from wcsim.agents.runs import run_folder, shipped
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
-from wcsim.config import with_overrides
+from wcsim.config import CameraConfig, with_overrides
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -61,6 +64,18 @@ def test_its_card_says_how_it_was_made_and_measured(made):
     for word in ("helsinki", "wcsim train --seed 3", "gaps map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
         assert word in card
     assert "No results" in TOOL["card"](open_run(made.parent / "run"), [])
+
+
+def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
+    limits = (made / "MODEL_CARD.md").read_text().partition("## Limits")[2]
+    assert "the place named above" in limits
+    typical = CameraConfig.model_validate({"p_BC_m": [0.3, 0.1, 1.2], "noise": "typical"})
+    told = TOOL["camera_told"](typical)
+    assert "at x 0.3, y 0.1, z 1.2 m of the chair" in told and "-15 deg up" in told and "noise typical," in told
+    own = CameraConfig.model_validate({"noise": {"classes": {"grain_px": 3}}})
+    assert "classes.grain_px 3" in TOOL["noise_told"](own) and "Config(" not in TOOL["noise_told"](own)
+    card = (ROOT / "wcsim" / "agents" / "shipped" / "MODEL_CARD.md").read_text()
+    assert "Config(" not in card and " m of the chair" in card
 
 
 def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, tmp_path, monkeypatch):
@@ -124,6 +139,14 @@ def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monk
     monkeypatch.setattr(shipped, "shipped_place", lambda: tmp_path)
     with pytest.raises(PolicyError, match=r"no policy comes with this wcsim.*tools/ship_policy\.py RUN"):
         run_folder.policy_path("shipped")
+
+
+def test_what_the_example_says_of_it_is_what_the_page_quotes():
+    example, place = ROOT / "examples" / "exported_policy.py", ROOT / "wcsim" / "agents" / "shipped"
+    done = subprocess.run([sys.executable, example, place], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    quoted = re.findall(r"`(\d+ of \d+ actions as recorded[^`]*)`", (ROOT / "docs" / "export.md").read_text())
+    assert quoted == [done.stdout.strip()]
 
 
 def test_what_lies_in_this_checkout_is_whole_or_not_there():

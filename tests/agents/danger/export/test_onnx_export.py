@@ -44,6 +44,8 @@ def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
     assert guard_of(folder) == GuardRule()
+    for key in ("gravity", "mean_gravity"):  # one of what is judged, one of the input: side by side they want a word
+        assert key in meaning["senses"]["imu"] and key in meaning["senses_meaning"]
 
 
 def test_what_it_costs_is_measured_in_a_process_of_its_own(made):

@@ -50,6 +50,12 @@ _RULE: Final = (
     "each farther by shy times its danger over the threshold, the last one nearer by keep and allowed up to lenient "
     "times the threshold; it warns above warn"
 )
+_SENSES: Final = (
+    "settings in training, in wcsim's words. Of imu: mean_gravity is about the specific force of `inputs` (included: "
+    "at rest z is 9.81 m/s2), tilt says what its roll and pitch are made of; lowpass_hz, accel_window and gravity are "
+    "about the shocks by which wcsim judges a drive, which are no input; the rest are the sensor's place, range and "
+    "errors"
+)
 _GUARD: Final = (
     "a tick is bad without frames, with an input or output that is not finite, a frame older than oldest_s, or an "
     "answer later than deadline_s, and when the model ends in an error: then all states begin anew, and the stick "
@@ -75,6 +81,7 @@ def meaning_of(policy: Path, graph: DangerGraph, config: RunConfig) -> dict[str,
         "classes": {kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded},
         "camera": file.camera.model_dump(mode="json"),
         "senses": {"imu": config.imu.model_dump(mode="json"), "odometry": "typical"},
+        "senses_meaning": _SENSES,
         "chair": file.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
         "action_delay_ticks": config.world.action_delay_ticks,
