@@ -7,12 +7,12 @@ from wcsim.config import RunConfig
 
 
 class Sb3Policy:
-    """The DQN of `sb3.zip` where the command is typed (for PPO import PPO); loading a zip runs what is in it."""
+    """The `dqn.zip` that stock_sb3.py leaves where one types (for ppo.zip import PPO); loading a zip runs what is in it."""
 
     name = "sb3"
 
     def __init__(self, config: RunConfig) -> None:
-        self.model = DQN.load("sb3.zip", device="cpu")
+        self.model = DQN.load("dqn.zip", device="cpu")
 
     def begin(self) -> None:
         """A test begins."""

@@ -125,8 +125,9 @@ def test_the_example_of_stock_learners_trains_saves_and_loads_both(corner, tmp_p
 
 
 def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
+    """Under the name that the example which trains one leaves it by."""
     model = DQN("MultiInputPolicy", ToyStreet(CameraConfig(width_px=80, height_px=60)), buffer_size=10, seed=1)
-    model.save(tmp_path / "sb3.zip")
+    model.save(tmp_path / "dqn.zip")
     monkeypatch.chdir(tmp_path)
     policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](load_run_config("quick"))
     policy.begin()

@@ -56,7 +56,7 @@ def test_the_learners_code_runs(corner: Path, tmp_path: Path) -> None:
     assert told[4].startswith("action space: Discrete(81)")
     assert network == (ROOT / "examples" / "own_network.py").read_text(encoding="utf-8")  # which has tests of its own
     run(small(sb3, corner), tmp_path)
-    assert (tmp_path / "sb3.zip").is_file()
+    assert (tmp_path / "dqn.zip").is_file()
 
 
 def test_the_scripts_about_a_recording_and_a_list_run(tmp_path: Path) -> None:
