@@ -27,7 +27,7 @@ class LiveTable:
 
     def __init__(self, console: Console | None = None) -> None:
         """Show on a console, by default that of stderr."""
-        self.console = Console(stderr=True, highlight=False) if console is None else console
+        self.console = Console(stderr=True, highlight=False, emoji=False) if console is None else console
         self._live = Live(console=self.console, auto_refresh=False, transient=True)
         self._lined_s = 0.0
         self._nobody_reads = False

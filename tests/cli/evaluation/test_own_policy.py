@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.agents.evaluation.suite.lists import written_list
 from tests.cli.conftest import QUICK
 from wcsim.config import load_run_config
 
@@ -35,6 +36,20 @@ class Still:
 class Nothing:
     def __init__(self, config):
         pass
+
+
+class Plain:
+    pass
+
+
+class Missing(Still):
+    def __init__(self, config):
+        open("weights.zip")
+
+
+class Boom(Still):
+    def act(self, observation):
+        return observation["lidar"]
 """
 
 
@@ -44,6 +59,11 @@ def own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (folder / f"{module}.py").write_text(OWN)
     monkeypatch.delitem(sys.modules, module, raising=False)
     return module
+
+
+@pytest.fixture(scope="module")
+def listed(corner, tmp_path_factory):
+    return written_list(corner, tmp_path_factory.mktemp("list"), max_steps=5)
 
 
 def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
@@ -56,11 +76,26 @@ def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("Nothing", "has no name, begin, reset, act; expected a class with"), ("Nobody", "has no class 'Nobody'")],
-)
+    [("Nothing", "has no name, begin, reset, act; expected a class with"), ("Nobody", "has no class 'Nobody'"),
+     ("Plain", "'own_controller:Plain' could not be built with the configuration"), ("Missing", "'weights.zip'")],
+)  # fmt: skip
 def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, said):
     told = wcsim("test", f"{own}:{name}", "--town", corner, "--only", "--allow-train-town", *QUICK)
-    assert told.code == 2 and said in told.err
+    assert told.code == 2 and said in told.err and "Traceback" not in told.err
+
+
+def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_driven(wcsim, folder, listed, own):
+    told = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
+    assert told.code == 2 and "'own_controller:Missing' could not be built" in told.err
+    assert "blocks" not in told.err and not (folder / "out").exists()
+
+
+def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, folder, listed, own, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    told = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
+    assert told.code == 1 and "own_controller:Boom: 2 of 2 episodes failed: KeyError: 'lidar'" in told.out
+    rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
+    assert [rows[name]["status"]["policy_failed"] for name in ("follow", f"{own}:Boom")] == [0, 2]
 
 
 def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, folder, corner, monkeypatch):

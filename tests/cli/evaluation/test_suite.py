@@ -47,7 +47,7 @@ def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_pa
 
 def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
     own = run_of(tmp_path / "own", "quick", "reward.drop=false", "world.warmup_s=0")
-    assert run("--suite", small, own, "--only", "--out", tmp_path / "out") == 0
+    assert run("--suite", small, own, "--only", "--out", tmp_path / "out") == 2  # it has no weights
     told = " ".join(capsys.readouterr().err.split())
     assert "learned with reward.drop=false; all policies of a list are tested alike, with reward.drop=true" in told
 
@@ -84,6 +84,15 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
 def test_what_cannot_be_played_is_refused(small, words, said, tmp_path, capsys):
     assert run("--suite", small, "--out", tmp_path / "out", *words) == 2
     assert said in capsys.readouterr().err
+
+
+def test_names_in_tables_are_no_markup():
+    """What stands in brackets would be gone."""
+    rows = [{"policy": name, "episodes": 3, "part": "free"} for name in ("own:Robot:", "runs/[red]a")]
+    console = Console(width=120, file=io.StringIO(), emoji=False)
+    show_result(console, {"suite": "s [b]", "set": "x", "rows": rows, "pooled": rows}, (), ["runs/[red]b: failed"])
+    told = console.file.getvalue()
+    assert told.count("runs/[red]a") == 3 and "s [b] x: free" in told and "runs/[red]b: failed" in told
 
 
 @pytest.mark.parametrize("parts", [("tight",), ("free", "tight")])

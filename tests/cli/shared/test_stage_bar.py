@@ -42,3 +42,16 @@ def test_a_row_fits_into_80_characters(monkeypatch, capsys):
     told = capsys.readouterr().err
     assert "about 15 min left" in told and "update 350" in told and "segment 0-1-2, 100 s" in told
     assert "…" not in told
+
+
+def test_names_beside_a_bar_are_no_markup(monkeypatch, capsys):
+    """A class called Robot was shown as the picture of one, and a folder in brackets not at all."""
+    made = Console
+    monkeypatch.setattr(
+        "wcsim.cli.shared.stage_bar.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
+    )
+    with StageBar("own:Robot: of [a]") as bar:
+        bar.show(0.5, "own:Robot: in [b]")
+        bar.say("own:Robot: by [c]")
+    told = capsys.readouterr().err
+    assert all(f"own:Robot: {where}" in told for where in ("of [a]", "in [b]", "by [c]"))

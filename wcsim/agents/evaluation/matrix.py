@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import torch
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -248,7 +249,8 @@ def _broken(line: str) -> str:
 
 def _table(title: str, columns: Columns, width: int, more: Sequence[str] = ()) -> Table:
     gap = (0, 1 if width >= _WIDE else 0, 0, 0)
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=gap, pad_edge=False, show_edge=False)
+    plain = escape(title)
+    table = Table(title=plain, title_justify="left", box=box.SIMPLE_HEAD, padding=gap, pad_edge=False, show_edge=False)
     table.add_column("\npolicy", no_wrap=True)
     for heading in (*(heading for _, heading, _ in columns), *(f"\n{heading}" for heading in more)):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +15,7 @@ from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.errors import ConfigError
@@ -87,30 +88,56 @@ def run_suites(words: list[str]) -> int:
             f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
         )
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
-    from wcsim.agents.evaluation.suite.run import UNAIDED, run_suite
-    from wcsim.agents.evaluation.suite.sensitivity import sensitivity
+    from wcsim.agents.evaluation.suite.run import UNAIDED, require_usable
 
     added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
-    told = Console(stderr=True, highlight=False)
+    told = Console(stderr=True, highlight=False, emoji=False)
     order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))
-    changed = order.settings
-    told.print(f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}: {suite.episodes} episodes a policy")
-    for line in told_of_rules(names, order.preset, (*suite.file.settings, *changed)):
+    listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
+    told.print(f"{listed}: {suite.episodes} episodes a policy", markup=False)
+    for line in told_of_rules(names, order.preset, (*suite.file.settings, *order.settings)):
         told.print(line, markup=False)
-    if options.sensitivity:
-        moved = sensitivity(order, names, lambda text: told.print(text, style="dim"))
-        write_json(out / "sensitivity.json", moved)
-        show_sensitivity(Console(), f"{suite.file.suite} {suite.file.set}", moved)
-        if options.json is not None:
-            write_json(options.json, {"suite": suite.file.suite, "set": suite.file.set, "rows": moved})
-        return 0
-    records = run_suite(order, names, lambda name, done, of: told.print(f"{name}: {done} of {of} blocks", style="dim"))
+    require_usable(order, options.policies)
+
+    def say(text: str) -> None:
+        told.print(text, style="dim", markup=False)
+
+    return (_disturb if options.sensitivity else _judge)(order, options, names, say)
+
+
+def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: Callable[[str], None]) -> int:
+    """Drive the list with each policy; how the command ends."""
+    from wcsim.agents.evaluation.suite.records import undriven
+    from wcsim.agents.evaluation.suite.run import run_suite
+
+    records = run_suite(order, names, lambda name, done, of: say(f"{name}: {done} of {of} blocks"))
     result = keep_result(order, options.suite, records)
-    show_result(Console(), result, changed)
+    without = [line for name, found in records.items() for line in undriven(name, found)]
+    show_result(Console(emoji=False), result, order.settings, without)
     if options.json is not None:
         write_json(options.json, result)
-    return 0
+    return _exit_of(result["pooled"])
+
+
+def _disturb(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: Callable[[str], None]) -> int:
+    """Drive the list with each disturbance alone; how the command ends."""
+    from wcsim.agents.evaluation.suite.sensitivity import sensitivity
+
+    file = order.suite.file
+    moved = sensitivity(order, names, say)
+    write_json(order.out / "sensitivity.json", moved)
+    show_sensitivity(Console(emoji=False), f"{file.suite} {file.set}", moved)
+    if options.json is not None:
+        write_json(options.json, {"suite": file.suite, "set": file.set, "rows": moved})
+    return _exit_of(moved)
+
+
+def _exit_of(rows: Iterable[Mapping[str, Any]]) -> Exit:
+    """A policy that came to the end of no episode has no result, whatever its row says."""
+    from wcsim.agents.evaluation.suite.rows import drove_nothing
+
+    return Exit.FAILED if any(map(drove_nothing, rows)) else Exit.DONE
 
 
 def _machines(options: SuiteOptions, told: Console) -> Machines:

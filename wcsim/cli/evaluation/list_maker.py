@@ -61,7 +61,7 @@ def make_list(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.result_files import TOWNS
 
-    told = Console(stderr=True, highlight=False)
+    told = Console(stderr=True, highlight=False, emoji=False)
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
             suite=options.name,
@@ -80,7 +80,7 @@ def make_list(words: list[str]) -> int:
         file = make_suite(order, towns, lambda text: told.print(text, style="dim"))
     write_list(file, options.suite_file)
     suite = suite_of(file)
-    Console().print(
+    Console(emoji=False).print(
         f"{options.suite_file}: {suite.episodes} episodes in {len(file.blocks)} blocks, {suite.sha256[:12]}"
     )
     return 0

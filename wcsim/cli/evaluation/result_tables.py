@@ -7,7 +7,9 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 Column = tuple[str, str, str]
 _SAFE: tuple[Column, ...] = (
@@ -43,8 +45,17 @@ _JUDGED: tuple[Column, ...] = (
 )
 
 
-def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[str]) -> None:
-    """Print a result of `wcsim test --suite`: three tables for each part, and three for all where there are several."""
+def show_result(
+    console: Console, result: Mapping[str, Any], changed: Sequence[str], undriven: Sequence[str] = ()
+) -> None:
+    """Print a result of `wcsim test --suite`: three tables for each part, and three for all where there are several.
+
+    Args:
+        console: Where.
+        result: As `result.json` has it.
+        changed: Settings over those of the list.
+        undriven: Lines on policies that failed or were refused.
+    """
     version = f"{result['suite']} {result['set']}{' CHANGED by ' + ' '.join(changed) if changed else ''}"
     parts = list(dict.fromkeys(row["part"] for row in result["rows"]))
     for part in parts if len(parts) == 1 else [*parts, ""]:
@@ -53,6 +64,8 @@ def show_result(console: Console, result: Mapping[str, Any], changed: Sequence[s
         for what, columns in (("safety", _SAFE), ("service", _THERE), ("interventions and warnings", _JUDGED)):
             console.print(_table(f"{title}, {what}", columns, rows))
     console.print("saved, lost: own crashes that the user alone has and the policy has not, and the other way round")
+    for line in undriven:
+        console.print(line, style="bold", markup=False, soft_wrap=True)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
 
 
@@ -76,12 +89,12 @@ def show_sensitivity(console: Console, title: str, rows: Sequence[Mapping[str, A
 
 
 def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
+    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     table.add_column("\npolicy", no_wrap=True)
     for _, heading, _ in columns:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(str(row["policy"]), *(_cell(row.get(key), text) for key, _, text in columns))
+        table.add_row(Text(str(row["policy"])), *(_cell(row.get(key), text) for key, _, text in columns))
     return table
 
 

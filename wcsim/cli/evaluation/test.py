@@ -85,7 +85,7 @@ def run(words: list[str]) -> int:
         return run_suites(words)
     options = parse(Options, words, "test")
     results = test_policies(options)
-    console = Console()
+    console = Console(emoji=False)
     for result in results:
         console.print(*result.tables(console.width))
         if result.uneventful:
@@ -134,7 +134,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
 
     for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)
-        print_overrides(Console(highlight=False), town.name, told, verbose=options.verbose)
+        print_overrides(Console(highlight=False, emoji=False), town.name, told, verbose=options.verbose)
 
     plan = TestPlan(
         towns=tuple(towns),

@@ -23,7 +23,7 @@ _CALIBRATED = "step-length"  # what drivers were calibrated with: to run otherwi
 
 def beside(live: Console) -> Console:
     """Where to print results while something is drawn anew on a terminal: above it, or to an output that is a file."""
-    out = Console(highlight=False)
+    out = Console(highlight=False, emoji=False)
     return live if live.is_terminal and out.is_terminal else out
 
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 _BAR_WIDTH = 16  # with what is said beside it a row has 80 characters
+_TOLD = ("description", "fields[says]", "fields[left]")
 _ALMOST_S = 90.0  # from here on minutes are told
 
 
@@ -31,9 +32,9 @@ class StageBar:
     """A stage of a command and how far it has come; a context manager."""
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.console = Console(stderr=True, highlight=False)
-        text = (TextColumn("{task.fields[says]}"), TextColumn("{task.fields[left]}"))
-        columns = (TextColumn("{task.description}"), BarColumn(_BAR_WIDTH), *text)
+        self.console = Console(stderr=True, highlight=False, emoji=False)
+        names, *text = (TextColumn(f"{{task.{what}}}", markup=False) for what in _TOLD)  # names are no markup
+        columns = (names, BarColumn(_BAR_WIDTH), *text)
         self._bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
         self._task = self._bar.add_task(name, total=1.0, says="", left="")
         self._rows: dict[str, TaskID] = {}

@@ -47,7 +47,7 @@ class TrainBar:
     """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
 
     def __init__(self, total: int) -> None:
-        self.console = Console(stderr=True, highlight=False)
+        self.console = Console(stderr=True, highlight=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
         silent = not self.console.is_terminal
         self._bar = Progress(*columns, TimeRemainingColumn(), console=self.console, disable=silent)

@@ -292,7 +292,7 @@ def _told(
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, *seen)
-    print_report(Console(highlight=False), report)
+    print_report(Console(highlight=False, emoji=False), report)
     for kept in folder.kept_torn():
         print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
     if json is not None:

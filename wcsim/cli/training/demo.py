@@ -84,7 +84,7 @@ def run(words: list[str]) -> int:
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
     check_folder("--out", out)
     town = next(iter(tested.values()))
-    demo = _Demo(options=options, trial=trial, town=town, out=out, console=Console(highlight=False))
+    demo = _Demo(options=options, trial=trial, town=town, out=out, console=Console(highlight=False, emoji=False))
     require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = learning(load_run_config(QUICK, options.set))
     if learns_in_rounds(config):

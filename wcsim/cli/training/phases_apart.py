@@ -134,11 +134,12 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
-    told = Console(stderr=True, highlight=False)
-    told.print(f"first phase done; {suite.file.suite} {suite.file.set} chooses: {suite.episodes} episodes a client")
+    told = Console(stderr=True, highlight=False, emoji=False)
+    chooses = f"{suite.file.suite} {suite.file.set} chooses"
+    told.print(f"first phase done; {chooses}: {suite.episodes} episodes a client", markup=False)
 
     def say(policy: str, done: int, of: int) -> None:
-        told.print(f"{policy}: {done} of {of} blocks", style="dim")
+        told.print(f"{policy}: {done} of {of} blocks", style="dim", markup=False)
 
     networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
@@ -184,4 +185,4 @@ def _show(judged: Sequence[Judged], best: str, suite: str) -> None:
     for each in judged:
         goes_on = "learns the second phase" if each.client == best else "stops after the first"
         table.add_row(each.client, f"{each.score:.3f}", str(each.crashes_own), goes_on)
-    Console(highlight=False).print(table)
+    Console(highlight=False, emoji=False).print(table)

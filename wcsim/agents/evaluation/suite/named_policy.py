@@ -23,7 +23,7 @@ from wcsim.config import RunConfig, with_overrides
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import is_file
-from wcsim.errors import PolicyError
+from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
 
 
@@ -93,7 +93,16 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
-    policy: Policy = find_class(name, "policy")(config)
+    made = find_class(name, "policy")
+    try:
+        policy: Policy = made(config)
+    except WcsimError:
+        raise
+    except Exception as fault:  # the user's own class may raise anything
+        raise PolicyError(
+            f"policy {name!r} could not be built with the configuration as its one argument: "
+            f"{type(fault).__name__}: {fault}"
+        ) from fault
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
         raise PolicyError(

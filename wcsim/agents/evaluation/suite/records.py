@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -116,6 +118,23 @@ def saved_and_lost(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRec
     pairs = [(mine, other) for mine, other in zip(records, others, strict=True) if mine.own is not other.own]
     saved = sum(other.own and mine.held for mine, other in pairs)
     return saved, sum(mine.own and other.held for mine, other in pairs)
+
+
+def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
+    """A line for each way in which a policy was of no use, with its most frequent reason; none where it always was.
+
+    >>> place = {"block": 0, "seat": 0, "part": "free", "town": "helsinki", "profile": "ataxic"}
+    >>> undriven("mine", [EpisodeRecord(**place, status=REFUSED, reason="it has no weights")])
+    ['mine: 1 of 1 episodes refused: it has no weights']
+    """
+    told = []
+    for status, word in ((REFUSED, "refused"), (POLICY_FAILED, "failed")):
+        reasons = Counter(record.reason for record in records if record.status == status)
+        if reasons:
+            more = f" (and {len(reasons) - 1} other reasons, see episodes.json)" if len(reasons) > 1 else ""
+            reason = " ".join(reasons.most_common(1)[0][0].split())
+            told.append(f"{policy}: {reasons.total()} of {len(records)} episodes {word}: {shown(reason, 400)}{more}")
+    return told
 
 
 def record_of(data: Mapping[str, Any]) -> EpisodeRecord:

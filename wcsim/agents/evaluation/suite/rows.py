@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from wcsim.agents.evaluation.suite.records import (
     NEEDLESS,
     ON_THE_WAY,
     POLICY_FAILED,
+    REFUSED,
     STATUSES,
     EpisodeRecord,
     saved_and_lost,
@@ -141,6 +142,11 @@ def pooled_rows(
         twins = [unaided[number] for number in chosen] if len(unaided) == len(records) else []
         rows.append(row_of(policy, part, [records[number] for number in chosen], twins))
     return rows, row_of(policy, "", records, unaided)
+
+
+def drove_nothing(row: Mapping[str, Any]) -> bool:
+    """Whether the policy of a row came to the end of no episode: it failed or was refused in all of them."""
+    return sum(row["status"][name] for name in (POLICY_FAILED, REFUSED)) == row["episodes"] > 0
 
 
 def result_of(file: SuiteFile, sha256: str, rows: Sequence[Row], pooled: Sequence[Row]) -> dict[str, Any]:

@@ -123,6 +123,27 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     }
 
 
+def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
+    """Open each policy once, as every block does: what can be used in none is known before anything is driven.
+
+    Raises:
+        PolicyError: There is no such policy, it cannot be built, or it does not fit the list's settings.
+        ConfigError: The settings cannot be used.
+    """
+    for name in policies:
+        config = settings_in_list(name, order.preset, (*order.suite.file.settings, *order.settings))
+        with ExitStack() as opened:
+            sensing(config, _open_in(opened, name, config, 0, order.network))
+
+
+def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
+    """A policy that is closed with the stack, if it has something to close. Raises as `open_named` does."""
+    policy = open_named(name, config, seed, network or None)
+    if hasattr(policy, "close"):
+        opened.callback(policy.close)
+    return policy
+
+
 def town_addresses(order: SuiteOrder) -> dict[str, str]:
     """Where the list's towns are, by name. Raises TownError, see `towns_of`."""
     return {name: str(town.address) for name, town in towns_of(order.suite.file, order.out / TOWNS).items()}
@@ -215,17 +236,11 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
     from wcsim.towns.scenario.town import find_town
 
     config = settings_in_list(piece.policy, piece.preset, piece.settings)
-    made = iter(range(len(piece.block.episodes)))
+    seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
-
-        def open_one(seed: int) -> Policy:
-            policy = open_named(piece.policy, config, seed, piece.network or None)
-            if hasattr(policy, "close"):
-                opened.callback(policy.close)
-            return policy
-
         try:
-            config = sensing(config, open_one(0))
+            config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
+            drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
         order = BlockOrder(
@@ -238,7 +253,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
         )
         if piece.block.part == TIGHT:
             order = in_scene(order, Path(work))
-        records = drive_block(order, lambda: open_one(seeding.derive(piece.block.seed, "driver", next(made))), watch)
+        records = drive_block(order, iter(drivers).__next__, watch)
         return [record.to_json() for record in records]
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.agents.evaluation.intervals import bootstrapped
-from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, undriven
 from wcsim.agents.evaluation.suite.rows import row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 
@@ -25,7 +25,10 @@ DISTURBANCES: Final[Mapping[str, tuple[str, ...]]] = {
     "mid-wheel drive": ("chair.plant=mwd",),
     "10 km/h": ("chair.v_max_mps=2.78",),
 }
-_KEPT: Final = ("policy", "episodes", "crashes_own", "crashes_other", "crashes_per_km", "kpi1_free_within", "speed_mps")
+_KEPT: Final = (
+    *("policy", "episodes", "status", "crashes_own", "crashes_other", "crashes_per_km"),
+    *("kpi1_free_within", "speed_mps"),
+)
 
 Row = dict[str, Any]
 Told = Callable[[str], object]
@@ -45,6 +48,8 @@ def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[
         driven = run_suite(disturbed, policies, _telling(told, name))
         clean = clean or driven
         for policy, records in driven.items():
+            for line in undriven(policy, records):
+                told(f"{name}: {line}")
             rows.append({"disturbance": name, "settings": list(settings), **_row(policy, records, clean[policy])})
     return sorted(rows, key=lambda row: list(driven).index(row["policy"]))
 
