@@ -439,10 +439,18 @@ def by_id(**words: Any) -> gymnasium.Env[Any, Any]:
 
 @pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
 def test_an_argument_that_no_face_takes_is_refused_and_the_nearest_one_named(face):
-    with pytest.raises(TypeError, match=r"argument 'overides'; expected config, hook, .*; did you mean 'overrides'\?"):
+    with pytest.raises(TypeError, match=r"'overides'; expected .*config, hook, .*; did you mean 'overrides'\?"):
         face(town="nowhere", overides=TINY)
-    with pytest.raises(TypeError, match="argument 'windows'; expected config"):
+    with pytest.raises(TypeError, match=r"argument 'windows'; expected .*config"):
         face(town="nowhere", windows=2)
+    with pytest.raises(TypeError, match=r"argument 'twon'; expected .*town.*; did you mean 'town'\?"):
+        face(twon="nowhere")
+
+
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+def test_an_override_by_itself_is_refused_with_how_to_write_it(face):
+    with pytest.raises(ConfigError, match=r"expected several: overrides=\['env.window=4'\]"):
+        face(town="nowhere", overrides="env.window=4")
 
 
 @pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv])

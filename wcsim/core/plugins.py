@@ -16,6 +16,7 @@ from types import ModuleType
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError, WcsimError
 
+_SUFFIX = ".py"
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
@@ -33,6 +34,9 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     if not _NAME.fullmatch(name):  # a path, absolute or with "..", would reach any file
         raise error(f"{what} {shown(name)!r} is not module:Class, as in own_file:OwnClass")
     module_name, _, class_name = name.partition(":")
+    if module_name.endswith(_SUFFIX):
+        right = f"{module_name.removesuffix(_SUFFIX)}:{class_name}"
+        raise error(f"{what} {shown(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}")
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
         raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; correct the name")

@@ -84,6 +84,11 @@ def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, said
     assert told.code == 2 and said in told.err and "Traceback" not in told.err
 
 
+def test_a_class_that_is_named_by_its_file_is_refused_with_the_name_that_works(wcsim, corner, own):
+    told = wcsim("test", f"{own}.py:Still", "--town", corner, "--only", "--allow-train-town", *QUICK)
+    assert told.code == 2 and f"expected module:Class, without .py: {own}:Still" in told.err
+
+
 def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_driven(wcsim, folder, listed, own):
     told = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
     assert told.code == 2 and "'own_controller:Missing' could not be built" in told.err

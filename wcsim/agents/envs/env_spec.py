@@ -7,7 +7,7 @@ A face is a standard interface over the same links: Gymnasium's (`agents/envs/wh
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -98,14 +98,19 @@ class Face:
         )
 
 
-def make_face(town: str, options: EnvOptions) -> Face:
+def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> Face:
     """The face that these options of an environment describe.
+
+    Args:
+        town: A town's name or folder.
+        options: By name.
+        own: What the environment takes by name besides.
 
     Raises:
         ConfigError: The configuration, the user's profile or the render mode cannot be used.
         TypeError: There is no such option.
     """
-    _require_known(options)
+    _require_known(options, own)
     render_mode, resolved = options.get("render_mode"), _resolved(options)
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
@@ -118,7 +123,7 @@ def make_face(town: str, options: EnvOptions) -> Face:
 
 def _resolved(options: EnvOptions) -> RunConfig:
     """The configuration that was given, or that of the preset, with the overrides laid over it."""
-    config, overrides = options.get("config"), tuple(options.get("overrides", ()))
+    config, overrides = options.get("config"), _overrides_of(options)
     if config is None:
         return load_run_config(options.get("preset", "quick"), overrides)
     if "preset" in options:
@@ -129,9 +134,17 @@ def _resolved(options: EnvOptions) -> RunConfig:
     return with_overrides(config, overrides) if overrides else config
 
 
-def _require_known(options: Iterable[str]) -> None:
+def _overrides_of(options: EnvOptions) -> tuple[str, ...]:
+    """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
+    asked = options.get("overrides", ())
+    if isinstance(asked, str):
+        raise ConfigError(f"overrides={shown_value(asked)} is one string; expected several: overrides=[{asked!r}]")
+    return tuple(asked)
+
+
+def _require_known(options: Iterable[str], own: Collection[str]) -> None:
     """Raise TypeError, as Python does, for an argument that no environment takes."""
-    known = sorted(EnvOptions.__annotations__)
+    known = sorted({*EnvOptions.__annotations__, *own})
     for name in options:
         if name not in known:
             raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")

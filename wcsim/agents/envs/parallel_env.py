@@ -37,7 +37,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        face = make_face(town, options)
+        face = make_face(town, options, ("town", "chairs"))
         self._chairs = Chairs(face, checked_chairs(chairs), options.get("reward_terms", ()))
         self._seed = checked_seed(options.get("seed"))
         self._resets = 0  # since the seed was given, the first of them included

@@ -33,7 +33,7 @@ class StreetVecEnv(VecEnv):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        face = make_face(town, options)
+        face = make_face(town, options, ("town", "chairs"))
         self._chairs = Chairs(face, checked_chairs(chairs), options.get("reward_terms", ()))
         self._first_seed = checked_seed(options.get("seed"))
         self._waiting = False  # for what comes of a step

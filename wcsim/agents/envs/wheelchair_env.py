@@ -59,7 +59,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        self._face = make_face(town, options)
+        self._face = make_face(town, options, ("town", "join"))
         self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
         self._join = join
         self._first_seed = checked_seed(options.get("seed"))

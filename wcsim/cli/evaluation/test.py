@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -24,11 +26,12 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import shown
-from wcsim.errors import TownError
+from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, by_name, find_town, list_towns, streets_hash
+from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.matrix import TestPlan, TestResult
@@ -194,7 +197,34 @@ def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
-    return _towns(options), profiles
+    towns = _towns(options)
+    for name in profiles:
+        _require_driven_there(name, towns.values())
+    return towns, profiles
+
+
+def _require_driven_there(profile: str, towns: Iterable[Town]) -> None:
+    """Refuse a recorded drive of another town before its world begins. Raises ConfigError with the words that work."""
+    if not profile.startswith(RECORDED):
+        return
+    from wcsim.users.recorded import read_recording, require_driven_here
+
+    recording = read_recording(Path(profile.removeprefix(RECORDED)))
+    for town in towns:
+        try:
+            require_driven_here(recording, town.name, partial(content_hash, town))
+        except ConfigError as error:
+            raise ConfigError(f"{error}{_words_for(recording.town, recording.town_sha256)}") from None
+
+
+def _words_for(name: str, sha256: str) -> str:
+    """The options that test in the town of that name, if it is there and is the one of that content; "" else."""
+    with contextlib.suppress(TownError):
+        town = find_town(name)
+        if content_hash(town) == sha256:
+            school = " --allow-train-town" if town.declared and town.split == "train" else ""
+            return f". Say --town {name}{school}"
+    return ""
 
 
 def _require_policies(options: Options) -> None:

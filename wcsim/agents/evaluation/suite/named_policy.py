@@ -22,7 +22,7 @@ from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import is_file
+from wcsim.core.reading import is_file, is_folder
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
 
@@ -69,7 +69,7 @@ def is_own_class(policy: str) -> bool:
     """Whether a policy is named as module:Class: opening it runs somebody's code."""
     a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
     head, _, last = policy.rpartition(":")
-    return a_class and last not in STAGES and not Path(head).exists()
+    return a_class and last not in STAGES and not is_folder(Path(head))
 
 
 def is_plain(name: str) -> bool:
