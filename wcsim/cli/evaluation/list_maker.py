@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
+from wcsim.cli.shared.stage_bar import told_left
 
 
 @dataclass
@@ -77,10 +80,31 @@ def make_list(words: list[str]) -> int:
             work=Path(work),
         )
         towns = asked_towns(options.make_suite, order.work / TOWNS)
-        file = make_suite(order, towns, lambda text: told.print(text, style="dim"))
+        file = make_suite(order, towns, PartTimes(lambda line: told.print(line, style="dim", markup=False)).say)
     write_list(file, options.suite_file)
-    suite = suite_of(file)
-    Console(emoji=False).print(
-        f"{options.suite_file}: {suite.episodes} episodes in {len(file.blocks)} blocks, {suite.sha256[:12]}"
-    )
+    suite, many = suite_of(file), len(file.blocks)
+    counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
+    Console(emoji=False).print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
     return 0
+
+
+class PartTimes:
+    """Lines on a work of several parts; those on a part that goes on say how long that part still takes.
+
+    Args:
+        put: Prints a line.
+        clock: Seconds.
+    """
+
+    def __init__(self, put: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
+        self._put, self._clock = put, clock
+        self._share, self._began_s, self._said_s = 0.0, clock(), clock()
+
+    def say(self, text: str, share: float) -> None:
+        """A line, and the share of its part that is done; a part begins where the line before was said."""
+        now_s = self._clock()
+        if share <= self._share or self._share == 0.0:
+            self._began_s = self._said_s
+        self._share, self._said_s = share, now_s
+        left = told_left(now_s - self._began_s, share)
+        self._put(f"{text}, {left}" if left else text)

@@ -10,6 +10,7 @@ from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.making import make
 from wcsim.agents.evaluation.suite.list_file import asked_towns
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.config import load_run_config
 from wcsim.config.suite import BlockFile
 from wcsim.errors import ConfigError, TownError
 
@@ -48,6 +49,19 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
     left = make.settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
     assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
     assert driven == [[[9.0, 8.0], [1.0, 7.0, 2.0, 3.0], [1.0]], [[7.0, 2.0, 3.0]], [[7.0, 3.0]], [[7.0]]]
+
+
+def test_where_no_hazard_is_found_it_is_said_what_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who crashes among the others does not without them: the second drive of all."""
+    ends, said = ["chair_crashed", "finished"], []
+    monkeypatch.setattr(make, "_alone", lambda *_: (record(0, 0, 50.0, status=ends.pop(0)),) if ends else ())
+    order = make.MakeOrder(
+        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
+    )
+    config = load_run_config("quick")
+    assert make._hazards(order, (), [block_with(9.0)], config, lambda text, share: said.append((text, share))) == []
+    ((text, share),) = said
+    assert "no hazards found" in text and "--more-ways 6" in text and share == 0.0
 
 
 def test_towns_are_named_or_made_of_a_seed(corner: Path, tmp_path: Path) -> None:

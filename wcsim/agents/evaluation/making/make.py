@@ -30,10 +30,11 @@ HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes 
 SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
 AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
 SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env.max_steps=10000")
+_MORE: Final = "ask for more ways to look through (--more-ways 6), or for no hazards (--hazards 0)"
 CARELESS_STREET: Final = "world.attention_share=0.7"
 USUAL_STREET: Final = "world.attention_share=0.95"
 
-Told = Callable[[str], object]
+Told = Callable[[str, float], object]  # a line, and the share of its part of the work that is done
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +66,8 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     places = [place_of(town.name, load_street(town), config) for town, _ in towns]
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
-    told(f"{len(free)} blocks of free ways and {len(crossing)} of attempts at crossings are drawn")
+    drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free ways and {len(crossing)} of attempts at crossings"
+    told(f"{drawn} are drawn", 0.0)
     free = settled(order, named, free, told, "free ways", _starts_well)
     crossing = settled(order, named, crossing, told, "attempts", _starts_well)
     more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
@@ -105,7 +107,7 @@ def _hazards(
     candidates = [_crashing(block, first, index, config) for index, block in enumerate(free)]
     blocks = [block for block in candidates if block is not None]
     if not blocks:
-        raise TownError("the user alone crashed nowhere; expected some crashes: ask for more free ways")
+        raise TownError(f"the user alone crashed nowhere; expected some crashes: {_MORE}")
     again = _alone(order, towns, blocks, told, "hazards")
     found: list[BlockFile] = []
     left = {town.name: order.hazards for town in towns}
@@ -116,7 +118,9 @@ def _hazards(
             left[block.town] -= len(episodes)
             found.append(taken.model_copy(update={"episodes": episodes}))
     settled_ones = settled(order, towns, found, told, "hazards to the end", _ends_in_time)
-    told(f"{sum(len(block.episodes) for block in settled_ones)} hazards found")
+    number = sum(len(block.episodes) for block in settled_ones)
+    none = f"no hazards found: nobody who crashed alone did so again without the others; {_MORE}"
+    told(f"{number} hazard{'s' * (number > 1)} found" if number else none, 0.0)
     return settled_ones
 
 
@@ -161,7 +165,7 @@ def _alone(
 ) -> tuple[EpisodeRecord, ...]:
     file = SuiteFile(suite=order.suite, set=order.set, settings=SETTINGS, towns=towns, blocks=tuple(blocks))
     driven = SuiteOrder(suite=suite_of(file), out=order.work, jobs=order.jobs, forks=0)
-    return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks"))[UNAIDED]
+    return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks", done / of))[UNAIDED]
 
 
 def _crashing(
