@@ -93,6 +93,8 @@ def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_d
     told = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
     assert told.code == 2 and "'own_controller:Missing' could not be built" in told.err
     assert "blocks" not in told.err and not (folder / "out").exists()
+    played = wcsim("test", "--suite", listed, f"{own}:Missing", "--play", "0.0", "--out", "out")
+    assert played.code == 2 and "'own_controller:Missing' could not be built" in played.err
 
 
 def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, folder, listed, own, monkeypatch):

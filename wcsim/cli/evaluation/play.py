@@ -44,6 +44,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
 
     Raises:
         ConfigError: The place is none, the policies are not one, or the episode went another way.
+        PolicyError: The policy cannot be used.
     """
     index, seat = place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
@@ -51,9 +52,10 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     from wcsim.agents.evaluation.suite.list_rules import settings_in_list
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
-    from wcsim.agents.evaluation.suite.run import piece_of, town_addresses
+    from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
     from wcsim.view.moments import film_steps, map_of
 
+    require_usable(order, policies)
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
     config = settings_in_list(piece.policy, piece.preset, piece.settings)
     kept = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()

@@ -146,7 +146,8 @@ def pooled_rows(
 
 def drove_nothing(row: Mapping[str, Any]) -> bool:
     """Whether the policy of a row came to the end of no episode: it failed or was refused in all of them."""
-    return sum(row["status"][name] for name in (POLICY_FAILED, REFUSED)) == row["episodes"] > 0
+    status: dict[str, int] = row["status"]
+    return status[POLICY_FAILED] + status[REFUSED] == int(row["episodes"]) > 0
 
 
 def result_of(file: SuiteFile, sha256: str, rows: Sequence[Row], pooled: Sequence[Row]) -> dict[str, Any]:
