@@ -7,7 +7,7 @@ from wcsim.config import RunConfig
 
 
 class Sb3Policy:
-    """The `dqn.zip` that stock_sb3.py leaves where one types (for ppo.zip import PPO); loading a zip runs what is in it."""
+    """The `dqn.zip` that stock_sb3.py leaves here (for ppo.zip import PPO); loading a zip runs what is in it."""
 
     name = "sb3"
 
