@@ -24,7 +24,7 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
     assert paved.code == 0, paved.err
-    assert "24 streets have a pavement now; " in paved.out and "1 signal programs" in paved.out
+    assert "24 streets have a pavement now; " in paved.out and "10 signal programs" in paved.out
     later = printed(checked.out, "then, for the paved copy, make walkers")
     told = json.loads(Path("paved.json").read_text())
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24

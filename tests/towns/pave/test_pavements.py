@@ -18,6 +18,7 @@ from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root
 
+OWN_PROGRAM = 'type="actuated" programID="mine" offset="17"'
 POSITIONS = ("pos", "startPos", "endPos")
 CROSS = SignalLinks(
     count=5,
@@ -74,7 +75,7 @@ def test_every_stop_and_detector_lies_where_it_lay(paved: tuple[Path, Path, Pave
 
 def test_names_of_lanes_follow_wherever_they_stand(paved: tuple[Path, Path, Paved]) -> None:
     theirs, ours, told = paved
-    assert told.streets == 24 and told.crossings >= 20 and told.placed == 12 and told.programs == 1
+    assert told.streets == 24 and told.crossings >= 20 and told.placed == 12 and told.programs == 10
     things = {element.get("id"): element for element in elements(ours, "u.add.xml") if element.get("id")}
     assert things["long"].get("lanes") == "A1B1_2 B1C1_2" and things["sign"].get("lanes") == "A1B1_1 A1B1_2"
     assert "B1C1_1" in things and things["district"].get("edges") == "A1B1 B1C1"
@@ -100,8 +101,24 @@ def test_signal_programs_of_the_author_know_the_crossings(paved: tuple[Path, Pat
     walk = [state[16:] for state in new]
     assert sorted(walk[0]) == sorted(walk[2]) == ["G", "G", "r", "r"]
     assert walk[1] == walk[3] == "rrrr" and walk[0] != walk[2]
-    made = [state for logic, state in net.phases if logic == "B1"]  # netconvert's own program has the same phases
-    assert {state[16:] for state in made} == {*walk}
+
+
+def test_signal_programs_in_the_net_stay_the_authors_too(theirs: Path, tmp_path: Path) -> None:
+    net = theirs.with_name("u.net.xml")
+    text = net.read_text(encoding="utf-8").replace('type="static" programID="0" offset="0"', OWN_PROGRAM)
+    net.write_text(text.replace('duration="42"', 'duration="30" name="drive"'), encoding="utf-8")
+    told = pave_town(open_town(theirs), tmp_path / "ours")
+    old, new = ([e for e in elements(place, net.name) if e.tag == "tlLogic"] for place in (net.parent, tmp_path / "ours"))
+    assert len(old) == 9 and told.programs == len(old) + 1  # one lies in an additional file
+    for was, now in zip(old, new, strict=True):
+        assert now.attrib == was.attrib and now.get("programID") == "mine" and len(now) == len(was)
+        for before, after in zip(was, now, strict=True):
+            states = [phase.attrib.pop("state") for phase in (before, after)]
+            assert after.attrib == before.attrib and len(states[1]) > len(states[0])
+            assert states[1][: len(states[0])].lower() == states[0].lower()
+    assert any("G" in phase[16:] for logic, phase in read_net(tmp_path / "ours" / net.name).phases if logic == "B1")
+    run = run_tool("sumo", ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 10.0), "--no-step-log"], tmp_path)
+    assert run.returncode == 0 and "Error" not in run.output, run.output
 
 
 def test_sumo_runs_it_without_an_error(paved: tuple[Path, Path, Paved], tmp_path: Path) -> None:
@@ -190,7 +207,10 @@ def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
         edited(data, {0: {"e": "2"}}, "x")
 
 
-def test_a_crossing_that_is_never_green_is_told(theirs: Path, tmp_path: Path) -> None:
+def test_a_crossing_that_is_never_green_is_told(
+    theirs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wcsim.towns.pave.pavements.TOLD", 99)  # the net's own signals are told before
     signals = theirs.parent / "signals" / "u.tll.xml"
     signals.write_text(signals.read_text(encoding="utf-8").replace("rrrr", "gggg"), encoding="utf-8")
     (note,) = (note for note in pave_town(open_town(theirs), tmp_path / "ours").notes if "never gives green" in note)

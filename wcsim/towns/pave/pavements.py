@@ -15,12 +15,13 @@ from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.elements import Paving, edits_of, note_routes
 from wcsim.towns.pave.lanes import lane_map
+from wcsim.towns.pave.net_programs import keep_programs
 from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
-from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip
+from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
 
 _SLOWEST_MPS = 1.0  # of streets that get a pavement
 TOLD = 5  # of each kind of thing in a note
@@ -79,6 +80,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         lanes = lane_map(before, after)
         shifts = {edge: lanes.shift(edge) for edge in lanes.before}
         paving = Paving(lanes=lanes, signals=links_of(before, after, shifts))
+        if keep_programs(before, after, paving):
+            _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings = _count(after, "crossing")
         if not crossings and not any(shifts.values()):
@@ -123,7 +126,6 @@ def _why_none(net: Net, fastest_mps: float) -> str:
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
     """Let netconvert add what is missing, in place."""
-    data = net.read_bytes()
     with tempfile.TemporaryDirectory(prefix="wcsim-pave-") as folder:
         given, made = Path(folder) / "given.net.xml", Path(folder) / "made.net.xml"
         given.write_bytes(read_bytes(net))
@@ -134,11 +136,15 @@ def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
         run = run_tool("netconvert", [*options, "--xml-validation", "never"], Path(folder), _LIMITS)
         if run.returncode or not made.is_file():
             raise SumoError(f"{net.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
-        text = without_comments(made.read_bytes())
-    if data.startswith(_PACKED):
-        write_gzip(net, text)
+        _write(net, without_comments(made.read_bytes()))
+
+
+def _write(path: Path, text: bytes) -> None:
+    """Replace a file's text; what was packed stays packed."""
+    if path.read_bytes().startswith(_PACKED):
+        write_gzip(path, text)
     else:
-        net.write_bytes(text)
+        path.write_bytes(text)
 
 
 def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
@@ -154,13 +160,8 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
             edits = edits_of(root, paving)
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
-        if not edits:
-            continue
-        text = edited(data, edits, path.name)
-        if path.read_bytes().startswith(_PACKED):
-            write_gzip(path, text)
-        else:
-            path.write_bytes(text)
+        if edits:
+            _write(path, edited(data, edits, path.name))
 
 
 def _notes(paving: Paving) -> tuple[str, ...]:
