@@ -51,10 +51,13 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     put_net(theirs)
     refused(
         wcsim("town", "run", theirs, *RUN),
-        *("a.net.xml", "no pavement", f"wcsim town pave {theirs}/", "--chairs 0"),
+        *("a.net.xml", "no pavement", f"wcsim town pave {theirs}/", f"wcsim town run {theirs}/a.sumocfg --chairs 0)"),
     )
     assert files_in(folder) == set()
-    assert wcsim("town", "run", theirs, *RUN, "--chairs", "0").code == 0
+    alone = wcsim("town", "run", theirs, *RUN, "--chairs", "0")
+    assert alone.code == 0
+    assert f"no walking areas; first lay pavements and crossings: wcsim town pave {theirs}/" in alone.out
+    assert re.search(r"^then, for the paved copy, make walkers\.rou\.xml.* -n \S*-paved/a\.net\.xml", alone.out, re.M)
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
     told = one_line(checked)

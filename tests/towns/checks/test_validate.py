@@ -16,6 +16,8 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 
 LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="9" shape="0,0 9,0"/></edge>'
 
+SIDES = "".join(LANE.replace("0,0 9,0", f"24.93,{y} 24.97,{y}") for y in (58.6, 61.7))  # metres wide all the same
+NODES = '<junction id="x" type="priority" x="24.93" y="60.17"/><junction id="y" type="priority" x="24.97" y="60.15"/>'
 DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
 
 
@@ -31,6 +33,8 @@ DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
         ('<!DOCTYPE net [<!ENTITY a "b">]><net/>', "document type"),
         (f'<net>{LANE}<junction id="x" type="priority"/></net>', "SUMO cannot open"),
         (f'<net>{DEGREES}{DEGREES}<junction id="x"/></net>', "look like degrees.*--proj.utm"),
+        (f"<net>{SIDES}{NODES}</net>", "reaches over 0.0400 m only; .*look like degrees.*--proj.utm"),
+        (f'<net>{LANE}<junction id="x" x="" y="1"/></net>', "<junction id='x'> has x=''; expected numbers"),
         (
             f'<net>{LANE.replace("9,0", "90000,0")}<junction id="x"/></net>',
             "lane 'a_0' is 9 m long and drawn over 90000",

@@ -108,7 +108,8 @@ def test_signal_programs_in_the_net_stay_the_authors_too(theirs: Path, tmp_path:
     text = net.read_text(encoding="utf-8").replace('type="static" programID="0" offset="0"', OWN_PROGRAM)
     net.write_text(text.replace('duration="42"', 'duration="30" name="drive"'), encoding="utf-8")
     told = pave_town(open_town(theirs), tmp_path / "ours")
-    old, new = ([e for e in elements(place, net.name) if e.tag == "tlLogic"] for place in (net.parent, tmp_path / "ours"))
+    places = (net.parent, tmp_path / "ours")
+    old, new = ([item for item in elements(place, net.name) if item.tag == "tlLogic"] for place in places)
     assert len(old) == 9 and told.programs == len(old) + 1  # one lies in an additional file
     for was, now in zip(old, new, strict=True):
         assert now.attrib == was.attrib and now.get("programID") == "mine" and len(now) == len(was)

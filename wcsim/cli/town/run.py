@@ -17,8 +17,9 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.towns.checks.cures import walkers_cure
+from wcsim.towns.checks.cures import pave_cure, walkers_cure
 from wcsim.towns.scenario.town import Town, content_hash, find_town
+from wcsim.towns.sumo.net import LaneKind, read_net
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.bridge.town_run import CrashFact, TrafficFacts
@@ -181,4 +182,9 @@ def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
 
 
 def _no_persons(town: Town) -> str:
-    return f"nobody walked: the demand has no persons, or none in this time; {walkers_cure(town)}"
+    """What makes somebody walk; first of all pavements, in a net that nobody can walk in."""
+    told = "nobody walked: the demand has no persons, or none in this time"
+    if read_net(town.net).lanes(LaneKind.WALKINGAREA):
+        return f"{told}; {walkers_cure(town)}"
+    told = f"{told}, and the net has no walking areas"
+    return f"{told}; first {pave_cure(town)}\nthen, for the paved copy, {walkers_cure(town, paved=True)}"

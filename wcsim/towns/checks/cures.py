@@ -39,10 +39,20 @@ def pave_cure(town: Town) -> str:
     slowest_mps = slowest_street_mps(net)
     if slowest_mps is None:
         return "there is no street that cars use, to lay pavements beside; choose another scenario"
-    options = " --allow-outside" if town.border is None else ""
+    options = _outside(town)
     options += f" --max-speed {math.ceil(slowest_mps)}" if slowest_mps > FASTEST_MPS else ""
     command = f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(str(_copy(town)))}{options}"
     return f"{'add crossings and walking areas' if paved_streets(net) else 'lay pavements and crossings'}: {command}"
+
+
+def traffic_alone(town: Town) -> str:
+    """The command that runs a scenario's traffic without wheelchairs."""
+    return f"wcsim town run {_path(town.sumocfg)} --chairs 0{_outside(town)}"
+
+
+def _outside(town: Town) -> str:
+    """What the commands need for a scenario that is trusted with files outside of its folder."""
+    return " --allow-outside" if town.border is None else ""
 
 
 def paved_streets(net: Net) -> int:
@@ -62,6 +72,11 @@ def slowest_street_mps(net: Net) -> float | None:
 def netedit_cure(town: Town) -> str:
     """The command that opens a town's net to be changed by hand."""
     return f"{_tool('netedit')} -s {_path(town.net)}"
+
+
+def signals_cure(net: Path) -> str:
+    """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
+    return f"make all programs in the net anew: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
 
 
 def walkers_cure(town: Town, *, paved: bool = False) -> str:

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_whole
-from wcsim.towns.checks.cures import pave_cure
+from wcsim.towns.checks.cures import pave_cure, traffic_alone
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.town import Town
@@ -19,11 +19,12 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
 from wcsim.types import Street
 
-_CHECK = 4  # raise it when the check becomes stricter
+_CHECK = 5  # raise it when the check becomes stricter
 _LIMITS = Limits(wall_s=60.0, cpu_s=50, memory_bytes=3 << 30, file_bytes=1 << 20)
 _SMALLEST_M, LARGEST_M = 1.0, 500e3
 _STRETCHED, _STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
 _NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
+_SINGLE = ("x", "y")
 
 
 def validate_net(net: Path, *, border: Path | None = None) -> None:
@@ -65,7 +66,7 @@ def scan_net(root: Element, where: str) -> None:
     if root.find("junction") is None:
         raise TownError(f"{where}: has no junction; expected a street net: build it with netconvert")
     _scan_numbers(root, where)
-    _refuse_degrees(edges, where)
+    _refuse_degrees(root, edges, where)
     _refuse_stretched(edges, where)
     _refuse_sprawling(root, where)
 
@@ -75,7 +76,7 @@ def require_pavement(street: Street, town: Town) -> None:
     if not street.walk.edges:
         raise TownError(
             f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there (its traffic "
-            f"alone runs: wcsim town run --chairs 0); {pave_cure(town)}"
+            f"alone runs: {traffic_alone(town)}); {pave_cure(town)}"
         )
 
 
@@ -83,28 +84,38 @@ def _scan_numbers(root: Element, where: str) -> None:
     for element in root.iter():
         for key in _NUMBERS:
             text = element.get(key)
-            if text is not None and not _all_finite(text):
+            if text is not None and not _all_finite([text] if key in _SINGLE else text.replace(",", " ").split()):
                 raise TownError(
                     f"{where}: <{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}; expected numbers"
                 )
 
 
-def _refuse_degrees(edges: list[Element], where: str) -> None:
-    """A town of less than a metre was never projected: its coordinates are degrees."""
+def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
+    """A town of less than a metre was never projected: its coordinates are degrees.
+
+    Lanes are drawn metres wide around them all the same, so what counts is how far its junctions are from each other.
+    """
     shapes = [lane.get("shape", "") for edge in edges for lane in edge.iterfind("lane")]
-    places = [place.split(",") for shape in shapes for place in shape.split()]
-    xs, ys = ([float(place[axis]) for place in places if len(place) > 1] for axis in (0, 1))
-    span_m = max(max(side, default=0.0) - min(side, default=0.0) for side in (xs, ys))
-    if len(edges) > 1 and 0.0 < span_m < _SMALLEST_M:
+    span_m = _span_m([place.split(",") for shape in shapes for place in shape.split()])
+    nodes = [node for node in root.iterfind("junction") if node.get("type") != "internal" and node.get("y")]
+    apart_m = _span_m([[node.get("x", "0"), node.get("y", "0")] for node in nodes]) or span_m
+    if len(edges) > 1 and 0.0 < min(apart_m, span_m) < _SMALLEST_M:
         raise TownError(
-            f"{where}: reaches over {span_m:.4f} m only; its coordinates look like degrees, expected metres: build it "
-            "again with a projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
+            f"{where}: reaches over {min(apart_m, span_m):.4f} m only; its coordinates look like degrees, expected "
+            "metres: build it again from the same files with a projection, --proj.utm, as in: netconvert --osm-files "
+            "FILE --proj.utm -o better.net.xml"
         )
     if span_m > LARGEST_M:
         raise TownError(
             f"{where}: reaches over {span_m / 1e3:.0f} km; expected at most {LARGEST_M / 1e3:.0f} km: build it "
             "again with a metric projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
         )
+
+
+def _span_m(places: list[list[str]]) -> float:
+    """How far places (x, y, ...) reach over, along the longer side."""
+    xs, ys = ([float(place[axis]) for place in places if len(place) > 1] for axis in (0, 1))
+    return max(max(side, default=0.0) - min(side, default=0.0) for side in (xs, ys))
 
 
 def _refuse_stretched(edges: list[Element], where: str) -> None:
@@ -133,8 +144,8 @@ def _refuse_sprawling(root: Element, where: str) -> None:
             )
 
 
-def _all_finite(text: str) -> bool:
+def _all_finite(parts: list[str]) -> bool:
     try:
-        return all(math.isfinite(float(part)) for part in text.replace(",", " ").split())
+        return all(math.isfinite(float(part)) for part in parts)
     except ValueError:
         return False

@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, paved_streets, slowest_street_mps
+from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, paved_streets, signals_cure, slowest_street_mps
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.elements import Paving, edits_of, note_routes
@@ -98,7 +98,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
-        notes=_notes(paving),
+        notes=_notes(paving, out / place.relative_to(work)),
     )
 
 
@@ -164,7 +164,7 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
             _write(path, edited(data, edits, path.name))
 
 
-def _notes(paving: Paving) -> tuple[str, ...]:
+def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
     notes = []
     if paving.parking:
         names = ", ".join(paving.parking[:TOLD]) + " and more" * (len(paving.parking) > TOLD)
@@ -178,7 +178,7 @@ def _notes(paving: Paving) -> tuple[str, ...]:
         )
         notes.append(
             f"crossings that their signal's program never gives green, for cars come over them in every phase: {told}; "
-            "give them a phase in netedit"
+            f"give them a phase in netedit, or {signals_cure(net)}"
         )
     if paving.lost:
         names = ", ".join(paving.lost[:TOLD]) + " and more" * (len(paving.lost) > TOLD)
