@@ -255,7 +255,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
         (known / "town.toml").write_text(re.sub(r'split = "\w+"', f'split = "{split}"', text))
         told = wcsim("test", "--town", scenario, *words)
         assert told.code == (2 if split == "train" else 0)
-    refused(told, "own is a training town, for it has the streets of", "--allow-train-town")
+    refused(told, "own is a training town, for it has the streets of", "--split test", "--allow-train-town")
 
 
 @pytest.mark.proof

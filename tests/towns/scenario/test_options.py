@@ -128,3 +128,10 @@ def test_every_option_of_this_sumo_that_could_name_a_file_was_looked_at() -> Non
 def test_an_ending_of_files_is_no_path(tmp_path: Path, suffix: str) -> None:
     with pytest.raises(TownError, match=r"save-state\.suffix> is .* expected letters"):
         configuration(tmp_path, f'<save-state.suffix value="{suffix}"/>')
+
+
+def test_a_net_is_no_configuration(tmp_path: Path) -> None:
+    net = tmp_path / "a.net.xml"
+    net.write_text('<?xml version="1.0"?>\n<!-- made -->\n<net version="1"><edge id="a"/></net>', encoding="utf-8")
+    with pytest.raises(TownError, match=r"a\.net\.xml: is a net; give the \.sumocfg"):
+        read_configuration(net)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import zlib
 from pathlib import Path
 
@@ -201,3 +202,19 @@ def test_a_projection_names_no_file(corner_town: Town, tmp_path: Path, net: str)
     path.write_text(text.replace('projParameter="!"', net), encoding="utf-8")
     with pytest.raises(TownError, match=r"a\.net\.xml: has projParameter"):
         stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+
+
+def test_a_scenario_with_files_elsewhere_is_told_the_command_that_copies_them(
+    corner_town: Town, tmp_path: Path
+) -> None:
+    sumocfg = hostile.scenario(corner_town, tmp_path / "my town")
+    (sumocfg.parent / "a.rou.xml").rename(tmp_path / "shared.rou.xml")
+    sumocfg.write_text(sumocfg.read_text().replace("a.rou.xml", "../shared.rou.xml"))
+    with pytest.raises(TownError, match="a copy for all commands: ") as caught:
+        open_town(sumocfg)
+    words = shlex.split(str(caught.value).partition("for all commands: ")[2])
+    assert words == [
+        *("wcsim", "town", "import", "--sumocfg", str(sumocfg)), *("--name", "my_town", "--allow-outside")
+    ]  # fmt: skip
+    town = adopt_scenario(sumocfg, "my_town", tmp_path / "copy", outside=True)
+    assert town.routes[0].is_relative_to(tmp_path / "copy")

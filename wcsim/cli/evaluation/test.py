@@ -276,7 +276,8 @@ def _refuse_school(town: Town, digest: str) -> None:
     schools = (other for other in known if other.declared and other.split == "train")
     found = next((other for other in schools if streets_hash(other) == digest), None)
     if found is not None:
-        same = "" if town.declared else f", for it has the streets of {found.name}"
+        of_it = f", for it has the streets of {found.name}, which was not imported with --split test"
+        same = "" if town.declared else of_it
         raise TownError(
             f"{town.name} is a training town{same}; expected a town of split test (wcsim town list), or a scenario of "
             "your own. Choose another --town, or say --allow-train-town"

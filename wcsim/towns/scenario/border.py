@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
 from pathlib import Path
 
 from wcsim.core.reading import is_file, shown
@@ -25,7 +27,19 @@ def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
         raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
     raise TownError(
         f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
-        f"correct the name, or trust the scenario with files elsewhere: {_ALLOW} (of wcsim town import and run)"
+        f"correct the name, or trust the scenario with files elsewhere: {_trust(named_by)}"
+    )
+
+
+def _trust(named_by: Path) -> str:
+    """How a scenario is trusted; a copy of it is for every command."""
+    some = f"{_ALLOW} of wcsim town run and pave"
+    if named_by.suffix != ".sumocfg":
+        return f"{some}, and of wcsim town import, which makes a copy for all others"
+    path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
+    return (
+        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(shown(path, 4096))} "
+        f"--name {name} {_ALLOW}"
     )
 
 

@@ -15,9 +15,11 @@ from xml.etree import ElementTree
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_tool
-from wcsim.towns.sumo.xml_io import read_root
+from wcsim.towns.sumo.xml_io import read_head, read_root, without_comments
 
 _MAX_CFG_BYTES = 1 << 20
+_HEAD_BYTES = 1 << 14
+_NET = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:<\?[^<>]*>\s*)?<net[\s>]")
 _LIMITS = Limits(wall_s=30.0, cpu_s=20, memory_bytes=4 << 30, file_bytes=1 << 24)
 _DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
 _DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
@@ -139,6 +141,8 @@ def read_configuration(sumocfg: Path) -> Configuration:
     Raises:
         TownError: it is no configuration, or it names an option that SUMO does not have.
     """
+    if _NET.match(without_comments(read_head(sumocfg, _HEAD_BYTES))):
+        raise TownError(f"{sumocfg}: is a net; give the .sumocfg that names it beside its demand")
     root = read_root(sumocfg, _MAX_CFG_BYTES)
     known = sumo_options()
     given: dict[str, GivenOption] = {}
