@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_overrides
-from wcsim.config.plant import PlantFile
+from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import parse_toml
@@ -216,3 +216,22 @@ def unbounded(schema, definitions, where=""):
 def test_every_field_of_every_file_has_bounds(model):
     schema = model.model_json_schema()
     assert unbounded(schema, schema.get("$defs", {})) == []
+
+
+def test_a_missing_key_is_told_with_those_that_are_there():
+    data = read_plant("rwd").model_dump(mode="json")
+    del data["wheel"]["radius_m"], data["wheel"]["friction"], data["motor"]
+    data["wheel"]["radius_mm"] = 178.0
+    with pytest.raises(ConfigError) as told:
+        parse(PlantFile, data, "mine")
+    said = str(told.value)
+    assert "wheel.radius_m: is missing; expected it beside width_m, mass_kg, track_m, radius_mm; " in said
+    assert "motor: is missing; expected it beside shows, mass, " in said and "{" not in said
+
+
+def test_a_beams_stop_is_no_value_in_rad():
+    data = read_plant("rwd").model_dump(mode="json")
+    beam = next(pair["beam"] for pair in data["casters"] if pair["beam"])
+    beam["stop_deg"] = 0.105
+    with pytest.raises(ConfigError, match=r"stop_deg: .*got 0\.105 deg; expected at least 0\.5"):
+        parse(PlantFile, data, "mine")

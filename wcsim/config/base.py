@@ -43,6 +43,9 @@ def fault(model: type[BaseModel], item: Any) -> str:
     key = shown(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
+    if item["type"] == "missing":
+        beside = shown(", ".join(map(str, item["input"])), 200) if isinstance(item["input"], dict) else ""
+        return f"{key}: is missing" + f"; expected it beside {beside}" * bool(beside)
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
         return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"

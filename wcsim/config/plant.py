@@ -62,7 +62,7 @@ class BeamPart(Model):
     """A beam across the frame that carries both casters of a pair and rocks about a lengthwise pivot in its middle."""
 
     pivot_z_m: Annotated[float, Field(ge=0.0, le=0.5)]
-    stop_deg: Annotated[float, Field(gt=0.0, le=15.0)]  # to either side
+    stop_deg: Annotated[float, Field(ge=0.5, le=15.0)]  # to either side; less is a value in rad
     friction_Nm: Annotated[float, Field(ge=0.0, le=200.0)]
     mass_kg: PartKg
 
