@@ -60,8 +60,8 @@ def run(words: list[str]) -> int:
         _sumo,
         _threads,
         _shared_memory,
-        _cache,
         lambda: _ticks(options.town, options.seed),
+        _cache,  # the street of that town is in it by now
     )
     findings = [check() for check in checks]
     table = Table("check", "", Column("found", overflow="fold"))
