@@ -10,6 +10,9 @@ import importlib
 import importlib.util
 import re
 import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -46,27 +49,36 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
 def _module(name: str, what: str, error: type[WcsimError]) -> ModuleType:
     """Import a module; a file in the current folder wins over nothing else but a missing module."""
     try:
-        if name in sys.modules or importlib.util.find_spec(name) is not None:
+        if name in sys.modules or _is_found(name) or _look_here(name):
             return importlib.import_module(name)
-        path = Path.cwd() / (name.replace(".", "/") + ".py")
-        if path.is_file():
-            return _from_file(name, path, error)
-    except error:
-        raise
     except Exception as fault:  # the user's own file may raise anything
         raise error(f"{what} module {name!r} failed to import: {type(fault).__name__}: {fault}") from fault
     raise error(f"{what} module {name!r} was not found; expected {name}.py in {Path.cwd()} or on PYTHONPATH")
 
 
-def _from_file(name: str, path: Path, error: type[WcsimError]) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise error(f"{path} cannot be imported; expected a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+def _is_found(name: str) -> bool:
+    """Whether Python finds it; the packages above it are imported."""
+    head = name.rpartition(".")[0]
+    return (not head or head in sys.modules or _is_found(head)) and importlib.util.find_spec(name) is not None
+
+
+def _look_here(name: str) -> bool:
+    """Whether the current folder has it, which is looked through from now on: the module may import its neighbours."""
+    importlib.invalidate_caches()
+    if _CurrentFolder.find_spec(name.partition(".")[0]) is None:
+        return False
+    if _CurrentFolder not in sys.meta_path:
+        sys.meta_path.append(_CurrentFolder)
+    return _is_found(name)
+
+
+class _CurrentFolder(MetaPathFinder):
+    """Finds modules and packages in the current folder, after all other places."""
+
+    @classmethod
+    def find_spec(
+        cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Where a module is; a folder alone is no package here."""
+        found = PathFinder.find_spec(fullname, [str(Path.cwd())], target) if path is None else None
+        return found if found is not None and found.loader is not None else None

@@ -1,0 +1,49 @@
+"""Classes of a user's own, module:Class."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from wcsim.core.plugins import find_class
+from wcsim.errors import PolicyError
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with three files in it, which is not on the Python path."""
+    (tmp_path / "own_base_net.py").write_text("class Base:\n    size = 3\n")
+    (tmp_path / "own_big_net.py").write_text(
+        "from own_base_net import Base\nclass Bigger(Base):\n    def late(self):\n"
+        "        import own_late_part\n        return own_late_part.SAID\n"
+    )
+    (tmp_path / "own_late_part.py").write_text("SAID = 'late'\n")
+    (tmp_path / "own_broken_net.py").write_text("import own_neighbour_that_is_not_there\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    monkeypatch.setattr(sys, "path", [item for item in sys.path if item])
+    for name in ("own_base_net", "own_big_net", "own_late_part", "own_broken_net"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path
+
+
+def test_a_module_of_the_current_folder_finds_its_neighbours_also_later(folder):
+    found = find_class("own_big_net:Bigger", "network")
+    assert found.size == 3 and found().late() == "late"
+    assert find_class("own_base_net:Base", "network") in found.__mro__
+
+
+def test_what_is_nowhere_is_said(folder):
+    with pytest.raises(PolicyError, match=r"was not found; expected own_missing\.py in"):
+        find_class("own_missing:Net", "network")
+    with pytest.raises(PolicyError, match=r"failed to import: .*own_neighbour_that_is_not_there"):
+        find_class("own_broken_net:Net", "network")
+
+
+def test_what_is_installed_comes_before_the_current_folder(folder):
+    (folder / "colorsys.py").write_text("class Net:\n    pass\n")
+    find_class("own_base_net:Base", "network")
+    with pytest.raises(PolicyError, match="colorsys has no class 'Net'"):
+        find_class("colorsys:Net", "network")
