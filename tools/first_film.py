@@ -12,7 +12,7 @@ import numpy as np
 
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import U8
-from wcsim.view.driven_film import DrivenFilm
+from wcsim.view.driven_film import DrivenFilm, FilmDriver
 
 TOWN, SEED, POLICY, PROFILE = "helsinki", 1, "shipped", "inattentive"
 FIRST_TICK, TICKS = 578, 72  # somebody stops in front of the chair, and the user pushes on
@@ -26,9 +26,10 @@ _INK, _STRIP, _RIM = (230, 232, 235), (28, 32, 38), (250, 250, 250)
 def main(folder: Path) -> Path:
     """Drive, and write FOLDER/ride.webp."""
     frames: list[U8] = []
+    driver = FilmDriver(policy=POLICY, profile=PROFILE)
     with (
         tempfile.TemporaryDirectory() as work,
-        DrivenFilm(find_town(TOWN), SEED, WIDTH_PX, POLICY, PROFILE, Path(work) / "ride.webm") as film,
+        DrivenFilm(find_town(TOWN), SEED, WIDTH_PX, driver, Path(work) / "ride.webm") as film,
     ):
         for tick in range(FIRST_TICK + TICKS):
             frame = film.add()

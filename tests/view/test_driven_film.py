@@ -5,7 +5,7 @@ import pytest
 
 from wcsim.types import Joystick
 from wcsim.view import driven_film
-from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, with_sticks
+from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, FilmDriver, with_sticks
 from wcsim.view.map import draw_scale
 
 
@@ -31,7 +31,8 @@ def test_the_clock_counts_from_the_beginning_of_the_film(corner, tmp_path, monke
     real = driven_film.captioned
     monkeypatch.setattr(driven_film, "captioned", lambda image, text: said.append(text) or real(image, text))
     settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24", "chair.v_max_mps=0.5")
-    film = DrivenFilm(find_town(str(corner)), 0, 80, "follow", "inattentive", tmp_path / "a.webm", settings)
+    driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
+    film = DrivenFilm(find_town(str(corner)), 0, 80, driver, tmp_path / "a.webm")
     with film:
         frames = [film.add() for _ in range(12)]
     assert said[0].split()[:3] == ["follow", "0.1", "s"] and said[-1].split()[:3] == ["follow", "1.2", "s"]
@@ -44,9 +45,10 @@ def test_a_film_that_begins_later_shows_the_same_street(corner, tmp_path):
 
     settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
+    driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
+
     def last_of_eight(before: int, name: str) -> list[np.ndarray]:
-        where = tmp_path / name
-        with DrivenFilm(find_town(str(corner)), 0, 80, "follow", "inattentive", where, settings) as film:
+        with DrivenFilm(find_town(str(corner)), 0, 80, driver, tmp_path / name) as film:
             for _ in range(before):
                 film.drive()
             return [film.add() for _ in range(8 - before)][-3:]

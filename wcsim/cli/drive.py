@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.pictures.video import require_policy
 from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse, says
+from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
 from wcsim.drive.keeping.kept_files import require_new
 from wcsim.errors import ConfigError
@@ -33,6 +33,8 @@ class Options:
     """A town's name, its folder, or anybody's .sumocfg."""
     policy: str = "dwa"
     """Who assists: a run, shipped, a baseline, module:Class of your own; follow gives the stick as it is."""
+    network: str = ""
+    """Your own network as module:Class, for a run that was trained with it."""
     profile: str = "competent"
     """The simulated user who drives where the page says so."""
     seed: int = 21
@@ -95,7 +97,7 @@ def _require_place(options: Options, words: list[str]) -> None:
         raise ConfigError("--participant and --out are for a study; expected --study beside them")
     if options.record is not None:
         require_new(options.record, "--record")
-    require_policy(options.policy)
+    require_driver(options.policy, options.network)
     require_user(options.profile)
     if options.suite:
         if says(words, "--seed"):
@@ -121,6 +123,7 @@ def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | Non
     start = DriveStart(
         town=options.town,
         policy=options.policy,
+        network=options.network,
         profile="" if options.suite and not says(words, "--profile") else options.profile,
         seed=options.seed,
         suite=options.suite,
@@ -138,5 +141,5 @@ def _studied(options: Options, words: list[str]) -> tuple[DriveStart, OpenStudy]
     if options.participant is None:
         raise ConfigError("--study without --participant; expected a number from 1 on, another one for each person")
     named = options.policy if says(words, "--policy") else ""
-    study = open_study(options.study, options.participant, options.out, named)
-    return start_of(study.file, study.file.places[0]), study
+    study = open_study(options.study, options.participant, options.out, named, options.network)
+    return start_of(study.file, study.file.places[0], study.network), study

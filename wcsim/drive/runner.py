@@ -313,6 +313,7 @@ class DriveRunner:
         start = DriveStart(
             town=said.town or before.town,
             policy=before.policy,
+            network=before.network,
             profile="" if said.suite else profile or DriveStart().profile,  # a suite's own user may be a file of it
             seed=said.seed,
             suite=said.suite,

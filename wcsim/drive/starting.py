@@ -38,6 +38,7 @@ class DriveStart:
 
     town: str = "helsinki"
     policy: str = "dwa"
+    network: str = ""  # somebody's own, module:Class, that the policy may look with
     profile: str = "competent"  # of the simulated user; "" for that of the suite's episode
     seed: int = 0
     suite: str = ""
@@ -111,7 +112,7 @@ def require_kept(start: DriveStart) -> DriveStart:
 
 def _of_town(start: DriveStart) -> OpenPlace:
     config = settings_of(start.policy, PRESET, ())
-    policy = open_named(start.policy, config, start.seed)
+    policy = open_named(start.policy, config, start.seed, start.network or None)
     town = find_town(start.town)
     find_user(start.profile)
     truth = isinstance(policy, SeesTruth)
@@ -136,7 +137,8 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     block = _block(suite, start)
     work = Path(held.enter_context(TemporaryDirectory(prefix="wcsim-drive-")))
     config = settings_in_list(start.policy, PRESET, (*suite.file.settings, *block.settings))
-    policy = open_named(start.policy, config, seeding.derive(block.seed, "driver", start.seat))
+    driver_seed = seeding.derive(block.seed, "driver", start.seat)
+    policy = open_named(start.policy, config, driver_seed, start.network or None)
     episode = block.episodes[start.seat]
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})

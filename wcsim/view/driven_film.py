@@ -34,6 +34,16 @@ ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FilmDriver:
+    """Who drives a filmed chair, and for whom."""
+
+    policy: str  # as `wcsim test` names it
+    profile: str  # of the user whose stick the policy sees
+    network: str = ""  # somebody's own, module:Class, that the policy may look with
+    settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Driven:
     """One tick of the chair."""
 
@@ -51,33 +61,22 @@ class DrivenFilm:
         town: Where.
         seed: Of the world.
         width: Of the camera's picture in pixels.
-        policy: As `wcsim test` names it.
-        profile: Of the user whose stick the policy sees.
+        driver: Who drives.
         path: The video.
-        settings: section.key=value, laid over the policy's own.
     """
 
-    def __init__(
-        self,
-        town: Town,
-        seed: int,
-        width: int,
-        policy: str,
-        profile: str,
-        path: Path,
-        settings: tuple[str, ...] = (),
-    ) -> None:
+    def __init__(self, town: Town, seed: int, width: int, driver: FilmDriver, path: Path) -> None:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
             raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-        own = settings_of(policy, "quick", settings)
+        own = settings_of(driver.policy, "quick", driver.settings)
         film = CameraConfig(name=FILM_CAMERA, width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         own = own.model_copy(update={"cameras": (*own.cameras, film)})
-        self._policy = open_named(policy, own, seed)
+        self._policy = open_named(driver.policy, own, seed, driver.network or None)
         config = sensing(own, self._policy)
         self.actions, self.tick_s = action_set(config.env.actions), config.world.tick_s
         truth = isinstance(self._policy, SeesTruth)
-        spec = SeatSpec(profile=profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
+        spec = SeatSpec(profile=driver.profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
         self._world = World(town, config, (spec,), seed)
         self._chair, self._link = Chair(config), HeldLink()
         self._ticks = 0

@@ -8,12 +8,14 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.test_bad_input import refused
+from wcsim.drive.starting import DriveStart, open_place
 from wcsim.users.recording.framing import whole_records
 
 ROOT = Path(__file__).parents[3]
@@ -153,7 +155,7 @@ def test_a_missing_run_is_named_before_the_options_that_it_lacks(wcsim, folder):
     assert "--fcd" not in told.err
 
 
-def test_a_run_with_an_own_network_is_tested_by_the_command_that_training_prints(wcsim, folder, corner):
+def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, folder, corner):
     shutil.copy(ROOT / "examples" / "own_network.py", "own_network.py")
     words = ("--network", "own_network:OwnNet", "--out", "runs/my own", "--town", corner)
     trained = wcsim("train", *words, *SMALL)
@@ -166,6 +168,17 @@ def test_a_run_with_an_own_network_is_tested_by_the_command_that_training_prints
     told = wcsim(*unnamed, corner, "--allow-train-town")
     refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it: --network own_network:OwnNet")
     assert "network=own" not in told.err
+    for words in (("video", corner, "--out", "own.webm"), ("drive", corner)):
+        told = wcsim(*words, "--policy", "runs/my own")
+        refused(told, "expected that you name it, if you trust it: --network own_network:OwnNet")
+        told = wcsim(*words, "--policy", "follow", "--network", "own_network:OwnNet")
+        refused(told, "--network own_network:OwnNet: follow does not use it; leave it out")
+        assert "loading the simulator" not in told.out
+    named = ("--policy", "runs/my own", "--network", "own_network:OwnNet", "--seconds", "0.3", "--width", "64")
+    assert wcsim("video", corner, *named, "--out", "own.webm").code == 0 and Path("own.webm").stat().st_size
+    start = DriveStart(town=str(corner), policy="runs/my own", network="own_network:OwnNet")
+    with ExitStack() as held:
+        assert open_place(start, held).policy.name == "runs/my own"
 
 
 def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):

@@ -49,6 +49,17 @@ def test_what_has_no_network_is_not_exported(wcsim, folder, name):
     assert files_in(folder) == set()
 
 
+def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(wcsim, folder):
+    save_danger(folder / "seeing", network(eye="picture"), DangerRule(), CONFIG)
+    told = wcsim("export", "seeing", "--onnx", "x")
+    refused(told, "seeing looks at pictures (danger.eye=picture), which cannot be exported", "danger.eye=map")
+    said = json.loads(Path("seeing/policy.json").read_text())
+    Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "network": "own_file:Own"}}))
+    told = wcsim("export", "seeing", "--onnx", "x")
+    refused(told, "cannot be exported")
+    assert "--network" not in told.err and not Path("x").exists()
+
+
 def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim, folder):
     told = wcsim("export", "runs/a", "--onnx", "x")
     refused(told, "runs/a is not a run", "danger network")

@@ -14,21 +14,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_own_class, is_plain, open_named, settings_of
-from wcsim.agents.networks.names import is_own, require_named
+from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_plain, open_named, settings_of
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
-from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
-from wcsim.agents.runs.run_folder import config_of, policy_path, run_of
+from wcsim.agents.runs.run_folder import config_of, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, says, some_words, write_json
+from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.constants import RECORDED
-from wcsim.core.plugins import find_class
-from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
@@ -236,13 +233,7 @@ def _require_policies(options: Options) -> None:
     """
     require_known(options.network, hook=options.hook)
     for name in options.policies:
-        if is_own_class(name):
-            find_class(name, "policy")
-        elif not is_plain(name):
-            path = policy_path(name)
-            network = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
-            if is_own(network):
-                require_named(shown(name), network, options.network)
+        require_policy(name, options.network)
 
 
 def _towns(options: Options) -> dict[str, Town]:

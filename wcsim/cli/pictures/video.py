@@ -10,11 +10,11 @@ from typing import Annotated, Protocol
 
 import tyro
 
-from wcsim.agents.evaluation.suite.named_policy import is_plain
-from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made
+from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
@@ -41,6 +41,8 @@ class Options:
     """Width of the camera image in pixels."""
     policy: str = ""
     """Who drives: a run, shipped, a baseline, module:Class of your own; "" gives the user what the stick says."""
+    network: str = ""
+    """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, whose stick a policy sees. (default: inattentive with --policy, competent without)"""
     set: Repeated = ()
@@ -54,10 +56,12 @@ def run(words: list[str]) -> int:
     check_output("--out", options.out, ".webm")
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     in_bounds("--start", options.start, 0.0, MAX_SECONDS)
-    town = find_town(options.town)
     if options.policy:
-        require_policy(options.policy)
+        require_driver(options.policy, options.network)
+    elif options.network:
+        raise ConfigError("--network is for a run that was trained with it; expected --policy RUN beside it")
     require_user(options.profile)
+    town = find_town(options.town)
     missing = missing_folder(options.out)
     with StageBar("filming") as bar, _opened(options, town) as film:
         before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
@@ -80,12 +84,6 @@ def _with_user(options: Options) -> Options:
     return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))
 
 
-def require_policy(name: str) -> None:
-    """Refuse what names no policy before the simulators are loaded. Raises PolicyError."""
-    if not is_plain(name):
-        policy_path(name)
-
-
 class _Filmed(Protocol):
     tick_s: float
 
@@ -100,10 +98,12 @@ class _Filmed(Protocol):
 def _opened(options: Options, town: Town) -> Iterator[_Filmed]:
     """What drives and films; the simulators are loaded here, which --help must not."""
     if options.policy:
-        from wcsim.view.driven_film import DrivenFilm
+        from wcsim.view.driven_film import DrivenFilm, FilmDriver
 
-        who = options.policy, options.profile
-        with DrivenFilm(town, options.seed, options.width, *who, options.out, options.set) as driven:
+        driver = FilmDriver(
+            policy=options.policy, network=options.network, profile=options.profile, settings=options.set
+        )
+        with DrivenFilm(town, options.seed, options.width, driver, options.out) as driven:
             yield driven
         return
     from wcsim.view.filming import open_stage

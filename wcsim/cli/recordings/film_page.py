@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from wcsim.agents.evaluation.suite.named_policy import is_own_class
+from wcsim.cli.shared.named_policies import require_policy
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError
 
@@ -28,6 +30,7 @@ class FilmOrder:
     hook: str
     town: str
     policy: str
+    network: str
     block: int | None
     seat: int | None
 
@@ -66,6 +69,8 @@ def play_start(order: FilmOrder) -> PlayStart:
             policy = policy or worst.policy
             block = worst.block if block < 0 else block
             seat = worst.seat if seat is None else seat
+        if policy and not is_own_class(policy):  # a class that is not named is not imported
+            require_policy(policy, order.network)
     source = FilmSource(
         kind=order.kind,
         path=order.path.absolute(),
@@ -74,7 +79,7 @@ def play_start(order: FilmOrder) -> PlayStart:
         town=order.town,
         policy=policy,
         block=block,
-        own=(order.policy,) if order.policy else (),
+        own=tuple(name for name in (order.policy, order.network) if name),
     )
     return PlayStart(source=source, seat=-1 if seat is None else seat, failed=failed)
 
@@ -101,8 +106,8 @@ def serve_film(start: PlayStart, host: str, port: int) -> int:
 def _check(order: FilmOrder) -> None:
     """Refuse what cannot be played here, before a page is served for it."""
     where = shown(order.path)
-    if order.kind != "episode" and (order.block is not None or order.policy):
-        raise ConfigError(f"--block and --policy name an episode of a test; {where} is a {order.kind}: leave them out")
+    if order.kind != "episode" and (order.block is not None or order.policy or order.network):
+        raise ConfigError(f"--policy, --network and --block are of a test; {where} is a {order.kind}: leave them out")
     if order.kind == "episode" and order.epoch is not None:
         raise ConfigError(f"--epoch is of journals and traces; {where} is a test: say --block and --seat")
     if order.kind == "episode" and order.hook:

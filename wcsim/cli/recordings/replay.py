@@ -54,6 +54,8 @@ class Options:
     """Your own step hook, module:Class, that a journal was made with: code, which the journal alone does not load."""
     policy: str = ""
     """Of --page: whose episode of a test; without it that of the worst failure. Code of your own runs when named."""
+    network: str = ""
+    """Of --page: your own network as module:Class, for an episode of a run that was trained with it."""
     block: int | None = None
     """Of --page: which block of the test."""
     seat: int | None = None
@@ -102,10 +104,18 @@ def _check(options: Options) -> None:
     _check_ticks(options, task)
     if options.page and options.json is not None:
         raise ConfigError("--json is what a comparison or a file came to; expected no such option with --page")
-    if not options.page and (options.policy, options.town, options.block, options.seat) != ("", "", None, None):
-        raise ConfigError(f"--policy, --block, --seat and --town are of --page; expected no such option with {task}")
+    if not options.page and _is_of_page(options):
+        raise ConfigError(
+            f"--policy, --network, --block, --seat and --town are of --page; expected no such option with {task}"
+        )
     check_output("--fcd", options.fcd)
     check_output("--mcap", options.mcap, ".mcap")
+
+
+def _is_of_page(options: Options) -> bool:
+    """Whether something is said that --page alone hears of."""
+    words = options.policy, options.network, options.town
+    return any(words) or options.block is not None or options.seat is not None
 
 
 def _task(options: Options) -> str:
@@ -188,6 +198,7 @@ def _page(options: Options) -> int:
         hook=options.hook,
         town=options.town,
         policy=options.policy,
+        network=options.network,
         block=options.block,
         seat=options.seat,
     )

@@ -14,7 +14,7 @@ from wcsim.agents.danger.export.export_folder import require_export_place
 from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.agents.policy_api import Observation
-from wcsim.agents.runs.policy_file import is_danger
+from wcsim.agents.runs.policy_file import is_danger, read_danger_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
@@ -102,6 +102,12 @@ def _network(name: str) -> Path:
     path = policy_path(name)
     if not is_danger(path):
         raise PolicyError(f"{name} gives values for actions; expected a danger network (learn.head=danger)")
+    eye = read_danger_file(path).net.eye
+    if eye != "map":
+        raise PolicyError(
+            f"{name} looks at pictures (danger.eye={eye}), which cannot be exported; expected a danger network with "
+            "danger.eye=map: docs/export.md, What cannot be exported"
+        )
     return path
 
 

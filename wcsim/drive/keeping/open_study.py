@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +29,7 @@ class OpenStudy:
     sha256: str  # hex, of the file's bytes
     participant: int  # 1 or more
     out: Path  # the folder of all results
+    network: str = ""  # somebody's own, module:Class, that the policy may look with
 
     @property
     def table(self) -> Path:
@@ -51,7 +52,9 @@ def shipped_studies() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
-def open_study(name_or_path: str, participant: int, out: Path | None = None, named: str = "") -> OpenStudy:
+def open_study(
+    name_or_path: str, participant: int, out: Path | None = None, named: str = "", network: str = ""
+) -> OpenStudy:
     """Read a study's file and check all that can be checked before anybody drives.
 
     Args:
@@ -59,6 +62,7 @@ def open_study(name_or_path: str, participant: int, out: Path | None = None, nam
         participant: From 1 on.
         out: Where results go; studies/NAME where it is not said.
         named: The policy of the file, named again by who starts it: one that is somebody's class runs as code.
+        network: An own network of the policy, which runs as code too.
 
     Raises:
         ConfigError: The file is none, something in it is not there, or the table is another study's.
@@ -75,10 +79,11 @@ def open_study(name_or_path: str, participant: int, out: Path | None = None, nam
     file = parse(StudyFile, parse_toml(text, shown(path), CONFIG_FILE), shown(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
     _require_named(file.policy, named, shown(path))
-    study = OpenStudy(file=file, sha256=digest, participant=participant, out=out or Path("studies") / file.name)
+    place_of_results = out or Path("studies") / file.name
+    study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
-        require_kept(checked(start_of(file, place)))
-    _require_levels(file, shown(path))
+        require_kept(checked(start_of(file, place, network)))
+    _require_levels(study, shown(path))
     rows_of(study)
     return study
 
@@ -95,11 +100,12 @@ def rows_of(study: OpenStudy) -> tuple[dict[str, str], ...]:
     return tuple(row for row in rows if row["participant"] == str(study.participant))
 
 
-def start_of(file: StudyFile, place: StudyPlace) -> DriveStart:
-    """What is opened for a place; an episode of a suite has its own user."""
+def start_of(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
+    """What is opened for a place; an episode of a suite has its own user. `network` is as in `OpenStudy`."""
+    drives = DriveStart(policy=file.policy, network=network)
     if place.suite:
-        return DriveStart(policy=file.policy, profile="", suite=place.suite, block=place.block, seat=place.seat)
-    return DriveStart(town=place.town, policy=file.policy, profile=file.profile, seed=place.seed)
+        return replace(drives, profile="", suite=place.suite, block=place.block, seat=place.seat)
+    return replace(drives, town=place.town, profile=file.profile, seed=place.seed)
 
 
 def _require_named(policy: str, named: str, where: str) -> None:
@@ -114,11 +120,12 @@ def _require_named(policy: str, named: str, where: str) -> None:
         )
 
 
-def _require_levels(file: StudyFile, where: str) -> None:
+def _require_levels(study: OpenStudy, where: str) -> None:
     """Set every level once. Raises PolicyError or ConfigError for one that the policy does not have."""
+    file = study.file
     blocks = [*file.blocks, *([file.practice] if file.practice else [])]
     wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named(file.policy, settings_of(file.policy, PRESET, ()), 0)
+    policy = open_named(file.policy, settings_of(file.policy, PRESET, ()), 0, study.network or None)
     try:
         for level, name in wanted.items():
             levels = policy.levels if isinstance(policy, Levelled) else None

@@ -165,7 +165,7 @@ class StudyLead:
         try:
             if path is None:
                 raise WcsimError(f"{shown(self._study.folder / name)}: no name is left; expected fewer attempts")
-            session = self._hands.open(start_of(self._study.file, part.place), path)
+            session = self._hands.open(start_of(self._study.file, part.place, self._study.network), path)
             if part.block.level is not None:
                 session.set_level(part.block.level)
             session.assist(part.block.assistance)

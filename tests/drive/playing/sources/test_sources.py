@@ -19,6 +19,7 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of,
 from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.cli.recordings.film_page import FilmOrder, play_start
 from wcsim.config import load_run_config
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.keeping.drive_keeper import DriveKeeper
@@ -231,6 +232,15 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def choice(folder: Path, **changes: object) -> EpisodeChoice:
     return EpisodeChoice(**{"folder": folder, "policy": "", "block": 0, "own": (), **changes})
+
+
+def test_an_own_network_goes_with_the_episodes_of_a_test(tested: Path) -> None:
+    asked = {"path": tested, "kind": "episode", "epoch": None, "hook": "", "town": "", "block": None, "seat": None}
+    start = play_start(FilmOrder(**asked, policy="stop", network="own_file:Own"))
+    assert start.source.own == ("stop", "own_file:Own")
+    order = FilmOrder(**{**asked, "kind": "drive"}, policy="", network="own_file:Own")
+    with pytest.raises(ConfigError, match="--network and --block are of a test"):
+        play_start(order)
 
 
 def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:

@@ -1,0 +1,49 @@
+"""What a command does about a policy that it is given by name, before the simulators and torch are loaded for it."""
+
+from __future__ import annotations
+
+from wcsim.agents.evaluation.suite.named_policy import is_own_class, is_plain
+from wcsim.agents.networks.names import is_own, require_named, require_network
+from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
+from wcsim.agents.runs.run_folder import policy_path
+from wcsim.core.plugins import find_class
+from wcsim.core.reading import shown
+from wcsim.errors import PolicyError
+
+
+def require_policy(name: str, network: str) -> None:
+    """Refuse what names no policy, and one with a network of somebody's own that was not named.
+
+    Args:
+        name: The policy; one that is module:Class is imported.
+        network: The own network that was named, "" for none.
+
+    Raises:
+        PolicyError: There is no such policy or class, or its network was not named.
+    """
+    if is_own_class(name):
+        find_class(name, "policy")
+    elif not is_plain(name):
+        used = network_of(name)
+        if is_own(used):
+            require_named(shown(name), used, network)
+
+
+def require_driver(name: str, network: str) -> None:
+    """The same for a command with a single policy, which also has to use the network that was named.
+
+    Raises:
+        PolicyError: As `require_policy`, or there is no such network, or another one.
+    """
+    require_policy(name, network)
+    if not network:
+        return
+    require_network(network)
+    if is_plain(name) or network_of(name) != network:
+        raise PolicyError(f"--network {shown(network, 80)}: {shown(name)} does not use it; leave it out")
+
+
+def network_of(name: str) -> str:
+    """What a run's policy looks at pictures with. Raises PolicyError when there is no such run."""
+    path = policy_path(name)
+    return (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
