@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -28,6 +30,23 @@ def done_by(crew: Crew, keys: set[str], limit_s: float = 60.0) -> None:
     while left and time.monotonic() < until_s:
         left -= crew.come(left, 0.2)
     assert not left
+
+
+def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
+    workers = ProcessWorkers(1)
+    try:
+        for key in ("first", "second"):
+            workers.begin("process 1", work(key))
+            (pid,) = workers._pools["process 1"]._processes
+            os.kill(pid, signal.SIGINT)  # as a terminal does, to all
+            found: list[WorkEnd] = []
+            until_s = time.monotonic() + 60.0
+            while not found and time.monotonic() < until_s:
+                found = workers.ended(0.2)
+            assert [(end.key, end.data is not None) for end in found] == [(key, True)]
+    finally:
+        workers.close()
+    assert capfd.readouterr().err == ""
 
 
 class Scripted:

@@ -6,10 +6,9 @@ import asyncio
 import contextlib
 import errno
 import logging
-import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from http import HTTPStatus
 from multiprocessing import get_context
@@ -32,6 +31,7 @@ from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
 from wcsim.drive.serving.page_kind import DRIVE, PageKind
 from wcsim.drive.serving.words import Words
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
+from wcsim.server.launch.stop_signals import unheard_by_children
 
 log = logging.getLogger("wcsim.drive")
 PAGE: Final = Path(__file__).parents[1] / "page"
@@ -66,7 +66,7 @@ class _Process(Closing):
         self._pipe, theirs = context.Pipe()
         name = f"wcsim-{order.kind.word}"  # no daemon: a player starts the process that makes its film
         self._process = context.Process(target=order.kind.run, args=(theirs, order.start), name=name)
-        with _no_interrupts():  # Ctrl-C is for this process, which ends that one
+        with unheard_by_children():  # Ctrl-C is for this process, which ends that one
             self._process.start()
         theirs.close()
         self._words, self._some = Words(), threading.Event()
@@ -103,19 +103,6 @@ class _Process(Closing):
                 self._some.clear()
                 for message in self._words.take():
                     self._pipe.send_bytes(m.written(message))
-
-
-@contextlib.contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """While open, a process that is started is one that SIGINT does not reach, from its first line on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:

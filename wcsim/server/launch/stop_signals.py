@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -32,3 +35,17 @@ class StopSignals:
     def _hear(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.count += 1
+
+
+@contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """While open, a process that this thread starts is one that SIGINT does not reach, from its first line on.
+
+    Ctrl-C goes to all processes of a terminal; these are ended by whoever started them.
+    """
+    resource_tracker.ensure_running()  # which multiprocessing starts first, and lets all signals through after it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

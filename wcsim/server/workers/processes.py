@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from time import sleep
 
 from wcsim.server.launch.parent_death import die_with_parent
+from wcsim.server.launch.stop_signals import unheard_by_children
 from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
@@ -30,11 +31,12 @@ class ProcessWorkers:
 
     def begin(self, worker: str, work: Work) -> None:
         """Give a piece to a process."""
-        try:
-            future = self._pool(worker).submit(_do, work)
-        except BrokenProcessPool:  # it died while it had nothing to do
-            self._drop(worker)
-            future = self._pool(worker).submit(_do, work)
+        with unheard_by_children():
+            try:
+                future = self._pool(worker).submit(_do, work)
+            except BrokenProcessPool:  # it died while it had nothing to do
+                self._drop(worker)
+                future = self._pool(worker).submit(_do, work)
         self._under_way[future] = worker, work.key
 
     def ended(self, timeout_s: float) -> list[WorkEnd]:
